@@ -1,0 +1,37 @@
+"""A differentiable rasterizer of 3D Gaussians in OpenCL, for any CPU or GPU.
+
+`rasterize` renders plain torch tensors. `GaussianModel` keeps the Gaussians on the device for
+training, with `photometric_loss`, `Adam` and `apply_edit` beside it.
+"""
+
+from .camera import Camera
+from .device import Device, list_devices, open_device
+from .errors import (
+    CameraError,
+    DeviceError,
+    ExplainedError,
+    GaussianError,
+    MemoryBudgetError,
+    PlyError,
+)
+from .gaussians import Gaussians
+from .model import GaussianModel
+from .rasterize import rasterize
+from .rendering import Rendering
+
+__all__ = [
+    "Camera",
+    "CameraError",
+    "Device",
+    "DeviceError",
+    "ExplainedError",
+    "GaussianError",
+    "GaussianModel",
+    "Gaussians",
+    "MemoryBudgetError",
+    "PlyError",
+    "Rendering",
+    "list_devices",
+    "open_device",
+    "rasterize",
+]

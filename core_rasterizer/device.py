@@ -1,0 +1,262 @@
+"""OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from typing import Any, Literal
+
+import numpy as np
+import pyopencl as cl
+import torch
+from torch import Tensor
+
+from .errors import DeviceError
+from .unknown_cpu import teach_processor_name
+
+Kind = Literal["cpu", "gpu", "accelerator"]
+Variant = Literal["cpu", "gpu"]
+
+CPU_LANES = 8
+"""Vector width of kernels on a CPU: eight floats fill an AVX register, and wider brought nothing."""
+
+_BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-no-signed-zeros")
+_NUMPY_TYPES = {
+    torch.float32: np.float32,
+    torch.float64: np.float64,
+    torch.int32: np.int32,
+    torch.int64: np.int64,
+}
+
+
+class Device:
+    """One OpenCL device with a queue of its own.
+
+    Attributes:
+        name, platform: as the driver reports them.
+        kind: "cpu", "gpu" or "accelerator".
+        variant: which raster kernels run: "cpu" (a work-item a tile, vectors along rows) or "gpu"
+            (a work-item a pixel, a work-group a tile). Chosen by kind unless given.
+        shares_memory: device buffers are host memory, so that torch sees them without a copy.
+        bytes_moved: bytes copied between host and a device that does not share memory.
+    """
+
+    def __init__(self, handle: cl.Device, variant: Variant | None = None) -> None:
+        self._handle = handle
+        self.name = handle.name.strip()
+        self.platform = handle.platform.name.strip()
+        self.driver = handle.driver_version.strip()
+        self.kind: Kind = _kind_of(handle)
+        self.variant: Variant = variant or ("cpu" if self.kind == "cpu" else "gpu")
+        self.compute_units = int(handle.max_compute_units)
+        self.memory_bytes = int(handle.global_mem_size)
+        self.shares_memory = self.kind == "cpu"
+        self.supports_double = "cl_khr_fp64" in handle.extensions.split()
+        self.lanes = CPU_LANES if self.variant == "cpu" else 1
+        self.bytes_moved = 0
+        try:
+            self.context = cl.Context([handle])
+            self.queue = cl.CommandQueue(self.context)
+        except cl.Error as error:
+            raise DeviceError(
+                f"the device {self.name!r} could not be opened: {error}",
+                where=self.platform,
+                fix="choose another device; `stereogs doctor` lists them",
+            ) from error
+        self._programs: dict[tuple[Any, ...], Program] = {}
+
+    def __repr__(self) -> str:
+        return f"Device({self.name!r}, {self.platform!r}, {self.kind}, {self.variant} kernels)"
+
+    def program(self, *sources: str, dtype: torch.dtype, **defines: int) -> Program:
+        """Build the named kernel files together, once for each combination of settings.
+
+        Args:
+            sources: names of files in `kernels/` without their ending; `lanes` is put in front.
+            dtype: torch.float32 or torch.float64; decides what `real` is.
+            defines: integer macros.
+
+        Raises:
+            DeviceError: the device has no double precision, or its compiler refused the source.
+        """
+        key = (sources, dtype, tuple(sorted(defines.items())))
+        if key not in self._programs:
+            if dtype == torch.float64 and not self.supports_double:
+                raise DeviceError(
+                    f"the device {self.name!r} does not compute in double precision",
+                    fix="use float32, or another device",
+                )
+            macros = {"LANES": self.lanes, "REAL_IS_DOUBLE": int(dtype == torch.float64), **defines}
+            self._programs[key] = Program(self, sources, macros)
+        return self._programs[key]
+
+    def finish(self) -> None:
+        """Wait until everything enqueued has run."""
+        self.queue.finish()
+
+
+class Program:
+    """Kernels built from one set of sources; each `cl.Kernel` is made once and kept."""
+
+    def __init__(self, device: Device, sources: Sequence[str], macros: dict[str, int]) -> None:
+        text = "\n".join(_source(name) for name in ("lanes", *sources))
+        options = [*_BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
+        try:
+            program = cl.Program(device.context, text).build(options=options)
+        except cl.Error as error:
+            raise DeviceError(
+                f"the OpenCL compiler of {device.name!r} refused the kernels {', '.join(sources)}",
+                where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
+                fix="update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
+            ) from error
+        self._queue = device.queue
+        self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
+
+    def run(
+        self,
+        kernel: str,
+        global_size: tuple[int, ...],
+        local_size: tuple[int, ...] | None,
+        *arguments: DeviceArray | np.generic,
+    ) -> None:
+        """Enqueue a kernel. Arrays are passed as buffers, scalars as numpy scalars."""
+        values = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
+        self._kernels[kernel](self._queue, global_size, local_size, *values)
+
+
+class DeviceArray:
+    """A contiguous array on a device.
+
+    On a device that shares memory the array *is* a torch tensor (`tensor`), and `read` and `write`
+    cost no copy of their own; elsewhere they move bytes, which `Device.bytes_moved` counts.
+
+    Args:
+        shape: of the array; a dimension may be zero.
+        dtype: float32, float64, int32 or int64.
+        over: wrap this CPU tensor instead of allocating; only where memory is shared.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        shape: tuple[int, ...],
+        dtype: torch.dtype = torch.float32,
+        *,
+        over: Tensor | None = None,
+    ) -> None:
+        self.device = device
+        self.shape = shape
+        self.dtype = dtype
+        flags = cl.mem_flags.READ_WRITE
+        elements = max(1, int(np.prod(shape, dtype=np.int64)))
+        self._host: Tensor | None = None
+        if device.shares_memory:
+            # OpenCL has no empty buffers, so an empty array keeps one element in reserve.
+            storage = over if over is not None else torch.zeros(elements, dtype=dtype)
+            self._host = storage.reshape(-1)
+            self.buffer = cl.Buffer(
+                device.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=self._host.numpy()
+            )
+        else:
+            self.buffer = cl.Buffer(device.context, flags, size=elements * dtype.itemsize)
+            self.fill(0)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the array's elements take."""
+        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+    def read(self) -> Tensor:
+        """Wait for the device and return the contents.
+
+        Where memory is shared this is a view that later kernels will change; elsewhere a copy.
+        """
+        if self._host is not None:
+            self._map(cl.map_flags.READ)
+            return self._host[: int(np.prod(self.shape, dtype=np.int64))].reshape(self.shape)
+        result = torch.empty(self.shape, dtype=self.dtype)
+        if result.numel():
+            cl.enqueue_copy(self.device.queue, result.numpy(), self.buffer)
+            self.device.bytes_moved += self.nbytes
+        return result
+
+    def write(self, values: Tensor) -> None:
+        """Replace the contents; `values` has the array's shape and is converted to its type."""
+        values = values.detach().to("cpu", self.dtype).reshape(self.shape).contiguous()
+        if not values.numel():
+            return
+        if self._host is not None:
+            self._map(cl.map_flags.WRITE)
+            self._host[: values.numel()].copy_(values.reshape(-1))
+        else:
+            cl.enqueue_copy(self.device.queue, self.buffer, values.numpy())
+            self.device.bytes_moved += self.nbytes
+
+    def fill(self, value: int) -> None:
+        """Set every element to `value`."""
+        pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
+        size = max(1, int(np.prod(self.shape, dtype=np.int64))) * self.dtype.itemsize
+        cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, 0, size)
+
+    def _map(self, flags: int) -> None:
+        """Make the host's view current; only mapping promises that, though it copies nothing."""
+        assert self._host is not None
+        mapped, _ = cl.enqueue_map_buffer(
+            self.device.queue, self.buffer, flags, 0, self._host.numel(), _NUMPY_TYPES[self.dtype]
+        )
+        mapped.base.release()
+
+
+def list_devices() -> list[Device]:
+    """Every OpenCL device that the installed drivers report, in the drivers' order."""
+    return list(_devices())
+
+
+def open_device(name: str | None = None) -> Device:
+    """Choose a device.
+
+    Args:
+        name: part of a device's or platform's name, any case. None reads STEREOGS_DEVICE; without
+            that, the first GPU is taken, else the first CPU.
+
+    Raises:
+        DeviceError: there is no OpenCL device, or none of that name.
+    """
+    devices = list_devices()
+    if not devices:
+        raise DeviceError(
+            "no OpenCL platform was found",
+            fix="install a driver: `pip install pocl-binary-distribution` brings one for any CPU",
+        )
+    wanted = name if name is not None else os.environ.get("STEREOGS_DEVICE")
+    if wanted:
+        for device in devices:
+            if wanted.lower() in f"{device.platform} {device.name}".lower():
+                return device
+        found = ", ".join(f"{d.name!r} ({d.platform})" for d in devices)
+        raise DeviceError(f"no OpenCL device is named {wanted!r}", fix=f"choose one of: {found}")
+    return min(devices, key=lambda device: {"gpu": 0, "accelerator": 1, "cpu": 2}[device.kind])
+
+
+@cache
+def _devices() -> tuple[Device, ...]:
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader answers "no platform" with an error
+        return ()
+    handles = [handle for platform in platforms for handle in platform.get_devices()]
+    for handle in handles:
+        teach_processor_name(handle)
+    return tuple(Device(handle) for handle in handles)
+
+
+def _kind_of(handle: cl.Device) -> Kind:
+    if handle.type & cl.device_type.CPU:
+        return "cpu"
+    return "gpu" if handle.type & cl.device_type.GPU else "accelerator"
+
+
+def _source(name: str) -> str:
+    return resources.files(__package__).joinpath("kernels", f"{name}.cl").read_text("utf-8")

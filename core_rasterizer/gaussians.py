@@ -1,0 +1,106 @@
+"""Gaussian parameters on the host, in the form in which they are optimized."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .errors import GaussianError
+
+SH_C0 = 0.28209479177387814
+"""The constant spherical-harmonic basis function, 1 / (2 sqrt(pi))."""
+
+
+def sh_coefficients(degree: int) -> int:
+    """How many spherical-harmonic coefficients a colour channel has up to `degree` (0 to 3)."""
+    return (degree + 1) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N Gaussians as plain torch tensors on the CPU.
+
+    Args:
+        means: `[N, 3]` centres, world units.
+        log_scales: `[N, 3]` natural logarithm of the standard deviations along the Gaussian's axes.
+        quaternions: `[N, 4]` rotations (w, x, y, z); any length but zero, normalised on use.
+        opacity_logits: `[N]`; the opacity is sigmoid of it.
+        sh: `[N, K, 3]` spherical-harmonic coefficients, K = 1, 4, 9 or 16; colour = SH + 0.5.
+
+    Raises:
+        GaussianError: shapes that do not fit together. Values are not checked here; see `check_finite`.
+    """
+
+    means: Tensor
+    log_scales: Tensor
+    quaternions: Tensor
+    opacity_logits: Tensor
+    sh: Tensor
+
+    def __post_init__(self) -> None:
+        count = self.means.shape[0] if self.means.ndim else 0
+        expected = {
+            "means": (count, 3),
+            "log_scales": (count, 3),
+            "quaternions": (count, 4),
+            "opacity_logits": (count,),
+        }
+        for field, shape in expected.items():
+            actual = tuple(getattr(self, field).shape)
+            if actual != shape:
+                raise GaussianError(f"the shape is {actual}, expected {shape}", field=field)
+        shape = tuple(self.sh.shape)
+        if len(shape) != 3 or shape[0] != count or shape[2] != 3 or shape[1] not in (1, 4, 9, 16):
+            raise GaussianError(
+                f"the shape is {shape}, expected ({count}, K, 3) with K = 1, 4, 9 or 16", field="sh"
+            )
+
+    def __len__(self) -> int:
+        return int(self.means.shape[0])
+
+    @property
+    def sh_degree(self) -> int:
+        """The degree that `sh` has room for, 0 to 3."""
+        return math.isqrt(self.sh.shape[1]) - 1
+
+    def check_finite(self) -> Gaussians:
+        """Return self if every parameter is finite.
+
+        Raises:
+            GaussianError: naming the first field and index that are not.
+        """
+        for field in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+            finite = torch.isfinite(getattr(self, field)).reshape(len(self), -1).all(dim=1)
+            if not finite.all():
+                index = int((~finite).nonzero()[0])
+                raise GaussianError("a value is not finite", field=field, index=index)
+        return self
+
+    @staticmethod
+    def from_points(
+        positions: Tensor, colors: Tensor, scales: Tensor, opacities: Tensor, sh_degree: int
+    ) -> Gaussians:
+        """Isotropic Gaussians at points.
+
+        Args:
+            positions: `[N, 3]` world units.
+            colors: `[N, 3]` in [0, 1]; becomes the constant SH band, (rgb - 0.5) / C0.
+            scales: `[N]` standard deviations, world units, > 0.
+            opacities: `[N]` in (0, 1).
+            sh_degree: 0 to 3; higher bands start at zero.
+        """
+        count = positions.shape[0]
+        sh = torch.zeros(count, sh_coefficients(sh_degree), 3)
+        sh[:, 0] = (colors - 0.5) / SH_C0
+        quaternions = torch.zeros(count, 4)
+        quaternions[:, 0] = 1.0
+        return Gaussians(
+            means=positions.float().clone(),
+            log_scales=scales.float().log()[:, None].repeat(1, 3),
+            quaternions=quaternions,
+            opacity_logits=torch.logit(opacities.float().clamp(1e-6, 1 - 1e-6)),
+            sh=sh,
+        )

@@ -1,0 +1,53 @@
+/* One pixel (or one vector of pixels) meets one Gaussian: shared by both raster variants and by both
+ * directions, so that forward and backward take the same decisions. */
+
+/* 2^x for x <= 0. Float: a degree-5 polynomial on [-1/2, 1/2], relative error 2e-7. */
+static inline lane power_of_two(lane x)
+{
+#if REAL_IS_DOUBLE || LANES == 1
+    for (int i = 0; i < LANES; i++)
+        LANE_AT(x, i) = exp2(LANE_AT(x, i));
+    return x;
+#else
+    x = LANE_MAX(x, (lane)-125.0f);
+    const lane shifted = x + 12582912.0f; /* rounds to the nearest integer */
+    const lane f = x - (shifted - 12582912.0f);
+    lane p = (lane)1.32647273e-3f;
+    p = p * f + 9.67151299e-3f;
+    p = p * f + 5.55073358e-2f;
+    p = p * f + 2.40222424e-1f;
+    p = p * f + 6.93147004e-1f;
+    p = p * f + 1.0f;
+    /* The integer sits in the low bits of `shifted`; moved to the exponent it multiplies by 2^n. */
+    const lane_int bits = *(const lane_int *)&p + (*(const lane_int *)&shifted << 23);
+    return *(const lane *)&bits;
+#endif
+}
+
+typedef struct {
+    lane raw;         /* opacity times the Gaussian's value, unclamped */
+    lane alpha;       /* clamped at 0.99; 0 below the cut-off */
+    lane weight;      /* alpha times transmittance; 0 where nothing is added */
+    lane next;        /* transmittance behind the Gaussian; meaningful where `open` */
+    lane_mask open;   /* the pixel was not finished and does not finish here */
+} meeting;
+
+/* `transmittance` is negative in pixels that are finished. A pixel finishes *before* the Gaussian that
+ * would take its transmittance to 1e-4 or below. */
+static inline meeting meet(lane exponent, real opacity, lane transmittance)
+{
+    meeting m;
+    m.raw = opacity * power_of_two(LANE_MIN(exponent, (lane)0));
+    m.alpha = LANE_MIN(m.raw, (lane)ALPHA_MAX);
+    m.alpha = m.alpha >= (lane)ALPHA_CUT ? m.alpha : (lane)0;
+    m.next = transmittance * (1 - m.alpha);
+    m.open = m.next > (lane)TRANSMITTANCE_STOP;
+    m.weight = m.open ? m.alpha * transmittance : (lane)0;
+    return m;
+}
+
+/* The transmittance to keep: the new one, or the old one marked finished. */
+static inline lane keep_transmittance(meeting m, lane transmittance)
+{
+    return m.open ? m.next : (transmittance > (lane)0 ? -transmittance : transmittance);
+}

@@ -1,0 +1,102 @@
+/* Number types shared by every kernel.
+ *
+ * `real` is float in runs and double under test. `lane` is a vector of LANES reals on a CPU, where a
+ * work-item owns LANES neighbouring elements, and a plain real on a GPU (LANES = 1). The same source
+ * serves both: arithmetic, comparison and `mask ? a : b` mean the same for vectors and scalars.
+ *
+ * Builtins such as max, sqrt and any are avoided on vectors: one widespread CPU runtime calls them as
+ * functions and spills every vector register around the call.
+ */
+
+#define GLUE_(a, b) a##b
+#define GLUE(a, b) GLUE_(a, b)
+
+#if REAL_IS_DOUBLE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double real;
+typedef long real_bits;
+#define REAL_NAME double
+#define BITS_NAME long
+#define REAL_LARGEST 1e300
+#define SCALAR_SQRT(x) sqrt(x)
+#else
+typedef float real;
+typedef int real_bits;
+#define REAL_NAME float
+#define BITS_NAME int
+#define REAL_LARGEST 1e37f
+#if LANES > 1
+#define SCALAR_SQRT(x) __builtin_sqrtf(x)
+#else
+#define SCALAR_SQRT(x) sqrt(x)
+#endif
+#endif
+
+#if LANES == 1
+typedef real lane;
+typedef int lane_mask;
+typedef int lane_int;
+#define LOAD(pointer) (*(pointer))
+#define STORE(pointer, value) (*(pointer) = (value))
+#define LANE_AT(value, index) (value)
+#define LANE_AT_MASK(value, index) (value)
+#define TO_INT(x) ((int)(x))
+#define FROM_INT(x) ((real)(x))
+#else
+typedef GLUE(REAL_NAME, LANES) lane;
+typedef GLUE(BITS_NAME, LANES) lane_mask;
+typedef GLUE(int, LANES) lane_int;
+/* Vectors at any address: vloadn and vstoren would be split in halves by some compilers. */
+typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
+#define LOAD(pointer) (*(const lane_anywhere *)(pointer))
+#define LOAD_GLOBAL(pointer) (*(__global const lane_anywhere *)(pointer))
+#define STORE_GLOBAL(pointer, value) (*(__global lane_anywhere *)(pointer) = (value))
+#define STORE(pointer, value) (*(lane_anywhere *)(pointer) = (value))
+#define LANE_AT(value, index) (((real *)&(value))[index])
+#define LANE_AT_MASK(value, index) (((const real_bits *)&(value))[index])
+#define TO_INT(x) __builtin_convertvector((x), lane_int)
+#define FROM_INT(x) __builtin_convertvector((x), lane)
+#endif
+#if LANES == 1
+#define LOAD_GLOBAL(pointer) (*(pointer))
+#define STORE_GLOBAL(pointer, value) (*(pointer) = (value))
+#endif
+
+#define LANE_MIN(a, b) ((a) < (b) ? (a) : (b))
+#define LANE_MAX(a, b) ((a) > (b) ? (a) : (b))
+#define LANE_ABS(a) ((a) < (lane)0 ? -(a) : (a))
+
+static inline lane lane_sqrt(lane x)
+{
+    for (int i = 0; i < LANES; i++)
+        LANE_AT(x, i) = SCALAR_SQRT(LANE_AT(x, i));
+    return x;
+}
+
+/* e^x, to about one unit in the last place; x is clamped so that the result stays finite. */
+static inline lane lane_exp(lane x)
+{
+#if REAL_IS_DOUBLE || LANES == 1
+    x = LANE_MIN(x, (lane)(REAL_IS_DOUBLE ? 700 : 88));
+    for (int i = 0; i < LANES; i++)
+        LANE_AT(x, i) = exp(LANE_AT(x, i));
+    return x;
+#else
+    /* x = n ln 2 + r with |r| <= ln 2 / 2; ln 2 in two parts keeps r exact. Adding and subtracting
+     * 1.5 * 2^23 rounds to the nearest integer without a call. */
+    x = LANE_MIN(LANE_MAX(x, (lane)-87.0f), (lane)88.0f);
+    const lane shifted = x * 1.44269504f + 12582912.0f;
+    const lane n = shifted - 12582912.0f;
+    const lane r = (x - n * 0.693145752f) - n * 1.42860677e-6f;
+    lane p = (lane)(1.0f / 5040.0f);
+    p = p * r + 1.0f / 720.0f;
+    p = p * r + 1.0f / 120.0f;
+    p = p * r + 1.0f / 24.0f;
+    p = p * r + 1.0f / 6.0f;
+    p = p * r + 0.5f;
+    p = p * r + 1.0f;
+    p = p * r + 1.0f;
+    const lane_int power = (TO_INT(n) + 127) << 23;
+    return p * (*(const lane *)&power);
+#endif
+}

@@ -1,0 +1,104 @@
+/* Forward, stage 1: cull, project, colour, and pack one record a Gaussian. */
+
+/* Writes the block's lanes one record after another. */
+static inline void store_records(__global real *records, size_t i, const lane *field)
+{
+    for (int l = 0; l < LANES; l++)
+        for (int k = 0; k < RECORD; k++)
+            records[(i + l) * RECORD + k] = LANE_AT(field[k], l);
+}
+
+static inline void shade(
+    lane *color, __global const real *parameters, size_t capacity, size_t i,
+    __global const real *camera, int degree)
+{
+    __global const real *row = parameters + i;
+    lane dx = LOAD_GLOBAL(row) - camera[CAMERA_CENTER];
+    lane dy = LOAD_GLOBAL(row + capacity) - camera[CAMERA_CENTER + 1];
+    lane dz = LOAD_GLOBAL(row + 2 * capacity) - camera[CAMERA_CENTER + 2];
+    const lane scale = 1 / lane_sqrt(dx * dx + dy * dy + dz * dz);
+    lane basis[16];
+    sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);
+    for (int c = 0; c < 3; c++) {
+        lane sum = (lane)0.5;
+        for (int k = 0; k < (degree + 1) * (degree + 1); k++)
+            sum += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
+        color[c] = LANE_MAX(sum, (lane)0);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
+void project(
+    __global const real *parameters, __global const real *modifiers, __global const real *camera,
+    __global real *records, __global uint *keys, __global int *slot_count,
+    uint count, uint capacity, int degree, int activated, int modified)
+{
+    const size_t i = get_global_id(0) * LANES;
+    if (i >= capacity)
+        return;
+    for (int l = 0; l < LANES; l++) {
+        keys[i + l] = INVISIBLE;
+        slot_count[i + l] = 0;
+    }
+    if (i >= count)
+        return;
+
+    projected g;
+    const lane modifier = modified ? LOAD_GLOBAL(modifiers + i) : (lane)1;
+    project_block(&g, parameters, capacity, i, camera, modifier, activated);
+
+    const lane inverse = 1 / g.determinant;
+    const lane a = g.covariance_yy * inverse, b = -g.covariance_xy * inverse,
+               c = g.covariance_xx * inverse;
+    const lane mean_x = camera[CAMERA_FX] * (g.x / g.z) + camera[CAMERA_CX];
+    const lane mean_y = camera[CAMERA_FY] * (g.y / g.z) + camera[CAMERA_CY];
+
+    /* alpha >= 1/255 inside the ellipse whose exponent is ln(1 / (255 o)): the opacity-aware extent. */
+    const lane ratio = 255 * g.opacity;
+    lane level = ratio;
+    for (int l = 0; l < LANES; l++)
+        LANE_AT(level, l) = log(LANE_AT(ratio, l) > 1 ? LANE_AT(ratio, l) : (real)1);
+    /* A hair more than exact, since the per-pixel test decides. */
+    const lane reach_x = lane_sqrt(2 * level * g.covariance_xx) * (real)1.00001 + (real)1e-3;
+    const lane reach_y = lane_sqrt(2 * level * g.covariance_yy) * (real)1.00001 + (real)1e-3;
+
+    /* Comparisons are false for NaN, so each test also refuses what is not a number. */
+    const real big = REAL_LARGEST, width = camera[CAMERA_WIDTH], height = camera[CAMERA_HEIGHT];
+    lane_mask visible = (g.z > (lane)camera[CAMERA_NEAR]) & (g.z < (lane)big);
+    visible &= (ratio >= (lane)1) & (ratio < (lane)big);
+    visible &= (g.determinant < (lane)big) & (LANE_ABS(a) < (lane)big) & (LANE_ABS(c) < (lane)big);
+    visible &= (mean_x + reach_x > (lane)0.5f) & (mean_x - reach_x < (lane)(width - 0.5f));
+    visible &= (mean_y + reach_y > (lane)0.5f) & (mean_y - reach_y < (lane)(height - 0.5f));
+
+    int any = 0;
+    for (int l = 0; l < LANES; l++)
+        any |= LANE_AT_MASK(visible, l) && i + l < count;
+    if (!any)
+        return;
+
+    lane field[RECORD], color[3];
+    shade(color, parameters, capacity, i, camera, degree);
+    for (int channel = 0; channel < 3; channel++)
+        visible &= color[channel] < (lane)big;
+
+    field[REC_X] = mean_x;
+    field[REC_Y] = mean_y;
+    field[REC_A] = (real)-0.5 * LOG2_E * a;
+    field[REC_B] = -LOG2_E * b;
+    field[REC_C] = (real)-0.5 * LOG2_E * c;
+    field[REC_OPACITY] = g.opacity;
+    field[REC_RED] = color[0];
+    field[REC_GREEN] = color[1];
+    field[REC_BLUE] = color[2];
+    field[REC_Z] = g.z;
+    field[REC_X0] = LANE_MAX(mean_x - reach_x + (real)0.5, (lane)0);
+    field[REC_X1] = LANE_MIN(mean_x + reach_x + (real)0.5, (lane)width);
+    field[REC_Y0] = LANE_MAX(mean_y - reach_y + (real)0.5, (lane)0);
+    field[REC_Y1] = LANE_MIN(mean_y + reach_y + (real)0.5, (lane)height);
+    field[REC_FLOOR] = -level * LOG2_E;
+    field[15] = (lane)0;
+    store_records(records, i, field);
+    for (int l = 0; l < LANES; l++)
+        if (LANE_AT_MASK(visible, l) && i + l < count)
+            keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */
+}

@@ -1,0 +1,114 @@
+/* The projection of one block of Gaussians, shared by the forward and the backward pass. */
+
+typedef struct {
+    lane x, y, z;             /* mean in camera coordinates */
+    lane ratio_x, ratio_y;    /* x/z and y/z after the clamp */
+    lane_mask free_x, free_y; /* where the clamp is inactive */
+    lane j00, j02, j11, j12;  /* Jacobian of the projection */
+    lane u[9];                /* camera-from-Gaussian rotation, row-major */
+    lane scale[3];
+    lane a0[3], a1[3];        /* rows of J W R S; their Gram matrix is the 2D covariance */
+    lane qw, qx, qy, qz;      /* unit quaternion */
+    lane inverse_norm;        /* 1 / |q|, 0 where q was zero */
+    lane covariance_xx, covariance_xy, covariance_yy;
+    lane determinant;
+    lane opacity;             /* activated, modifier included */
+    lane opacity_slope;       /* d opacity / d parameter */
+} projected;
+
+/* Opacity and its slope: the parameter is a logit, or the opacity itself where `activated`. */
+static inline void read_opacity(
+    projected *g, lane parameter, lane modifier, int activated)
+{
+    if (activated) {
+        g->opacity = parameter * modifier;
+        g->opacity_slope = modifier;
+        return;
+    }
+    /* Both sigmoid(x) and 1 - sigmoid(x) without cancellation. */
+    const lane decay = lane_exp(-LANE_ABS(parameter));
+    const lane near_one = 1 / (1 + decay), near_zero = decay / (1 + decay);
+    g->opacity = (parameter > (lane)0 ? near_one : near_zero) * modifier;
+    g->opacity_slope = near_one * near_zero * modifier;
+}
+
+static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, lane *rotation)
+{
+    lane largest = LANE_MAX(LANE_MAX(LANE_ABS(w), LANE_ABS(x)), LANE_MAX(LANE_ABS(y), LANE_ABS(z)));
+    const lane_mask zero = largest < (lane)SMALLEST_QUATERNION;
+    largest = zero ? (lane)1 : largest;
+    w /= largest, x /= largest, y /= largest, z /= largest;
+    w = zero ? (lane)1 : w;
+    x = zero ? (lane)0 : x;
+    y = zero ? (lane)0 : y;
+    z = zero ? (lane)0 : z;
+    const lane scale = 1 / lane_sqrt(w * w + x * x + y * y + z * z);
+    g->inverse_norm = zero ? (lane)0 : scale / largest;
+    w *= scale, x *= scale, y *= scale, z *= scale;
+    g->qw = w, g->qx = x, g->qy = y, g->qz = z;
+    rotation[0] = 1 - 2 * (y * y + z * z);
+    rotation[1] = 2 * (x * y - w * z);
+    rotation[2] = 2 * (x * z + w * y);
+    rotation[3] = 2 * (x * y + w * z);
+    rotation[4] = 1 - 2 * (x * x + z * z);
+    rotation[5] = 2 * (y * z - w * x);
+    rotation[6] = 2 * (x * z - w * y);
+    rotation[7] = 2 * (y * z + w * x);
+    rotation[8] = 1 - 2 * (x * x + y * y);
+}
+
+/* Twin: reference.py, `project`. Nothing is culled here; values behind the camera are meaningless. */
+static inline void project_block(
+    projected *g, __global const real *parameters, size_t capacity, size_t i,
+    __global const real *camera, lane modifier, int activated)
+{
+    __global const real *row = parameters + i;
+    const lane mx = LOAD_GLOBAL(row), my = LOAD_GLOBAL(row + capacity),
+               mz = LOAD_GLOBAL(row + 2 * capacity);
+    __global const real *r = camera + CAMERA_ROTATION;
+    g->x = r[0] * mx + r[1] * my + r[2] * mz + camera[CAMERA_TRANSLATION];
+    g->y = r[3] * mx + r[4] * my + r[5] * mz + camera[CAMERA_TRANSLATION + 1];
+    g->z = r[6] * mx + r[7] * my + r[8] * mz + camera[CAMERA_TRANSLATION + 2];
+
+    lane rotation[9];
+    read_rotation(g, LOAD_GLOBAL(row + ROW_QUATERNION * capacity),
+        LOAD_GLOBAL(row + (ROW_QUATERNION + 1) * capacity),
+        LOAD_GLOBAL(row + (ROW_QUATERNION + 2) * capacity),
+        LOAD_GLOBAL(row + (ROW_QUATERNION + 3) * capacity), rotation);
+    for (int j = 0; j < 3; j++)
+        for (int k = 0; k < 3; k++)
+            g->u[3 * j + k] = r[3 * j] * rotation[k] + r[3 * j + 1] * rotation[3 + k]
+                + r[3 * j + 2] * rotation[6 + k];
+
+    __global const real *limits = camera + CAMERA_LIMITS;
+    const lane inverse_z = 1 / g->z, raw_x = g->x * inverse_z, raw_y = g->y * inverse_z;
+    g->ratio_x = LANE_MIN(LANE_MAX(raw_x, (lane)limits[0]), (lane)limits[1]);
+    g->ratio_y = LANE_MIN(LANE_MAX(raw_y, (lane)limits[2]), (lane)limits[3]);
+    g->free_x = g->ratio_x == raw_x;
+    g->free_y = g->ratio_y == raw_y;
+    g->j00 = camera[CAMERA_FX] * inverse_z;
+    g->j02 = -g->j00 * g->ratio_x;
+    g->j11 = camera[CAMERA_FY] * inverse_z;
+    g->j12 = -g->j11 * g->ratio_y;
+
+    lane xx = (lane)0, xy = (lane)0, yy = (lane)0;
+    for (int k = 0; k < 3; k++) {
+        const lane parameter = LOAD_GLOBAL(row + (ROW_SCALE + k) * capacity);
+        g->scale[k] = activated ? parameter : lane_exp(parameter);
+        g->a0[k] = g->scale[k] * (g->j00 * g->u[k] + g->j02 * g->u[6 + k]);
+        g->a1[k] = g->scale[k] * (g->j11 * g->u[3 + k] + g->j12 * g->u[6 + k]);
+        xx += g->a0[k] * g->a0[k];
+        xy += g->a0[k] * g->a1[k];
+        yy += g->a1[k] * g->a1[k];
+    }
+    /* det(A A^T + d I) = |a0 x a1|^2 + d (|a0|^2 + |a1|^2) + d^2 with no cancellation: a needle a
+     * hundred thousand times longer than wide keeps a positive determinant. */
+    const lane c0 = g->a0[1] * g->a1[2] - g->a0[2] * g->a1[1];
+    const lane c1 = g->a0[2] * g->a1[0] - g->a0[0] * g->a1[2];
+    const lane c2 = g->a0[0] * g->a1[1] - g->a0[1] * g->a1[0];
+    g->determinant = c0 * c0 + c1 * c1 + c2 * c2 + DILATION * (xx + yy) + DILATION * DILATION;
+    g->covariance_xx = xx + DILATION;
+    g->covariance_xy = xy;
+    g->covariance_yy = yy + DILATION;
+    read_opacity(g, LOAD_GLOBAL(row + ROW_OPACITY * capacity), modifier, activated);
+}

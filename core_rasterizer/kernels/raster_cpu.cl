@@ -1,0 +1,241 @@
+/* Rasterization on a CPU: a work-item owns a tile, pixel state lives in its private arrays, and each
+ * Gaussian visits the rows of its box in vectors of LANES pixels at any alignment, a column of
+ * vectors at a time. Box rows beat exact spans: the square root and the branch cost more than the
+ * lanes that they save. */
+
+#define STRIDE (TILE_WIDTH + LANES) /* a vector that starts inside the tile may end beyond it */
+#define PIXELS (TILE_HEIGHT * STRIDE)
+#define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
+
+typedef struct {
+    int x, y, width, height; /* pixels of the image that the tile covers */
+} tile_area;
+
+static inline tile_area area_of(uint tile, int tiles_x, __global const real *camera)
+{
+    tile_area area;
+    area.x = (int)(tile % tiles_x) * TILE_WIDTH;
+    area.y = (int)(tile / tiles_x) * TILE_HEIGHT;
+    area.width = min(TILE_WIDTH, (int)camera[CAMERA_WIDTH] - area.x);
+    area.height = min(TILE_HEIGHT, (int)camera[CAMERA_HEIGHT] - area.y);
+    return area;
+}
+
+/* A Gaussian's box within the tile, in tile coordinates. */
+typedef struct {
+    int x0, x1, y0, y1;
+} pixel_box;
+
+static inline pixel_box box_in(__global const real *record, tile_area area)
+{
+    pixel_box box;
+    box.x0 = max((int)record[REC_X0] - area.x, 0);
+    box.x1 = min((int)record[REC_X1] - area.x, area.width);
+    box.y0 = max((int)record[REC_Y0] - area.y, 0);
+    box.y1 = min((int)record[REC_Y1] - area.y, area.height);
+    return box;
+}
+
+/* Pixels outside the image start finished, so that no other code knows of the image's edge. */
+static inline void open_pixels(real *transmittance, tile_area area)
+{
+    for (int y = 0; y < TILE_HEIGHT; y++)
+        for (int x = 0; x < STRIDE; x++)
+            transmittance[y * STRIDE + x] = y < area.height && x < area.width ? (real)1 : (real)-1;
+}
+
+static inline int all_finished(const real *transmittance)
+{
+    lane largest = (lane)-1;
+    for (int i = 0; i < PIXELS; i += LANES) {
+        const lane here = LOAD(transmittance + i);
+        largest = LANE_MAX(largest, here);
+    }
+    for (int l = 0; l < LANES; l++)
+        if (LANE_AT(largest, l) > 0)
+            return 0;
+    return 1;
+}
+
+/* Horizontal distances from the mean to the pixel centres x, x + 1, ... */
+static inline lane distances(real first)
+{
+    lane result;
+    for (int l = 0; l < LANES; l++)
+        LANE_AT(result, l) = first + l;
+    return result;
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void raster(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const ulong *counters, __global const real *camera, __global real *rgb,
+    __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
+    uint pair_capacity)
+{
+    if (counters[COUNT_PAIRS] > pair_capacity)
+        return;
+    const uint tile = get_global_id(0);
+    const tile_area area = area_of(tile, tiles_x, camera);
+    real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS];
+    open_pixels(t, area);
+    for (int i = 0; i < PIXELS; i++)
+        red[i] = green[i] = blue[i] = z[i] = 0;
+
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    for (uint p = begin; p < end; p++) {
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
+        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        if (p + 2 < end)
+            __builtin_prefetch((const void *)(size_t)(records + (size_t)pairs[p + 2].x * RECORD));
+        const pixel_box box = box_in(g, area);
+        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+        const real first_dy = area.y + box.y0 + (real)0.5 - g[REC_Y];
+        for (int x = box.x0; x < box.x1; x += LANES) {
+            const lane dx = distances(area.x + x + (real)0.5 - g[REC_X]);
+            const lane square = a * dx * dx, slope = b * dx;
+            real dy = first_dy;
+            for (int i = box.y0 * STRIDE + x; i < box.y1 * STRIDE; i += STRIDE, dy += 1) {
+                const lane before = LOAD(t + i);
+                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+                STORE(t + i, keep_transmittance(m, before));
+                STORE(red + i, LOAD(red + i) + m.weight * r);
+                STORE(green + i, LOAD(green + i) + m.weight * gr);
+                STORE(blue + i, LOAD(blue + i) + m.weight * bl);
+                STORE(z + i, LOAD(z + i) + m.weight * depth_here);
+            }
+        }
+    }
+
+    const int width = (int)camera[CAMERA_WIDTH];
+    __global const real *background = camera + CAMERA_BACKGROUND;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++) {
+            const int i = y * STRIDE + x;
+            const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
+            const real left = t[i] < 0 ? -t[i] : t[i];
+            rgb[3 * pixel] = red[i] + left * background[0];
+            rgb[3 * pixel + 1] = green[i] + left * background[1];
+            rgb[3 * pixel + 2] = blue[i] + left * background[2];
+            depth[pixel] = z[i];
+            alpha[pixel] = 1 - left;
+            final_transmittance[pixel] = left;
+        }
+}
+
+static inline real sum_lanes(lane value)
+{
+    real sum = 0;
+    for (int l = 0; l < LANES; l++)
+        sum += LANE_AT(value, l);
+    return sum;
+}
+
+/* Loads what the backward walk needs of the tile: the output gradients, and `rest`: what the
+ * Gaussians not yet passed, and the background, contribute to the loss. */
+static inline void load_gradients(
+    tile_area area, int width, __global const real *rgb, __global const real *depth,
+    __global const real *final_transmittance, __global const real *d_rgb,
+    __global const real *d_depth, __global const real *d_alpha, real *red, real *green, real *blue,
+    real *z, real *rest)
+{
+    for (int i = 0; i < PIXELS; i++)
+        red[i] = green[i] = blue[i] = z[i] = rest[i] = 0;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++) {
+            const int i = y * STRIDE + x;
+            const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
+            red[i] = d_rgb[3 * pixel];
+            green[i] = d_rgb[3 * pixel + 1];
+            blue[i] = d_rgb[3 * pixel + 2];
+            z[i] = d_depth[pixel];
+            rest[i] = rgb[3 * pixel] * red[i] + rgb[3 * pixel + 1] * green[i]
+                + rgb[3 * pixel + 2] * blue[i] + depth[pixel] * z[i]
+                - final_transmittance[pixel] * d_alpha[pixel];
+        }
+}
+
+/* Walks front to back like the forward pass. With v = c . dL/dC + z dL/dD of the Gaussian at hand and
+ * `rest` the same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void raster_backward(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const real *camera, __global const real *rgb, __global const real *depth,
+    __global const real *final_transmittance, __global const real *d_rgb,
+    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums, int tiles_x)
+{
+    const uint tile = get_global_id(0);
+    const tile_area area = area_of(tile, tiles_x, camera);
+    real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS], rest[PIXELS];
+    open_pixels(t, area);
+    load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
+        d_alpha, red, green, blue, z, rest);
+
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    uint p = begin;
+    for (; p < end; p++) {
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
+        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        if (p + 2 < end)
+            __builtin_prefetch((const void *)(size_t)(records + (size_t)pairs[p + 2].x * RECORD));
+        const pixel_box box = box_in(g, area);
+        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+        const real first_dy = area.y + box.y0 + (real)0.5 - g[REC_Y];
+        lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
+             sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
+             sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
+        for (int x = box.x0; x < box.x1; x += LANES) {
+            const lane dx = distances(area.x + x + (real)0.5 - g[REC_X]);
+            const lane square = a * dx * dx, slope = b * dx;
+            lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
+            real dy = first_dy;
+            for (int i = box.y0 * STRIDE + x; i < box.y1 * STRIDE; i += STRIDE, dy += 1) {
+                const lane before = LOAD(t + i);
+                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+                STORE(t + i, keep_transmittance(m, before));
+                const lane d_red = LOAD(red + i), d_green = LOAD(green + i), d_blue = LOAD(blue + i),
+                           d_z = LOAD(z + i);
+                const lane value = r * d_red + gr * d_green + bl * d_blue + depth_here * d_z;
+                const lane behind = LOAD(rest + i) - m.weight * value;
+                STORE(rest + i, behind);
+                const lane slope_alpha = (m.next * value - behind) / (1 - m.alpha);
+                /* No gradient above the clamp, and none where nothing was added. */
+                const lane_mask moves = (m.weight > (lane)0) & (m.raw <= (lane)ALPHA_MAX);
+                const lane d_p = moves ? slope_alpha * m.alpha : (lane)0;
+                column_p += d_p;
+                column_py += d_p * dy;
+                column_pyy += d_p * (dy * dy);
+                sum_red += m.weight * d_red;
+                sum_green += m.weight * d_green;
+                sum_blue += m.weight * d_blue;
+                sum_z += m.weight * d_z;
+                touched += m.weight;
+            }
+            sum_p += column_p;
+            sum_px += column_p * dx;
+            sum_pxx += column_p * dx * dx;
+            sum_py += column_py;
+            sum_pxy += column_py * dx;
+            sum_pyy += column_pyy;
+        }
+        __global real *out = pair_sums + (size_t)pairs[p].y * PAIR;
+        out[PAIR_P] = sum_lanes(sum_p);
+        out[PAIR_PX] = sum_lanes(sum_px);
+        out[PAIR_PY] = sum_lanes(sum_py);
+        out[PAIR_PXX] = sum_lanes(sum_pxx);
+        out[PAIR_PXY] = sum_lanes(sum_pxy);
+        out[PAIR_PYY] = sum_lanes(sum_pyy);
+        out[PAIR_RED] = sum_lanes(sum_red);
+        out[PAIR_GREEN] = sum_lanes(sum_green);
+        out[PAIR_BLUE] = sum_lanes(sum_blue);
+        out[PAIR_Z] = sum_lanes(sum_z);
+        out[PAIR_TOUCHED] = sum_lanes(touched);
+    }
+    for (; p < end; p++)
+        for (int k = 0; k <= PAIR_TOUCHED; k++)
+            pair_sums[(size_t)pairs[p].y * PAIR + k] = 0;
+}

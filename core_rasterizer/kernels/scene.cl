@@ -1,0 +1,67 @@
+/* What the stages hand to each other: the camera, the parameter rows, the packed record. */
+
+/* Rows of the parameter array [rows][capacity]; SH rows are coefficient-major, then channel. */
+#define ROW_MEAN 0
+#define ROW_SCALE 3
+#define ROW_QUATERNION 6
+#define ROW_OPACITY 10
+#define ROW_SH 11
+
+/* The camera block, written by the host once a render. */
+#define CAMERA_ROTATION 0 /* 9: world to camera, row-major */
+#define CAMERA_TRANSLATION 9
+#define CAMERA_CENTER 12
+#define CAMERA_FX 15
+#define CAMERA_FY 16
+#define CAMERA_CX 17
+#define CAMERA_CY 18
+#define CAMERA_LIMITS 19 /* x low, x high, y low, y high of the clamped ratios x/z and y/z */
+#define CAMERA_WIDTH 23
+#define CAMERA_HEIGHT 24
+#define CAMERA_NEAR 25
+#define CAMERA_BACKGROUND 26
+
+/* One record a Gaussian for the raster stages, 16 reals: a cache line in float. */
+#define RECORD 16
+#define REC_X 0
+#define REC_Y 1
+#define REC_A 2 /* exponent of 2: A dx^2 + B dx dy + C dy^2 */
+#define REC_B 3
+#define REC_C 4
+#define REC_OPACITY 5
+#define REC_RED 6
+#define REC_GREEN 7
+#define REC_BLUE 8
+#define REC_Z 9
+#define REC_X0 10 /* the pixels it can reach: columns [x0, x1), rows [y0, y1) */
+#define REC_X1 11
+#define REC_Y0 12
+#define REC_Y1 13
+#define REC_FLOOR 14 /* exponent of 2 at which alpha is exactly the cut-off */
+
+/* Sums over pixels that a (tile, Gaussian) pair hands back, 16 reals. */
+#define PAIR 16
+#define PAIR_P 0 /* sum of dL/d(exponent), then its moments about the mean */
+#define PAIR_PX 1
+#define PAIR_PY 2
+#define PAIR_PXX 3
+#define PAIR_PXY 4
+#define PAIR_PYY 5
+#define PAIR_RED 6
+#define PAIR_GREEN 7
+#define PAIR_BLUE 8
+#define PAIR_Z 9
+#define PAIR_TOUCHED 10 /* positive if any pixel was touched */
+
+/* The counters block: unsigned 64-bit numbers. */
+#define COUNT_VISIBLE 0
+#define COUNT_PAIRS 1
+
+#define ALPHA_CUT ((real)(1.0 / 255.0))
+#define ALPHA_MAX ((real)0.99)
+#define TRANSMITTANCE_STOP ((real)1e-4)
+#define DILATION ((real)0.3)
+#define LOG2_E ((real)1.4426950408889634)
+#define LN_2 ((real)0.6931471805599453)
+#define SMALLEST_QUATERNION ((real)1e-12)
+#define INVISIBLE 0xFFFFFFFFu

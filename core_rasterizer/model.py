@@ -1,0 +1,269 @@
+"""Gaussians that live on an OpenCL device; images cross to torch and take part in autograd."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from .camera import Camera
+from .device import Device, DeviceArray, open_device
+from .errors import GaussianError
+from .gaussians import Gaussians, sh_coefficients
+from .rasterizer import NEAR_PLANE, ROWS_BEFORE_SH, Block, Rasterizer, View, padded
+from .rendering import Rendering
+
+PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+"""The names that `GaussianModel.read`, `write` and `gradient` know."""
+
+_ROWS = {"means": (0, 3), "log_scales": (3, 6), "quaternions": (6, 10), "opacity_logits": (10, 11)}
+
+
+class GaussianModel:
+    """N Gaussians on a device: parameters, gradients, and what densification counts.
+
+    Args:
+        gaussians: the starting parameters; must be finite.
+        device: where they live; None chooses (`open_device`).
+        dtype: torch.float32, or torch.float64 for tests.
+
+    Raises:
+        GaussianError: a parameter is not finite.
+    """
+
+    def __init__(
+        self, gaussians: Gaussians, device: Device | None = None, *, dtype: torch.dtype = torch.float32
+    ) -> None:
+        gaussians.check_finite()
+        self.device = device or open_device()
+        self.dtype = dtype
+        self.sh_degree = gaussians.sh_degree
+        self.rasterizer = Rasterizer(self.device, dtype)
+        self._anchor = torch.zeros((), requires_grad=True)
+        self.adopt(rows_from(gaussians, dtype, padded(len(gaussians))), len(gaussians))
+
+    @property
+    def rows(self) -> int:
+        """Scalar parameters of one Gaussian."""
+        return ROWS_BEFORE_SH + 3 * sh_coefficients(self.sh_degree)
+
+    @property
+    def capacity(self) -> int:
+        """Columns of `parameters`: `count`, padded."""
+        return self.parameters.shape[1]
+
+    @property
+    def block(self) -> Block:
+        """The parameters as the rasterizer takes them."""
+        return Block(self.parameters, self.count, activated=False)
+
+    def adopt(self, parameters: Tensor | DeviceArray, count: int) -> None:
+        """Take new parameters `[rows, capacity]`, of which `count` columns are Gaussians.
+
+        Gradients and statistics start anew.
+        """
+        if isinstance(parameters, Tensor):
+            array = DeviceArray(self.device, tuple(parameters.shape), self.dtype)
+            array.write(parameters)
+            parameters = array
+        self.parameters = parameters
+        self.count = count
+        self.gradients = DeviceArray(self.device, parameters.shape, self.dtype)
+        self._gradients_are_zero = True
+        self._written_degree = 0
+        self._statistics = DeviceArray(self.device, (2, self.capacity), self.dtype)
+
+    def read(self, name: str) -> Tensor:
+        """A snapshot of one parameter.
+
+        Args:
+            name: "means" `[N, 3]`, "log_scales" `[N, 3]`, "quaternions" `[N, 4]`, "opacity_logits"
+                `[N]` or "sh" `[N, K, 3]`.
+        """
+        return self._unpack(self.parameters.read(), name)
+
+    def write(self, name: str, values: Tensor) -> None:
+        """Replace one parameter; `values` has the shape that `read` returns.
+
+        Raises:
+            GaussianError: the shape differs.
+        """
+        current = self.parameters.read()
+        expected = tuple(self._unpack(current, name).shape)
+        if tuple(values.shape) != expected:
+            raise GaussianError(f"the shape is {tuple(values.shape)}, expected {expected}", field=name)
+        updated = current.clone()
+        first, last = self._rows_of(name)
+        updated[first:last, : self.count] = values.to(self.dtype).reshape(self.count, -1).T
+        self.parameters.write(updated)
+
+    def gradient(self, name: str) -> Tensor:
+        """The gradient of one parameter, summed over the renders since `zero_gradients`."""
+        if self._gradients_are_zero:
+            self.gradients.fill(0)
+        return self._unpack(self.gradients.read(), name)
+
+    def opacities(self) -> Tensor:
+        """Activated opacities `[N]` in (0, 1)."""
+        return torch.sigmoid(self.read("opacity_logits"))
+
+    def scales(self) -> Tensor:
+        """Activated scales `[N, 3]`: standard deviations, world units."""
+        return torch.exp(self.read("log_scales"))
+
+    def zero_gradients(self) -> None:
+        """Forget the gradients. Costs nothing: the next backward pass overwrites them."""
+        self._gradients_are_zero = True
+
+    def screen_gradient(self) -> Tensor:
+        """Mean NDC norm of the screen-space mean gradient over the renders that saw a Gaussian, `[N]`.
+
+        Counted in renders made with `collect_statistics`, since `reset_statistics`; 0 if never seen.
+        NDC gradients are pixel gradients times half the image width and height (3DGS), so published
+        thresholds hold.
+        """
+        norms, seen = self._statistics.read()[:, : self.count]
+        return norms / seen.clamp(min=1)
+
+    def reset_statistics(self) -> None:
+        """Start counting `screen_gradient` anew."""
+        self._statistics.fill(0)
+
+    def statistics(self) -> Tensor:
+        """What `screen_gradient` is made of, `[2, N]`: summed norms, and times seen. For checkpoints."""
+        return self._statistics.read()[:, : self.count].clone()
+
+    def restore_statistics(self, statistics: Tensor) -> None:
+        """Take back what `statistics` returned."""
+        full = torch.zeros(2, self.capacity, dtype=self.dtype)
+        full[:, : self.count] = statistics
+        self._statistics.write(full)
+
+    def gaussians(self) -> Gaussians:
+        """A copy on the host."""
+        return Gaussians(**{name: self.read(name).clone().contiguous() for name in PARAMETERS})
+
+    def digest(self) -> str:
+        """SHA-256 of all parameters, as hexadecimal: equal digests mean equal bits."""
+        digest = hashlib.sha256()
+        for name in PARAMETERS:
+            digest.update(self.read(name).contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+    def render(
+        self,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        sh_degree: int | None = None,
+        opacity_scale: Tensor | None = None,
+        collect_statistics: bool = False,
+        near: float = NEAR_PLANE,
+    ) -> Rendering:
+        """Render one camera.
+
+        The images take part in autograd: `loss.backward()` adds to the parameters' gradients on the
+        device. Under `torch.no_grad()` nothing is kept for a backward pass.
+
+        Args:
+            camera: what to look through.
+            background: colour behind the scene, three numbers.
+            sh_degree: bands to use, 0 to the stored degree; None uses all.
+            opacity_scale: `[N]` factors >= 0 of the activated opacities. No gradient flows to them.
+            collect_statistics: let the backward pass of this render count for `screen_gradient`.
+            near: z-depth below which Gaussians are culled, world units.
+        """
+        degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
+        view = View(camera, tuple(background), degree, near, opacity_scale)
+        rgb, depth, alpha = _Render.apply(self._anchor, self, view, collect_statistics)
+        return Rendering(rgb, depth, alpha)
+
+    def add_gradients(
+        self,
+        frame: Any,
+        image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
+        collect_statistics: bool,
+    ) -> None:
+        """Run the backward pass of one render into `gradients`."""
+        degree = frame.view.sh_degree
+        if self._gradients_are_zero and degree < self._written_degree:
+            self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
+        self._written_degree = degree if self._gradients_are_zero else max(degree, self._written_degree)
+        # Adding needs every row to hold something; a higher band than before holds zeros already.
+        self.rasterizer.backward(
+            frame,
+            self.block,
+            image_gradients,
+            self.gradients,
+            accumulate=not self._gradients_are_zero,
+            statistics=self._statistics if collect_statistics else None,
+        )
+        self._gradients_are_zero = False
+
+    def _rows_of(self, name: str) -> tuple[int, int]:
+        if name == "sh":
+            return ROWS_BEFORE_SH, self.rows
+        if name not in _ROWS:
+            raise GaussianError(
+                f"there is no parameter {name!r}", field=name, fix=f"use one of {', '.join(PARAMETERS)}"
+            )
+        return _ROWS[name]
+
+    def _unpack(self, rows: Tensor, name: str) -> Tensor:
+        first, last = self._rows_of(name)
+        values = rows[first:last, : self.count]
+        if name == "opacity_logits":
+            return values[0]
+        if name == "sh":
+            return values.T.reshape(self.count, -1, 3)
+        return values.T
+
+
+def rows_from(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:
+    """Parameters as `[rows, capacity]`: one row a scalar, SH coefficient-major, then channel."""
+    count = len(gaussians)
+    rows = torch.cat(
+        [
+            gaussians.means.T,
+            gaussians.log_scales.T,
+            gaussians.quaternions.T,
+            gaussians.opacity_logits[None],
+            gaussians.sh.reshape(count, -1).T,
+        ]
+    )
+    result = torch.zeros(rows.shape[0], capacity, dtype=dtype)
+    result[:, :count] = rows.to(dtype)
+    return result
+
+
+class _Render(torch.autograd.Function):
+    """Joins the device's render to torch's graph; the anchor makes torch call `backward`."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, anchor: Tensor, model: GaussianModel, view: View, collect_statistics: bool
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        rgb, depth, alpha, lease = model.rasterizer.forward(model.block, view)
+        ctx.set_materialize_grads(False)
+        ctx.model, ctx.lease, ctx.collect_statistics = model, lease, collect_statistics
+        ctx.parameters = model.parameters
+        ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
+        return rgb, depth, alpha
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[None, ...]:
+        _ = ctx.saved_tensors
+        if ctx.parameters is not ctx.model.parameters:
+            raise GaussianError(
+                "the Gaussians were added to or removed between a render and its backward pass",
+                field="means",
+                fix="call backward before editing the Gaussians",
+            )
+        d_rgb, d_depth, d_alpha = gradients
+        ctx.model.add_gradients(ctx.lease.frame, (d_rgb, d_depth, d_alpha), ctx.collect_statistics)
+        return (None, None, None, None)

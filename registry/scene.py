@@ -1,0 +1,153 @@
+"""What a scene loader returns, and the one check that every loader ends in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import PurePath
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import Camera
+
+from .errors import SceneError
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points that Gaussians start from.
+
+    Args:
+        positions: `[P, 3]` float32, world units.
+        colors: `[P, 3]` float32 in [0, 1].
+        scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
+            the distance to the three nearest neighbours.
+        opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
+    """
+
+    positions: Tensor
+    colors: Tensor
+    scales: Tensor | None = None
+    opacities: Tensor | None = None
+
+    def __len__(self) -> int:
+        return int(self.positions.shape[0])
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photograph and the camera that took it.
+
+    Args:
+        name: unique within the scene; used as a file name for renders.
+        camera: pose and intrinsics; its size is the size of `image`.
+        image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background.
+        mask: `[H, W]` bool, True where pixels count in metrics; None where all do.
+        depth: `[H, W]` float32 true z-depth where a data set knows it (0 = unknown); for
+            evaluation only, no component trains on it.
+    """
+
+    name: str
+    camera: Camera
+    image: Tensor
+    mask: Tensor | None = None
+    depth: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Photographs with known cameras, split into training and test views.
+
+    Args:
+        name: for titles and tables.
+        train: the views that training may look at; at least one.
+        test: the views that are rendered and scored; may be empty.
+        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
+        points: sparse points seen by the training views alone, or None.
+        background: colour behind the scene, three numbers in [0, 1].
+        notes: facts about the protocol (resolution, split, source) that go into the results.
+    """
+
+    name: str
+    train: tuple[View, ...]
+    test: tuple[View, ...]
+    bounds: tuple[float, float]
+    points: PointCloud | None = None
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: dict[str, str | int | float | list[int]] = field(default_factory=dict)
+
+    @property
+    def extent(self) -> float:
+        """1.1 times the largest distance of a training camera from their mean (3DGS), world units.
+
+        A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
+        so that learning rates do not vanish.
+        """
+        centers = torch.stack([view.camera.center for view in self.train])
+        radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
+
+
+def validate(scene: Scene) -> Scene:
+    """Refuse a scene that training could not use; return it unchanged otherwise.
+
+    Raises:
+        SceneError: no training view; a repeated or unsafe name; an image whose size is not the
+            camera's, whose values are not finite or not in [0, 1]; points that are not finite;
+            bounds out of order.
+    """
+    if not scene.train:
+        raise SceneError(
+            "the scene has no training view", where=scene.name, fix="check the folder and the split"
+        )
+    seen: set[str] = set()
+    for view in (*scene.train, *scene.test):
+        _validate_view(view, scene.name)
+        if view.name in seen:
+            raise SceneError(f"two views are named {view.name!r}", where=scene.name)
+        seen.add(view.name)
+    near, far = scene.bounds
+    if not 0 < near < far < float("inf"):
+        raise SceneError(
+            f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
+            where=scene.name,
+        )
+    if scene.points is not None:
+        _validate_points(scene.points, scene.name)
+    return scene
+
+
+def _validate_view(view: View, scene_name: str) -> None:
+    where = f"{scene_name}, view {view.name!r}"
+    if not view.name or PurePath(view.name).name != view.name or view.name in (".", ".."):
+        raise SceneError("a view's name must be a plain file name", where=where)
+    camera, image = view.camera, view.image
+    if image.shape != (camera.height, camera.width, 3):
+        raise SceneError(
+            f"the image has shape {tuple(image.shape)} but its camera is "
+            f"{camera.width}x{camera.height}",
+            where=where,
+            fix="use images of one size, the size that the poses were made for",
+        )
+    if not (torch.isfinite(image).all() and image.min() >= 0 and image.max() <= 1):
+        raise SceneError("the image has values outside [0, 1] or not finite", where=where)
+    for name, array in (("mask", view.mask), ("depth", view.depth)):
+        if array is not None and array.shape != image.shape[:2]:
+            raise SceneError(
+                f"the {name} has shape {tuple(array.shape)}, not {tuple(image.shape[:2])}",
+                where=where,
+            )
+
+
+def _validate_points(points: PointCloud, scene_name: str) -> None:
+    for name in ("positions", "colors"):
+        array: Tensor = getattr(points, name)
+        if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] != len(points):
+            raise SceneError(
+                f"the points' {name} have shape {tuple(array.shape)}, not ({len(points)}, 3)",
+                where=scene_name,
+            )
+        finite = torch.isfinite(array).all(dim=1)
+        if not finite.all():
+            first = int((~finite).nonzero()[0])
+            raise SceneError(f"points.{name}[{first}] is not finite", where=scene_name)
