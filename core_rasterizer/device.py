@@ -70,6 +70,10 @@ class Device:
     def __repr__(self) -> str:
         return f"Device({self.name!r}, {self.platform!r}, {self.kind}, {self.variant} kernels)"
 
+    def as_variant(self, variant: Variant) -> Device:
+        """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""
+        return Device(self._handle, variant)
+
     def program(self, *sources: str, dtype: torch.dtype, **defines: int) -> Program:
         """Build the named kernel files together, once for each combination of settings.
 

@@ -219,24 +219,23 @@ class GaussianModel:
         if name == "opacity_logits":
             return values[0]
         if name == "sh":
-            return values.T.reshape(self.count, -1, 3)
+            return values.T.reshape(self.count, values.shape[0] // 3, 3)
         return values.T
 
 
 def rows_from(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:
     """Parameters as `[rows, capacity]`: one row a scalar, SH coefficient-major, then channel."""
-    count = len(gaussians)
     rows = torch.cat(
         [
             gaussians.means.T,
             gaussians.log_scales.T,
             gaussians.quaternions.T,
             gaussians.opacity_logits[None],
-            gaussians.sh.reshape(count, -1).T,
+            gaussians.sh.flatten(1).T,
         ]
     )
     result = torch.zeros(rows.shape[0], capacity, dtype=dtype)
-    result[:, :count] = rows.to(dtype)
+    result[:, : len(gaussians)] = rows.to(dtype)
     return result
 
 

@@ -56,20 +56,15 @@ def rasterize(
         GaussianError: shapes or types that do not fit together.
         MemoryBudgetError: the Gaussians cover too many tiles.
     """
-    tensors = {
-        "means": means,
-        "quaternions": quaternions,
-        "scales": scales,
-        "opacities": opacities,
-        "sh": sh,
-    }
-    for field, tensor in tensors.items():
-        if tensor.dtype != means.dtype or tensor.dtype not in (torch.float32, torch.float64):
-            raise GaussianError(
-                f"the type is {tensor.dtype}; means are {means.dtype}",
-                field=field,
-                fix="give all five as float32, or all five as float64",
-            )
+    _check(
+        {
+            "means": means,
+            "quaternions": quaternions,
+            "scales": scales,
+            "opacities": opacities,
+            "sh": sh,
+        }
+    )
     color = (0.0, 0.0, 0.0) if background is None else tuple(float(value) for value in background)
     if len(color) != 3:
         raise GaussianError(f"{len(color)} numbers given, expected 3", field="background")
@@ -99,7 +94,7 @@ class _Rasterize(torch.autograd.Function):
         background: tuple[float, float, float],
         near: float,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        gaussians = Gaussians(means, scales, quaternions, opacities, sh)  # checks the shapes
+        gaussians = Gaussians(means, scales, quaternions, opacities, sh)
         count, dtype = len(gaussians), means.dtype
         rows = rows_from(gaussians, dtype, padded(count))
         parameters = DeviceArray(rasterizer.device, tuple(rows.shape), dtype)
@@ -108,7 +103,7 @@ class _Rasterize(torch.autograd.Function):
         view = View(camera, background, gaussians.sh_degree, near)
         rgb, depth, alpha, ctx.lease = rasterizer.forward(ctx.block, view)
         ctx.set_materialize_grads(False)
-        ctx.rasterizer = rasterizer
+        ctx.rasterizer, ctx.sh_shape = rasterizer, sh.shape
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
         return rgb, depth, alpha
 
@@ -128,6 +123,31 @@ class _Rasterize(torch.autograd.Function):
             rows[:, 3:6].contiguous(),
             rows[:, 6:10].contiguous(),
             rows[:, 10].contiguous(),
-            rows[:, 11:].reshape(block.count, -1, 3),
+            rows[:, 11:].reshape(ctx.sh_shape),
             *(None,) * 4,
         )
+
+
+def _check(tensors: dict[str, Tensor]) -> None:
+    """Refuse shapes and types that do not fit together, naming the argument."""
+    means, sh = tensors["means"], tensors["sh"]
+    count = means.shape[0] if means.ndim else 0
+    coefficients = sh.shape[1] if sh.ndim == 3 and sh.shape[1] in (1, 4, 9, 16) else 16
+    shapes = {
+        "means": (count, 3),
+        "quaternions": (count, 4),
+        "scales": (count, 3),
+        "opacities": (count,),
+        "sh": (count, coefficients, 3),
+    }
+    for field, tensor in tensors.items():
+        if tuple(tensor.shape) != shapes[field]:
+            raise GaussianError(
+                f"the shape is {tuple(tensor.shape)}, expected {shapes[field]}", field=field
+            )
+        if tensor.dtype != means.dtype or tensor.dtype not in (torch.float32, torch.float64):
+            raise GaussianError(
+                f"the type is {tensor.dtype}; means are {means.dtype}",
+                field=field,
+                fix="give all five as float32, or all five as float64",
+            )

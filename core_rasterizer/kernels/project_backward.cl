@@ -39,7 +39,9 @@ static inline void color_backward(
     lane dy = LOAD_GLOBAL(row + capacity) - camera[CAMERA_CENTER + 1];
     lane dz = LOAD_GLOBAL(row + 2 * capacity) - camera[CAMERA_CENTER + 2];
     const lane scale = visible ? 1 / lane_sqrt(dx * dx + dy * dy + dz * dz) : (lane)0;
-    dx *= scale, dy *= scale, dz *= scale;
+    dx = visible ? dx * scale : (lane)0;
+    dy = visible ? dy * scale : (lane)0;
+    dz = visible ? dz * scale : (lane)0;
     lane basis[16], weight[16];
     sh_basis(basis, degree, dx, dy, dz);
     const int coefficients = (degree + 1) * (degree + 1);

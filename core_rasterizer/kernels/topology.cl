@@ -1,0 +1,47 @@
+/* Topology: move columns of a [rows][capacity] array, and set the children of a split apart. */
+
+/* target[row][j] = values[row][source[j]]; columns beyond `count`, and fresh ones where asked, are zero. */
+__kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
+void gather_columns(
+    __global const real *values, __global const uint *source, __global const uint *fresh,
+    __global real *target, uint count, uint capacity, uint target_capacity, uint rows, uint zero_fresh)
+{
+    const size_t j = get_global_id(0);
+    if (j >= target_capacity)
+        return;
+    const int keep = j < count && !(zero_fresh && fresh[j]);
+    const size_t from = keep ? source[j] : 0;
+    for (uint row = 0; row < rows; row++)
+        target[(size_t)row * target_capacity + j] = keep ? values[(size_t)row * capacity + from] : 0;
+}
+
+/* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks (3DGS: 1.6). */
+__kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
+void spread_children(
+    __global real *parameters, __global const real *noise, uint first, uint children, uint capacity,
+    real shrink)
+{
+    const size_t child = get_global_id(0);
+    if (child >= children)
+        return;
+    __global real *row = parameters + first + child;
+    const size_t stride = capacity;
+    real w = row[ROW_QUATERNION * stride], x = row[(ROW_QUATERNION + 1) * stride],
+         y = row[(ROW_QUATERNION + 2) * stride], z = row[(ROW_QUATERNION + 3) * stride];
+    const real norm = sqrt(w * w + x * x + y * y + z * z);
+    if (norm > SMALLEST_QUATERNION)
+        w /= norm, x /= norm, y /= norm, z /= norm;
+    else
+        w = 1, x = y = z = 0;
+    real offset[3];
+    for (int k = 0; k < 3; k++)
+        offset[k] = exp(row[(ROW_SCALE + k) * stride]) * noise[3 * child + k];
+    row[0] += (1 - 2 * (y * y + z * z)) * offset[0] + 2 * (x * y - w * z) * offset[1]
+        + 2 * (x * z + w * y) * offset[2];
+    row[stride] += 2 * (x * y + w * z) * offset[0] + (1 - 2 * (x * x + z * z)) * offset[1]
+        + 2 * (y * z - w * x) * offset[2];
+    row[2 * stride] += 2 * (x * z - w * y) * offset[0] + 2 * (y * z + w * x) * offset[1]
+        + (1 - 2 * (x * x + y * y)) * offset[2];
+    for (int k = 0; k < 3; k++)
+        row[(ROW_SCALE + k) * stride] -= log(shrink);
+}

@@ -1,0 +1,151 @@
+"""The photometric loss of 3D Gaussian Splatting, L1 + D-SSIM, fused: value and gradient at once."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from .device import Device, DeviceArray, open_device
+from .errors import ExplainedError
+
+SSIM_WEIGHT = 0.2
+"""The share of D-SSIM in the loss of 3DGS."""
+
+_CHANNELS = 3
+_BORDER = 5 * _CHANNELS
+"""Zeros before and after each row of a filtered map, as in the kernels."""
+_ROWS = 2
+"""Image rows that a work-item filters downwards, as in the kernels."""
+_GPU_GROUP = 64
+"""Work-items that share an image row on a GPU."""
+_WORKSPACES = 4
+"""Image sizes whose scratch memory is kept."""
+
+
+def photometric_loss(
+    rgb: Tensor, target: Tensor, ssim_weight: float = SSIM_WEIGHT, *, device: Device | None = None
+) -> Tensor:
+    """(1 - w) * mean |rgb - target| + w * (1 - SSIM), as one number.
+
+    SSIM is Wang et al.'s (2004) as 3DGS computes it: an 11x11 Gaussian window of sigma 1.5, zeros
+    beyond the border, biased moments, C1 = 0.01^2 and C2 = 0.03^2, averaged over all pixels and
+    channels. Equal images give exactly 0, with a gradient of exactly 0.
+
+    Args:
+        rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped.
+        target: `[H, W, 3]`, the photograph; no gradient flows to it.
+        ssim_weight: w, in [0, 1].
+        device: where to compute; None chooses (`open_device`).
+
+    Returns:
+        A scalar of the type of `rgb`. Its gradient with respect to `rgb` is computed together with
+        the value; differentiating twice is not supported.
+
+    Raises:
+        ExplainedError: shapes, types or the weight are not as above.
+    """
+    if rgb.ndim != 3 or rgb.shape[2] != _CHANNELS or rgb.numel() == 0 or rgb.shape != target.shape:
+        raise ExplainedError(
+            f"the images have the shapes {tuple(rgb.shape)} and {tuple(target.shape)}",
+            where="photometric_loss",
+            fix="give two images of the same shape (height, width, 3)",
+        )
+    if rgb.dtype not in (torch.float32, torch.float64):
+        raise ExplainedError(
+            f"the image has the type {rgb.dtype}", where="photometric_loss", fix="use float32"
+        )
+    if not 0.0 <= ssim_weight <= 1.0:
+        raise ExplainedError(
+            f"ssim_weight is {ssim_weight}; it must lie in [0, 1]", where="photometric_loss"
+        )
+    loss: Tensor = _PhotometricLoss.apply(rgb, target, ssim_weight, device or open_device())
+    return loss
+
+
+class _PhotometricLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, rgb: Tensor, target: Tensor, ssim_weight: float, device: Device
+    ) -> Tensor:
+        height, width, _ = rgb.shape
+        workspace = _workspace(device, height, width, rgb.dtype)
+        loss, gradient = workspace.run(rgb, target, ssim_weight, ctx.needs_input_grad[0])
+        ctx.save_for_backward(gradient)
+        return rgb.new_tensor(loss)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        if float(upstream) != 1.0:  # a loss that is the sum of its terms saves a pass over the image
+            gradient = gradient * upstream
+        return gradient, None, None, None
+
+
+class _Workspace:
+    """Kernels and scratch memory for one image size; a run allocates nothing but its result."""
+
+    def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
+        row = _CHANNELS * width
+        # An image narrower than a vector (one or two pixels) goes real by real.
+        lanes = device.lanes if row >= device.lanes else 1
+        self._program = device.program("photometric", dtype=dtype, LANES=lanes)
+        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
+        self._items = 1 if device.variant == "cpu" else _GPU_GROUP
+        stride = row + 2 * _BORDER
+        self._size = (np.int32(height), np.int32(row), np.int32(stride))
+        self._maps = DeviceArray(device, (4, height, stride), dtype)
+        self._derivatives = DeviceArray(device, (3, height, stride), dtype)
+        self._sums = DeviceArray(device, (height * self._items, 2), dtype)
+        if not device.shares_memory:
+            self._images = [DeviceArray(device, self._shape, dtype) for _ in range(3)]
+
+    def run(
+        self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
+        """The loss and, if asked for, its gradient image."""
+        image, reference, result = self._bind(rgb, target)
+        height, row, _ = self._size
+        real = np.float64 if self._dtype == torch.float64 else np.float32
+        scales = (real((1 - ssim_weight) / (height * row)), real(ssim_weight / (height * row)))
+        self._run("filter_columns", _ROWS, image, reference, self._maps)
+        self._run(
+            "dissimilarity", 1, image, reference, self._maps, self._derivatives, self._sums
+        )
+        if with_gradient:
+            self._run("filter_derivatives", _ROWS, self._derivatives, self._maps)
+            self._run("gradient", 1, image, reference, self._maps, result, scalars=scales)
+        l1, dissimilarity = (self._sums.read().double().sum(dim=0) / (height * row)).tolist()
+        loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
+        return loss, result.read() if with_gradient else None
+
+    def _bind(self, rgb: Tensor, target: Tensor) -> list[DeviceArray]:
+        """The two images and room for the gradient, as device arrays."""
+        images = [image.detach().to("cpu", self._dtype).contiguous() for image in (rgb, target)]
+        if self._device.shares_memory:
+            images.append(torch.empty(self._shape, dtype=self._dtype))
+            return [DeviceArray(self._device, self._shape, self._dtype, over=t) for t in images]
+        for array, image in zip(self._images, images, strict=False):
+            array.write(image)
+        return self._images
+
+    def _run(
+        self,
+        kernel: str,
+        rows: int,
+        *arrays: DeviceArray,
+        scalars: tuple[np.generic, ...] = (),
+    ) -> None:
+        height = int(self._size[0])
+        global_size = (self._items, -(-height // rows))
+        self._program.run(kernel, global_size, (self._items, 1), *arrays, *self._size, *scalars)
+
+
+@lru_cache(maxsize=_WORKSPACES)
+def _workspace(device: Device, height: int, width: int, dtype: torch.dtype) -> _Workspace:
+    return _Workspace(device, height, width, dtype)
