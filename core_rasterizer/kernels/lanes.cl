@@ -100,3 +100,22 @@ static inline lane lane_exp(lane x)
     return p * (*(const lane *)&power);
 #endif
 }
+
+/* ln x for positive normal x, absolute error 3e-7 in float: enough for extents, which have a margin. */
+static inline lane lane_log(lane x)
+{
+#if REAL_IS_DOUBLE || LANES == 1
+    for (int i = 0; i < LANES; i++)
+        LANE_AT(x, i) = log(LANE_AT(x, i));
+    return x;
+#else
+    /* x = 2^n m with m in [2/3, 4/3); ln m = 2 artanh(s), s = (m - 1) / (m + 1), |s| <= 1/5. */
+    const lane_int bits = *(const lane_int *)&x;
+    const lane_int n = (bits - 0x3F2AAAAB) >> 23;
+    const lane_int mantissa = bits - (n << 23);
+    const lane m = *(const lane *)&mantissa;
+    const lane s = (m - 1) / (m + 1), q = s * s;
+    const lane odd = 2 * s * (1 + q * (1.0f / 3 + q * (1.0f / 5 + q * (1.0f / 7))));
+    return FROM_INT(n) * 0.693147181f + odd;
+#endif
+}

@@ -55,9 +55,7 @@ void project(
 
     /* alpha >= 1/255 inside the ellipse whose exponent is ln(1 / (255 o)): the opacity-aware extent. */
     const lane ratio = 255 * g.opacity;
-    lane level = ratio;
-    for (int l = 0; l < LANES; l++)
-        LANE_AT(level, l) = log(LANE_AT(ratio, l) > 1 ? LANE_AT(ratio, l) : (real)1);
+    const lane level = lane_log(ratio > (lane)1 ? LANE_MIN(ratio, (lane)REAL_LARGEST) : (lane)1);
     /* A hair more than exact, since the per-pixel test decides. */
     const lane reach_x = lane_sqrt(2 * level * g.covariance_xx) * (real)1.00001 + (real)1e-3;
     const lane reach_y = lane_sqrt(2 * level * g.covariance_yy) * (real)1.00001 + (real)1e-3;

@@ -1,0 +1,161 @@
+"""Adam on the device: one pass over parameters, gradients and moments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyopencl as cl
+import torch
+from torch import Tensor
+
+from .device import DeviceArray
+from .errors import ExplainedError
+from .gaussians import sh_coefficients
+from .rasterizer import ROWS_BEFORE_SH, padded
+
+if TYPE_CHECKING:
+    from .model import GaussianModel
+
+PARAMETER_GROUPS = {
+    "means": (0, 3),
+    "log_scales": (3, 6),
+    "quaternions": (6, 10),
+    "opacity_logits": (10, 11),
+    "sh_constant": (11, 14),
+    "sh_rest": (14, None),
+}
+"""Rows of the parameter array that share a learning rate; the last group takes what is left."""
+
+_BETA1, _BETA2 = 0.9, 0.999
+_CPU_SPAN = 4096
+"""Neighbouring columns that a work-item of a CPU steps through."""
+_GPU_GROUP = 64
+
+
+class Adam:
+    """Adam (Kingma & Ba 2015) for the parameters of a `GaussianModel`.
+
+    Its betas are 0.9 and 0.999 and its epsilon is 1e-15, as in 3DGS. Moments start at zero and are
+    bias-corrected as in `torch.optim.Adam`.
+
+    Attributes:
+        first_moments, second_moments: `[rows, capacity]`, in the layout of `model.parameters`. An
+            edit of the Gaussians replaces them.
+        steps: how many steps were taken.
+    """
+
+    def __init__(self, model: GaussianModel) -> None:
+        self._model = model
+        self._program = model.device.program("adam", dtype=model.dtype)
+        shape = (model.rows, model.capacity)
+        self.first_moments = DeviceArray(model.device, shape, model.dtype)
+        self.second_moments = DeviceArray(model.device, shape, model.dtype)
+        self.steps = 0
+
+    def step(self, learning_rates: Mapping[str, float], active_sh_degree: int) -> None:
+        """Update the model's parameters from its gradients.
+
+        Args:
+            learning_rates: one for each name in `PARAMETER_GROUPS`; 0 leaves a group where it is.
+            active_sh_degree: SH bands above it are skipped. That is exact as long as they never had
+                a gradient, because their moments are then zero.
+
+        Raises:
+            ExplainedError: a group without a learning rate, or a rate for an unknown group.
+        """
+        if set(learning_rates) != set(PARAMETER_GROUPS):
+            wrong = sorted(set(learning_rates) ^ set(PARAMETER_GROUPS))
+            raise ExplainedError(
+                f"missing or unknown learning rates: {', '.join(wrong)}",
+                where="Adam.step",
+                fix=f"give one for each of {', '.join(PARAMETER_GROUPS)}",
+            )
+        model = self._model
+        self.steps += 1
+        real = np.float64 if model.dtype == torch.float64 else np.float32
+        first_correction = 1 - _BETA1**self.steps
+        second_correction = 1 - _BETA2**self.steps
+        degree = min(active_sh_degree, model.sh_degree)
+        rows = ROWS_BEFORE_SH + 3 * sh_coefficients(degree)
+        columns = padded(model.count)
+        on_cpu = model.device.variant == "cpu"
+        span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)
+        items = -(-columns // (span * group)) * group
+        self._program.run(
+            "adam",
+            (items, rows),
+            (group, 1),
+            model.parameters,
+            model.gradients,
+            self.first_moments,
+            self.second_moments,
+            *(real(learning_rates[name] / first_correction) for name in PARAMETER_GROUPS),
+            real(second_correction**-0.5),
+            np.int32(columns),
+            np.int32(model.capacity),
+            np.int32(span),
+        )
+
+    def reset_moments(self, name: str) -> None:
+        """Set both moments of one group to zero; 3DGS does so when it resets opacities.
+
+        Raises:
+            ExplainedError: there is no such group.
+        """
+        if name not in PARAMETER_GROUPS:
+            raise ExplainedError(
+                f"there is no parameter group {name!r}",
+                where="Adam.reset_moments",
+                fix=f"use one of {', '.join(PARAMETER_GROUPS)}",
+            )
+        first, last = PARAMETER_GROUPS[name]
+        row_bytes = self._model.capacity * self._model.dtype.itemsize
+        begin, end = first * row_bytes, (last or self._model.rows) * row_bytes
+        if begin < end:
+            for moments in (self.first_moments, self.second_moments):
+                cl.enqueue_fill_buffer(
+                    self._model.device.queue, moments.buffer, np.uint32(0), begin, end - begin
+                )
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything needed to continue: copies on the host, for a checkpoint.
+
+        Returns:
+            "first_moments" and "second_moments", each `[rows, N]`, and "steps", int64.
+        """
+        count = self._model.count
+        return {
+            "first_moments": self.first_moments.read()[:, :count].clone(),
+            "second_moments": self.second_moments.read()[:, :count].clone(),
+            "steps": torch.tensor(self.steps, dtype=torch.int64),
+        }
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Continue from what `state` returned, for a model with as many Gaussians.
+
+        Raises:
+            ExplainedError: an entry is missing or has another shape; nothing is changed then.
+        """
+        model = self._model
+        shapes = {
+            "first_moments": (model.rows, model.count),
+            "second_moments": (model.rows, model.count),
+            "steps": (),
+        }
+        for name, expected in shapes.items():
+            actual = tuple(state[name].shape) if name in state else None
+            if actual != expected:
+                raise ExplainedError(
+                    f"the optimizer state {name!r} has the shape {actual}, expected {expected}",
+                    where="Adam.restore",
+                    fix="restore it together with the Gaussians that it was saved with",
+                )
+        for name in ("first_moments", "second_moments"):
+            full = torch.zeros(model.rows, model.capacity, dtype=model.dtype)
+            full[:, : model.count] = state[name]
+            moments = DeviceArray(model.device, (model.rows, model.capacity), model.dtype)
+            moments.write(full)
+            setattr(self, name, moments)
+        self.steps = int(state["steps"])

@@ -1,0 +1,139 @@
+"""Adam on the device against torch.optim.Adam."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from core_rasterizer import Device, ExplainedError, Gaussians
+from core_rasterizer.model import GaussianModel
+from core_rasterizer.optimizer import PARAMETER_GROUPS, Adam
+
+RATES = {
+    "means": 1e-3,
+    "log_scales": 5e-3,
+    "quaternions": 2e-3,
+    "opacity_logits": 5e-2,
+    "sh_constant": 2.5e-3,
+    "sh_rest": 1.25e-4,
+}
+
+
+def make_model(device: Device, dtype: torch.dtype, count: int = 37, degree: int = 3) -> GaussianModel:
+    generator = torch.Generator().manual_seed(3)
+    gaussians = Gaussians(
+        means=torch.randn(count, 3, generator=generator),
+        log_scales=torch.randn(count, 3, generator=generator),
+        quaternions=torch.randn(count, 4, generator=generator),
+        opacity_logits=torch.randn(count, generator=generator),
+        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
+    )
+    return GaussianModel(gaussians, device, dtype=dtype)
+
+
+def gradients_for(model: GaussianModel, step: int) -> Tensor:
+    """Gradients of many magnitudes, zero now and then."""
+    generator = torch.Generator().manual_seed(step)
+    shape = (model.rows, model.capacity)
+    gradients = torch.randn(shape, generator=generator, dtype=torch.float64)
+    gradients *= 10.0 ** torch.randint(-8, 2, shape, generator=generator)
+    gradients[:, step % model.count] = 0
+    gradients[:, model.count :] = 0
+    return gradients.to(model.dtype)
+
+
+def twin_of(model: GaussianModel) -> tuple[list[Tensor], torch.optim.Adam]:
+    """torch's Adam over copies of the rows of each group."""
+    rows = model.parameters.read().clone()
+    leaves = [rows[slice(*span)].clone().requires_grad_() for span in PARAMETER_GROUPS.values()]
+    groups = [{"params": [t], "lr": RATES[n]} for n, t in zip(PARAMETER_GROUPS, leaves, strict=True)]
+    return leaves, torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 3e-6)], ids=["double", "float"]
+)
+def test_adam_is_torchs_adam(device: Device, dtype: torch.dtype, tolerance: float) -> None:
+    model = make_model(device, dtype)
+    optimizer = Adam(model)
+    leaves, twin = twin_of(model)
+    for step in range(100):
+        gradients = gradients_for(model, step)
+        model.gradients.write(gradients)
+        optimizer.step(RATES, active_sh_degree=3)
+        for leaf, span in zip(leaves, PARAMETER_GROUPS.values(), strict=True):
+            leaf.grad = gradients[slice(*span)].clone()
+        twin.step()
+    torch.testing.assert_close(
+        model.parameters.read(), torch.cat(leaves).detach(), rtol=tolerance, atol=tolerance
+    )
+
+
+def test_bands_above_the_active_degree_stay(device: Device) -> None:
+    model = make_model(device, torch.float32)
+    before = model.parameters.read().clone()
+    optimizer = Adam(model)
+    model.gradients.write(gradients_for(model, 1))
+    optimizer.step(RATES, active_sh_degree=1)
+    changed = (model.parameters.read() != before)[:, : model.count].any(dim=1)
+    assert changed.tolist() == [True] * (11 + 3 * 4) + [False] * (3 * 12)
+    assert (optimizer.state()["second_moments"][11 + 3 * 4 :] == 0).all()
+
+
+def test_more_gaussians_than_one_work_item_takes(device: Device) -> None:
+    model = make_model(device, torch.float32, count=4096 + 21, degree=0)
+    before = model.parameters.read().clone()
+    optimizer = Adam(model)
+    model.gradients.write(torch.ones(model.rows, model.capacity))
+    optimizer.step(RATES, active_sh_degree=0)
+    # The first step of Adam moves every parameter by its learning rate.
+    moved = (before - model.parameters.read())[:, : model.count]
+    for name, span in PARAMETER_GROUPS.items():
+        rows = moved[slice(*span)]
+        torch.testing.assert_close(rows, torch.full_like(rows, RATES[name]), rtol=2e-3, atol=5e-7)
+
+
+def test_resetting_one_groups_moments_leaves_the_others(device: Device) -> None:
+    model = make_model(device, torch.float32)
+    optimizer = Adam(model)
+    model.gradients.write(gradients_for(model, 5))
+    optimizer.step(RATES, active_sh_degree=3)
+    before = optimizer.state()
+    optimizer.reset_moments("opacity_logits")
+    after = optimizer.state()
+    for moments in ("first_moments", "second_moments"):
+        assert (before[moments][10] != 0).any()
+        assert (after[moments][10] == 0).all()
+        others = [row for row in range(model.rows) if row != 10]
+        assert torch.equal(after[moments][others], before[moments][others])
+
+
+def test_a_restored_optimizer_continues_with_the_same_bits(device: Device) -> None:
+    def run(interrupted: bool) -> Tensor:
+        model = make_model(device, torch.float32)
+        optimizer = Adam(model)
+        for step in range(6):
+            if interrupted and step == 3:
+                state = optimizer.state()
+                optimizer = Adam(model)
+                optimizer.restore(state)
+            model.gradients.write(gradients_for(model, step))
+            optimizer.step(RATES, active_sh_degree=3)
+        return model.parameters.read().clone()
+
+    assert torch.equal(run(interrupted=True), run(interrupted=False))
+
+
+def test_wrong_names_and_states_are_refused(device: Device) -> None:
+    model = make_model(device, torch.float32)
+    optimizer = Adam(model)
+    with pytest.raises(ExplainedError, match="sh_rest"):
+        optimizer.step({k: v for k, v in RATES.items() if k != "sh_rest"}, 3)
+    with pytest.raises(ExplainedError, match="'sh'"):
+        optimizer.reset_moments("sh")
+    other = Adam(make_model(device, torch.float32, count=5)).state()
+    with pytest.raises(ExplainedError, match="first_moments"):
+        optimizer.restore(other)
+    with pytest.raises(ExplainedError, match="steps"):
+        optimizer.restore({k: v for k, v in optimizer.state().items() if k != "steps"})
