@@ -16,14 +16,20 @@ from .errors import (
 )
 from .gaussians import Gaussians
 from .model import GaussianModel
+from .optimizer import Adam
+from .photometric import photometric_loss
 from .rasterize import rasterize
 from .rendering import Rendering
+from .topology import Carried, Edit, apply_edit
 
 __all__ = [
+    "Adam",
     "Camera",
     "CameraError",
+    "Carried",
     "Device",
     "DeviceError",
+    "Edit",
     "ExplainedError",
     "GaussianError",
     "GaussianModel",
@@ -31,7 +37,9 @@ __all__ = [
     "MemoryBudgetError",
     "PlyError",
     "Rendering",
+    "apply_edit",
     "list_devices",
     "open_device",
+    "photometric_loss",
     "rasterize",
 ]

@@ -1,0 +1,235 @@
+"""Gaussians in PLY files, in the layout that 3D Gaussian Splatting made a standard.
+
+One `vertex` element in binary little-endian float32: x y z, normals (zero), f_dc_0..2 (the constant
+SH band), f_rest_* (the other bands, all of red, then green, then blue), opacity (logit), scale_0..2
+(natural logarithm), rot_0..3 (w, x, y, z).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+from torch import Tensor
+
+from .errors import PlyError
+from .gaussians import Gaussians
+
+_COMMENT = "SplatRenderMode: default"
+"""How viewers are told that no anti-aliasing filter was part of training."""
+
+_POSITION = ("x", "y", "z")
+_NORMAL = ("nx", "ny", "nz")
+_CONSTANT_BAND = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALE = ("scale_0", "scale_1", "scale_2")
+_ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_REQUIRED = (*_POSITION, *_CONSTANT_BAND, "opacity", *_SCALE, *_ROTATION)
+_REST_COUNTS = (0, 9, 24, 45)
+"""How many f_rest_* properties SH degrees 0 to 3 have."""
+
+_LONGEST_HEADER = 1 << 16
+
+_log = logging.getLogger(__name__)
+
+
+def save_ply(gaussians: Gaussians, path: str | Path) -> int:
+    """Write Gaussians to a PLY file; an existing file is replaced only by a complete new one.
+
+    Rows with a value that is not finite are left out, because viewers fail on them.
+
+    Args:
+        gaussians: to be written, as float32.
+        path: the file; its folder must exist.
+
+    Returns:
+        How many rows were left out; if any, a warning is logged too.
+
+    Raises:
+        PlyError: the file cannot be written.
+    """
+    path = Path(path)
+    count = len(gaussians)
+    # [N, K, 3] to channel-major: all coefficients of red, then of green, then of blue.
+    rest = gaussians.sh[:, 1:].transpose(1, 2).flatten(1)
+    columns = torch.cat(
+        [
+            gaussians.means,
+            torch.zeros_like(gaussians.means),
+            gaussians.sh[:, 0],
+            rest,
+            gaussians.opacity_logits[:, None],
+            gaussians.log_scales,
+            gaussians.quaternions,
+        ],
+        dim=1,
+    )
+    columns = columns.detach().to("cpu", torch.float32)
+    finite = torch.isfinite(columns).all(dim=1)
+    dropped = count - int(finite.sum())
+    if dropped:
+        _log.warning("%s: left out %d of %d Gaussians that are not finite", path, dropped, count)
+        columns = columns[finite]
+    rest_names = tuple(f"f_rest_{i}" for i in range(rest.shape[1]))
+    names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
+    rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
+    _write(PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=[_COMMENT]), path)
+    return dropped
+
+
+def load_ply(path: str | Path) -> Gaussians:
+    """Read Gaussians of SH degree 0 to 3 from a PLY file, text or binary.
+
+    Properties may come in any order, and unknown ones are ignored.
+
+    Raises:
+        PlyError: the file is missing, cut off, not a PLY, not a Gaussian scene, or has a value that
+            is not finite; the message names the property and the row.
+    """
+    path = Path(path)
+    _check_header(path)
+    try:
+        with path.open("rb") as file:
+            data = PlyData.read(file)
+    except (PlyParseError, ValueError, OSError, MemoryError) as error:
+        raise PlyError(
+            f"the PLY file cannot be read: {error}",
+            where=str(path),
+            fix="it may be cut off; copy or export it again",
+        ) from error
+    if "vertex" not in data:
+        raise PlyError(
+            f"the PLY file has no 'vertex' element (it has: {_listed(e.name for e in data)})",
+            where=str(path),
+            fix="give a file that a Gaussian splatting program exported",
+        )
+    vertex = data["vertex"]
+    available = {p.name for p in vertex.properties}
+    rest = _rest_names(available, path)
+    missing = [name for name in _REQUIRED if name not in available]
+    if missing:
+        raise PlyError(
+            f"the vertices have no {_listed(missing)}",
+            where=str(path),
+            fix="give a Gaussian scene; a point cloud or a mesh is not one",
+        )
+    columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
+    return _gaussians_from(columns, rest)
+
+
+def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:
+    def stacked(names: tuple[str, ...]) -> Tensor:
+        return torch.stack([columns[name] for name in names], dim=1)
+
+    constant = stacked(_CONSTANT_BAND)[:, None, :]  # [N, 1, 3]
+    bands = [constant]
+    if rest:
+        channel_major = stacked(tuple(rest)).reshape(constant.shape[0], 3, len(rest) // 3)
+        bands.append(channel_major.transpose(1, 2))
+    return Gaussians(
+        means=stacked(_POSITION),
+        log_scales=stacked(_SCALE),
+        quaternions=stacked(_ROTATION),
+        opacity_logits=columns["opacity"],
+        sh=torch.cat(bands, dim=1),
+    )
+
+
+def _rest_names(available: set[str], path: Path) -> list[str]:
+    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9."""
+    numbers = sorted(int(m[1]) for name in available if (m := re.fullmatch(r"f_rest_(\d+)", name)))
+    if len(numbers) not in _REST_COUNTS or numbers != list(range(len(numbers))):
+        raise PlyError(
+            f"the vertices have {len(numbers)} f_rest properties, up to f_rest_{numbers[-1]}",
+            where=str(path),
+            fix="SH degrees 0, 1, 2, 3 have 0, 9, 24, 45 of them, numbered from 0",
+        )
+    return [f"f_rest_{number}" for number in numbers]
+
+
+def _column(vertex: PlyElement, name: str, path: Path) -> Tensor:
+    values = vertex[name]
+    if values.dtype == object:
+        raise PlyError(f"the property {name} is a list, not a number", where=str(path))
+    column: NDArray[np.float32] = values.astype(np.float32)
+    finite = np.isfinite(column)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise PlyError(
+            f"{int((~finite).sum())} values of {name} are not finite, the first in vertex {row}",
+            where=f"{path}: {name}[{row}]",
+            fix="export the scene again without those Gaussians",
+        )
+    return torch.from_numpy(column)
+
+
+def _check_header(path: Path) -> None:
+    """Refuse a file that is no PLY, or too short for what its header promises.
+
+    The reader would make room for the promised rows first: a few bytes could ask for terabytes.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            start = file.read(_LONGEST_HEADER)
+    except OSError as error:
+        raise PlyError(
+            f"the PLY file cannot be opened: {error.strerror}", where=str(path), fix="check the path"
+        ) from error
+    header = re.match(rb"ply\s*?\r?\n(.*?)^end_header\s*?$", start, re.DOTALL | re.MULTILINE)
+    if header is None:
+        raise PlyError(
+            "the file does not begin with a complete PLY header",
+            where=str(path),
+            fix="give a PLY file; if it is one, it may be cut off",
+        )
+    promised = 0
+    for element in re.split(rb"^element\s", header[1], flags=re.MULTILINE)[1:]:
+        words = element.split(None, 2)
+        if len(words) < 2 or not words[1].isdigit():
+            raise PlyError(
+                f"the PLY header has an element without a count: {_shown(element)}", where=str(path)
+            )
+        # Every value takes at least one byte, as text or in binary.
+        promised += int(words[1]) * max(1, len(re.findall(rb"^property\s", element, re.MULTILINE)))
+    if promised > size:
+        raise PlyError(
+            f"the PLY header promises at least {promised} bytes, but the file has {size}",
+            where=str(path),
+            fix="it is cut off or damaged; copy or export it again",
+        )
+
+
+def _write(data: PlyData, path: Path) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            with temporary.open("wb") as file:
+                data.write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            with suppress(FileNotFoundError):
+                temporary.unlink()
+    except OSError as error:
+        raise PlyError(
+            f"the PLY file cannot be written: {error.strerror}",
+            where=str(path),
+            fix="check that the folder exists, may be written and has room",
+        ) from error
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "nothing"
+
+
+def _shown(line: bytes) -> str:
+    return line.split(b"\n")[0].decode("ascii", "replace").strip()

@@ -1,0 +1,77 @@
+"""The camera: geometry, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from core_rasterizer import Camera, CameraError
+
+
+def camera(**changes: Any) -> Camera:
+    settings: dict[str, Any] = {
+        "world_to_camera": np.eye(4),
+        "fx": 50.0,
+        "fy": 60.0,
+        "cx": 20.0,
+        "cy": 15.0,
+        "width": 40,
+        "height": 30,
+    }
+    return Camera(**(settings | changes))
+
+
+def turned() -> torch.Tensor:
+    pose = torch.eye(4, dtype=torch.float64)
+    c, s = math.cos(0.4), math.sin(0.4)
+    pose[:3, :3] = torch.tensor(
+        [[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64
+    )
+    pose[:3, 3] = torch.tensor([0.5, -1.0, 2.0])
+    return pose
+
+
+def test_the_center_maps_to_the_origin_of_the_camera() -> None:
+    view = camera(world_to_camera=turned())
+    homogeneous = torch.cat([view.center, torch.ones(1, dtype=torch.float64)])
+    assert torch.allclose((view.world_to_camera @ homogeneous)[:3], torch.zeros(3).double())
+    assert torch.allclose(view.camera_to_world @ view.world_to_camera, torch.eye(4).double())
+
+
+def test_the_right_eye_sees_points_shifted_to_the_left() -> None:
+    left = camera(world_to_camera=turned())
+    right = left.shifted_right(0.3)
+    offset = left.world_to_camera[:3, :3] @ (right.center - left.center)
+    assert torch.allclose(offset, torch.tensor([0.3, 0.0, 0.0]).double())
+
+
+def test_resizing_keeps_the_field_of_view() -> None:
+    small = camera().resized(20, 15)
+    assert (small.fx, small.fy, small.cx, small.cy) == (25.0, 30.0, 10.0, 7.5)
+    assert (small.width, small.height) == (20, 15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "message"),
+    [
+        ({"fx": -3.0}, "camera.fx", "positive"),
+        ({"fy": 0.0}, "camera.fy", "positive"),
+        ({"cx": math.nan}, "camera.cx", "finite"),
+        ({"width": 0}, "camera.width", "at least 1"),
+        ({"height": 2.5}, "camera.height", "whole number"),
+        ({"world_to_camera": np.full((4, 4), np.nan)}, "camera.world_to_camera", "finite"),
+        ({"world_to_camera": np.eye(3)}, "camera.world_to_camera", "shape"),
+        ({"world_to_camera": 2 * np.eye(4)}, "camera.world_to_camera", "rotation"),
+        ({"world_to_camera": np.diag([1.0, 1, -1, 1])}, "camera.world_to_camera", "rotation"),
+    ],
+)
+def test_an_impossible_camera_is_refused(
+    changes: dict[str, Any], field: str, message: str
+) -> None:
+    with pytest.raises(CameraError, match=message) as error:
+        camera(**changes)
+    assert error.value.where == field

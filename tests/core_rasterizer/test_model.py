@@ -1,0 +1,174 @@
+"""Device-resident Gaussians: the same answers as the plain function, accumulation, statistics."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from core_rasterizer import (
+    Camera,
+    Device,
+    GaussianError,
+    GaussianModel,
+    Gaussians,
+    rasterize,
+    reference,
+)
+from core_rasterizer.model import PARAMETERS
+from tests.core_rasterizer.scenes import random_camera, random_scene
+
+
+def parameters(count: int = 200, seed: int = 0, sh_degree: int = 3) -> Gaussians:
+    scene = random_scene(torch.Generator().manual_seed(seed), count, sh_degree)
+    return Gaussians(
+        means=scene.means.float(),
+        log_scales=scene.scales.log().float(),
+        quaternions=scene.quaternions.float(),
+        opacity_logits=torch.logit(scene.opacities).float(),
+        sh=scene.sh.float(),
+    )
+
+
+def view(seed: int = 0) -> Camera:
+    return random_camera(torch.Generator().manual_seed(50 + seed), 90, 60)
+
+
+def test_what_goes_in_comes_out(device: Device) -> None:
+    gaussians = parameters()
+    model = GaussianModel(gaussians, device)
+    for name in PARAMETERS:
+        assert torch.equal(model.read(name), getattr(gaussians, name)), name
+        assert torch.equal(getattr(model.gaussians(), name), getattr(gaussians, name)), name
+
+
+def test_agrees_with_the_function_through_the_activations(device: Device) -> None:
+    """Torch differentiates exp and sigmoid around `rasterize`; the model does it in its kernels."""
+    gaussians, camera = parameters(), view()
+    model = GaussianModel(gaussians, device)
+    leaves = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
+    plain = rasterize(
+        leaves["means"],
+        leaves["quaternions"],
+        leaves["log_scales"].exp(),
+        leaves["opacity_logits"].sigmoid(),
+        leaves["sh"],
+        camera,
+        (0.1, 0.2, 0.3),
+        device=device,
+    )
+    resident = model.render(camera, background=(0.1, 0.2, 0.3))
+    assert torch.allclose(plain.rgb, resident.rgb, atol=2e-6)
+    for rendering in (plain, resident):
+        (rendering.rgb.square().sum() + rendering.depth.sum() + rendering.alpha.sum()).backward()
+    for name, leaf in leaves.items():
+        gradient = model.gradient(name)
+        assert (gradient - leaf.grad).abs().max() <= 5e-5 * leaf.grad.abs().max(), name
+
+
+def test_several_renders_accumulate_and_zeroing_forgets(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    separate = []
+    for seed in (1, 2):
+        model.zero_gradients()
+        model.render(view(seed)).rgb.sum().backward()
+        separate.append({name: model.gradient(name).clone() for name in PARAMETERS})
+    model.zero_gradients()
+    (model.render(view(1)).rgb.sum() + model.render(view(2)).rgb.sum()).backward()
+    for name in PARAMETERS:
+        total = separate[0][name] + separate[1][name]
+        assert torch.allclose(model.gradient(name), total, rtol=1e-4, atol=1e-4 * total.abs().max())
+    model.zero_gradients()
+    assert not model.gradient("means").any()
+
+
+def test_a_lower_degree_leaves_no_old_gradient_in_higher_bands(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    model.render(view()).rgb.sum().backward()
+    assert model.gradient("sh")[:, 4:].any()
+    model.zero_gradients()
+    model.render(view(), sh_degree=1).rgb.sum().backward()
+    assert model.gradient("sh")[:, :4].any()
+    assert not model.gradient("sh")[:, 4:].any()
+
+
+def test_opacity_factors_act_on_the_activated_opacity(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    factors = torch.rand(model.count)
+    factors[::3] = 0
+    with torch.no_grad():
+        scaled = model.render(view(), opacity_scale=factors)
+    opacities = model.opacities() * factors
+    plain = rasterize(
+        model.read("means"),
+        model.read("quaternions"),
+        model.scales(),
+        opacities,
+        model.read("sh"),
+        view(),
+        device=device,
+    )
+    assert torch.allclose(scaled.rgb, plain.rgb, atol=3e-6)
+
+
+def test_screen_gradients_are_the_oracles_in_ndc(device: Device) -> None:
+    gaussians, camera = parameters(40), view()
+    projected = reference.project(
+        gaussians.means,
+        gaussians.quaternions,
+        gaussians.log_scales.double().exp(),
+        gaussians.opacity_logits.double().sigmoid(),
+        gaussians.sh,
+        camera,
+    )
+    centers = projected.centers.detach().requires_grad_()
+    image = reference.composite(projected._replace(centers=centers), camera.width, camera.height)
+    image.rgb.square().sum().backward()
+    assert centers.grad is not None
+    in_ndc = centers.grad * torch.tensor([camera.width / 2, camera.height / 2])
+    expected = torch.zeros(40, dtype=torch.float64)
+    expected[projected.indices] = in_ndc.norm(dim=1)
+
+    model = GaussianModel(gaussians, device)
+    for _ in range(2):  # the mean over two equal renders is that of one
+        model.zero_gradients()
+        model.render(camera, collect_statistics=True).rgb.square().sum().backward()
+    assert torch.allclose(model.screen_gradient().double(), expected, atol=2e-5 * expected.max())
+    model.reset_statistics()
+    assert not model.screen_gradient().any()
+
+
+def test_without_gradients_nothing_is_kept(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    with torch.no_grad():
+        rendering = model.render(view())
+    assert not rendering.rgb.requires_grad
+
+
+def test_equal_parameters_have_equal_digests(device: Device) -> None:
+    one, other = GaussianModel(parameters(), device), GaussianModel(parameters(), device)
+    assert one.digest() == other.digest()
+    moved = other.read("means").clone()
+    moved[3, 1] += 1e-6
+    other.write("means", moved)
+    assert one.digest() != other.digest()
+
+
+def test_backward_after_an_edit_is_refused(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    rendering = model.render(view())
+    model.adopt(model.parameters.read().clone(), model.count)
+    with pytest.raises(GaussianError, match="between a render and its backward"):
+        rendering.rgb.sum().backward()
+
+
+def test_undefined_parameters_and_unknown_names_are_refused(device: Device) -> None:
+    gaussians = parameters()
+    gaussians.sh[17, 0, 1] = float("nan")
+    with pytest.raises(GaussianError, match="not finite") as error:
+        GaussianModel(gaussians, device)
+    assert (error.value.field, error.value.index) == ("sh", 17)
+    model = GaussianModel(parameters(), device)
+    with pytest.raises(GaussianError, match="no parameter"):
+        model.read("opacity")
+    with pytest.raises(GaussianError, match="expected"):
+        model.write("means", torch.zeros(3, 3))

@@ -1,0 +1,185 @@
+"""PLY files: what is written comes back bit for bit, and what is broken is refused with its name."""
+
+from __future__ import annotations
+
+import logging
+import math
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+from core_rasterizer import Gaussians, PlyError
+from core_rasterizer.ply import load_ply, save_ply
+
+FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+
+
+def random_gaussians(count: int, degree: int) -> Gaussians:
+    generator = torch.Generator().manual_seed(count + degree)
+    return Gaussians(
+        means=torch.randn(count, 3, generator=generator),
+        log_scales=torch.randn(count, 3, generator=generator),
+        quaternions=torch.randn(count, 4, generator=generator),
+        opacity_logits=torch.randn(count, generator=generator),
+        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
+    )
+
+
+def rewritten(source: Path, target: Path, *, text: bool = False, drop: str = "") -> Path:
+    """The same vertices, properties reversed, as text or without one property."""
+    rows = PlyData.read(str(source))["vertex"].data
+    names = [name for name in reversed(rows.dtype.names) if name != drop]
+    other = np.empty(len(rows), dtype=[(name, "f4") for name in names])
+    for name in names:
+        other[name] = rows[name]
+    PlyData([PlyElement.describe(other, "vertex")], text=text).write(str(target))
+    return target
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.ply"
+    save_ply(random_gaussians(7, 3), path)
+    return path
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_round_trip_keeps_every_bit(tmp_path: Path, count: int, degree: int) -> None:
+    gaussians = random_gaussians(count, degree)
+    assert save_ply(gaussians, tmp_path / "scene.ply") == 0
+    loaded = load_ply(tmp_path / "scene.ply")
+    for field in FIELDS:
+        assert torch.equal(getattr(loaded, field), getattr(gaussians, field)), field
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.ply"]
+
+
+def test_the_layout_is_the_standard_one(tmp_path: Path) -> None:
+    gaussians = random_gaussians(3, 1)
+    save_ply(gaussians, tmp_path / "scene.ply")
+    data = PlyData.read(str(tmp_path / "scene.ply"))
+    rows = data["vertex"].data
+    expected = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 " + " ".join(f"f_rest_{i}" for i in range(9))
+    expected += " opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    assert " ".join(rows.dtype.names) == expected
+    assert (data.byte_order, data.text) == ("<", False)
+    assert data.comments == ["SplatRenderMode: default"]
+    assert not rows["nx"].any()
+    # Channel-major: red has f_rest_0..2, green 3..5, blue 6..8.
+    np.testing.assert_array_equal(rows["f_rest_4"], gaussians.sh[:, 2, 1].numpy())
+    np.testing.assert_array_equal(rows["rot_0"], gaussians.quaternions[:, 0].numpy())
+
+
+@pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
+def test_order_of_properties_does_not_matter(tmp_path: Path, scene_file: Path, text: bool) -> None:
+    loaded = load_ply(rewritten(scene_file, tmp_path / "other.ply", text=text))
+    original = random_gaussians(7, 3)
+    for field in FIELDS:
+        torch.testing.assert_close(getattr(loaded, field), getattr(original, field))
+
+
+def test_rows_that_are_not_finite_are_left_out_and_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    gaussians = random_gaussians(6, 1)
+    gaussians.means[1, 2] = math.nan
+    gaussians.sh[4, 3, 0] = math.inf
+    with caplog.at_level(logging.WARNING):
+        assert save_ply(gaussians, tmp_path / "scene.ply") == 2
+    assert "2 of 6" in caplog.text
+    assert torch.equal(load_ply(tmp_path / "scene.ply").means, gaussians.means[[0, 2, 3, 5]])
+
+
+def test_a_failed_save_leaves_the_old_file(scene_file: Path) -> None:
+    before = scene_file.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before), limits[1]))  # as good as a full disk
+    try:
+        with pytest.raises(PlyError, match="cannot be written"):
+            save_ply(random_gaussians(1000, 3), scene_file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert scene_file.read_bytes() == before
+    assert [p.name for p in scene_file.parent.iterdir()] == [scene_file.name]
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PlyError, match="nowhere"):
+        save_ply(random_gaussians(1, 0), tmp_path / "nowhere" / "scene.ply")
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "absent.ply", tmp_path):
+        with pytest.raises(PlyError, match="cannot be opened"):
+            load_ply(path)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.999])
+def test_a_file_cut_off_anywhere_is_refused(scene_file: Path, kept: float) -> None:
+    content = scene_file.read_bytes()
+    scene_file.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(PlyError, match="cut off|damaged"):
+        load_ply(scene_file)
+
+
+def test_text_cut_off_is_refused(tmp_path: Path, scene_file: Path) -> None:
+    path = rewritten(scene_file, tmp_path / "text.ply", text=True)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(PlyError):
+        load_ply(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\x89PNG\r\n\x1a\n" + bytes(100), "header"),
+        (b"ply\nformat ascii 1.0\nelement face 0\nproperty int a\nend_header\n", "'vertex'.*face"),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+            "no y, z, f_dc_0",
+        ),
+        (
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000000000\n"
+            b"property float x\nend_header\n",
+            "promises at least 4000000000000000 bytes",
+        ),
+        (b"ply\nformat ascii 1.0\nelement vertex -5\nproperty float x\nend_header\n", "vertex -5"),
+        (b"ply\nformat utf7 1.0\nelement vertex 0\nproperty float x\nend_header\n", "cannot be read"),
+        (b"ply\nformat ascii 1.0\nelement vertex 0\nproperty \xff x\nend_header\n", "cannot be read"),
+    ],
+    ids=["png", "no-vertex", "point-cloud", "absurd-count", "negative-count", "format", "not-ascii"],
+)
+def test_what_is_not_a_scene_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "attack.ply"
+    path.write_bytes(content)
+    with pytest.raises(PlyError, match=message) as caught:
+        load_ply(path)
+    assert str(path) in caught.value.where
+
+
+def test_a_missing_property_is_named(tmp_path: Path, scene_file: Path) -> None:
+    with pytest.raises(PlyError, match="no rot_2"):
+        load_ply(rewritten(scene_file, tmp_path / "other.ply", drop="rot_2"))
+    with pytest.raises(PlyError, match="44 f_rest properties, up to f_rest_44"):
+        load_ply(rewritten(scene_file, tmp_path / "other.ply", drop="f_rest_7"))
+
+
+def test_a_value_that_is_not_finite_is_named(scene_file: Path) -> None:
+    rows = np.array(PlyData.read(str(scene_file))["vertex"].data)
+    rows["scale_1"][5] = math.nan
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(scene_file))
+    with pytest.raises(PlyError, match="scale_1 .* vertex 5") as caught:
+        load_ply(scene_file)
+    assert caught.value.where.endswith("scale_1[5]")
+
+
+def test_a_list_in_place_of_a_number_is_refused(tmp_path: Path, scene_file: Path) -> None:
+    path = rewritten(scene_file, tmp_path / "text.ply", text=True)
+    content = path.read_text().replace("property float opacity", "property list uchar int opacity")
+    path.write_text(content)
+    with pytest.raises(PlyError):
+        load_ply(path)
