@@ -20,7 +20,7 @@ Kind = Literal["cpu", "gpu", "accelerator"]
 Variant = Literal["cpu", "gpu"]
 
 CPU_LANES = 8
-"""Vector width of kernels on a CPU: eight floats fill an AVX register, and wider brought nothing."""
+"""Vector width of kernels on a CPU: eight floats fill an AVX register; wider brought nothing."""
 
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-no-signed-zeros")
 _NUMPY_TYPES = {
@@ -178,7 +178,7 @@ class DeviceArray:
         Where memory is shared this is a view that later kernels will change; elsewhere a copy.
         """
         if self._host is not None:
-            self._map(cl.map_flags.READ)
+            self._map(self._host, cl.map_flags.READ)
             return self._host[: int(np.prod(self.shape, dtype=np.int64))].reshape(self.shape)
         result = torch.empty(self.shape, dtype=self.dtype)
         if result.numel():
@@ -192,7 +192,7 @@ class DeviceArray:
         if not values.numel():
             return
         if self._host is not None:
-            self._map(cl.map_flags.WRITE)
+            self._map(self._host, cl.map_flags.WRITE)
             self._host[: values.numel()].copy_(values.reshape(-1))
         else:
             cl.enqueue_copy(self.device.queue, self.buffer, values.numpy())
@@ -204,11 +204,16 @@ class DeviceArray:
         size = max(1, int(np.prod(self.shape, dtype=np.int64))) * self.dtype.itemsize
         cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, 0, size)
 
-    def _map(self, flags: int) -> None:
+    def _map(self, host: Tensor, flags: Any) -> None:
         """Make the host's view current; only mapping promises that, though it copies nothing."""
-        assert self._host is not None
+        mapped: Any
         mapped, _ = cl.enqueue_map_buffer(
-            self.device.queue, self.buffer, flags, 0, self._host.numel(), _NUMPY_TYPES[self.dtype]
+            self.device.queue,
+            self.buffer,
+            flags,
+            0,
+            (host.numel(),),
+            np.dtype(_NUMPY_TYPES[self.dtype]),
         )
         mapped.base.release()
 

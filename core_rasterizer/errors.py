@@ -1,11 +1,11 @@
 """Errors of the engine, and the root of every error that a user of the project may see.
 
-    ExplainedError                what happened, where, and how to mend it
-    ├── DeviceError               no OpenCL device, an unknown name, a kernel that does not build
-    ├── CameraError               a camera that cannot project
-    ├── GaussianError             Gaussians of a wrong shape, type or value; names field and index
-    ├── PlyError                  a PLY file that cannot be read
-    └── MemoryBudgetError         a scene that would not fit, with numbers
+ExplainedError                what happened, where, and how to mend it
+├── DeviceError               no OpenCL device, an unknown name, a kernel that does not build
+├── CameraError               a camera that cannot project
+├── GaussianError             Gaussians of a wrong shape, type or value; names field and index
+├── PlyError                  a PLY file that cannot be read
+└── MemoryBudgetError         a scene that would not fit, with numbers
 """
 
 from __future__ import annotations

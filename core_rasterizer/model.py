@@ -36,7 +36,11 @@ class GaussianModel:
     """
 
     def __init__(
-        self, gaussians: Gaussians, device: Device | None = None, *, dtype: torch.dtype = torch.float32
+        self,
+        gaussians: Gaussians,
+        device: Device | None = None,
+        *,
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         gaussians.check_finite()
         self.device = device or open_device()
@@ -95,7 +99,9 @@ class GaussianModel:
         current = self.parameters.read()
         expected = tuple(self._unpack(current, name).shape)
         if tuple(values.shape) != expected:
-            raise GaussianError(f"the shape is {tuple(values.shape)}, expected {expected}", field=name)
+            raise GaussianError(
+                f"the shape is {tuple(values.shape)}, expected {expected}", field=name
+            )
         updated = current.clone()
         first, last = self._rows_of(name)
         updated[first:last, : self.count] = values.to(self.dtype).reshape(self.count, -1).T
@@ -126,8 +132,8 @@ class GaussianModel:
         NDC gradients are pixel gradients times half the image width and height (3DGS), so published
         thresholds hold.
         """
-        norms, seen = self._statistics.read()[:, : self.count]
-        return norms / seen.clamp(min=1)
+        statistics = self._statistics.read()[:, : self.count]
+        return statistics[0] / statistics[1].clamp(min=1)
 
     def reset_statistics(self) -> None:
         """Start counting `screen_gradient` anew."""
@@ -192,7 +198,9 @@ class GaussianModel:
         degree = frame.view.sh_degree
         if self._gradients_are_zero and degree < self._written_degree:
             self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
-        self._written_degree = degree if self._gradients_are_zero else max(degree, self._written_degree)
+        self._written_degree = (
+            degree if self._gradients_are_zero else max(degree, self._written_degree)
+        )
         # Adding needs every row to hold something; a higher band than before holds zeros already.
         self.rasterizer.backward(
             frame,
@@ -209,7 +217,9 @@ class GaussianModel:
             return ROWS_BEFORE_SH, self.rows
         if name not in _ROWS:
             raise GaussianError(
-                f"there is no parameter {name!r}", field=name, fix=f"use one of {', '.join(PARAMETERS)}"
+                f"there is no parameter {name!r}",
+                field=name,
+                fix=f"use one of {', '.join(PARAMETERS)}",
             )
         return _ROWS[name]
 

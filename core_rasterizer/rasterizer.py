@@ -181,7 +181,10 @@ class Rasterizer:
         d_rgb, d_depth, d_alpha = (
             self._image_gradient(gradient, size, name)
             for gradient, size, name in zip(
-                image_gradients, (3 * pixels, pixels, pixels), ("rgb", "depth", "alpha"), strict=True
+                image_gradients,
+                (3 * pixels, pixels, pixels),
+                ("rgb", "depth", "alpha"),
+                strict=True,
             )
         )
         self._run_raster(
@@ -329,9 +332,7 @@ class Rasterizer:
 
     def _blend(self, frame: Frame, camera: Camera) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
         arrays, size = frame.arrays, (camera.height, camera.width)
-        rgb, depth, alpha = (
-            self._image(shape) for shape in ((*size, 3), size, size)
-        )
+        rgb, depth, alpha = (self._image(shape) for shape in ((*size, 3), size, size))
         arrays["rgb"], arrays["depth"] = rgb, depth
         self._run_raster(
             "raster",

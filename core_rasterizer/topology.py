@@ -147,6 +147,7 @@ def _mask(edit: Edit, name: str, count: int) -> Tensor:
         return torch.zeros(count, dtype=torch.bool)
     if mask.dtype != torch.bool or tuple(mask.shape) != (count,):
         raise GaussianError(
-            f"the mask is {mask.dtype} {tuple(mask.shape)}, expected torch.bool ({count},)", field=name
+            f"the mask is {mask.dtype} {tuple(mask.shape)}, expected torch.bool ({count},)",
+            field=name,
         )
     return mask.clone()

@@ -34,7 +34,7 @@ def teach_processor_name(device: cl.Device) -> bool:
     name = _closest_known_processor()
     if name is None:
         return False
-    with open(_MEMORY, "r+b", buffering=0) as memory:
+    with FileIO(_MEMORY, "r+b") as memory:
         addresses = _strings_reachable_from(memory, device.int_ptr)
         if len(addresses) != 1:
             return False

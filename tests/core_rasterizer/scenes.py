@@ -63,7 +63,8 @@ def random_scene(
         quaternions=torch.randn(count, 4, generator=generator, dtype=torch.float64),
         scales=torch.exp(uniform(-3.5, -0.7, count, 3)),
         opacities=uniform(0.05, 0.95, count),
-        sh=0.3 * torch.randn(count, (sh_degree + 1) ** 2, 3, generator=generator, dtype=torch.float64),
+        sh=0.3
+        * torch.randn(count, (sh_degree + 1) ** 2, 3, generator=generator, dtype=torch.float64),
     )
 
 

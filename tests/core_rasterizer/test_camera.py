@@ -28,9 +28,7 @@ def camera(**changes: Any) -> Camera:
 def turned() -> torch.Tensor:
     pose = torch.eye(4, dtype=torch.float64)
     c, s = math.cos(0.4), math.sin(0.4)
-    pose[:3, :3] = torch.tensor(
-        [[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64
-    )
+    pose[:3, :3] = torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64)
     pose[:3, 3] = torch.tensor([0.5, -1.0, 2.0])
     return pose
 
@@ -69,9 +67,7 @@ def test_resizing_keeps_the_field_of_view() -> None:
         ({"world_to_camera": np.diag([1.0, 1, -1, 1])}, "camera.world_to_camera", "rotation"),
     ],
 )
-def test_an_impossible_camera_is_refused(
-    changes: dict[str, Any], field: str, message: str
-) -> None:
+def test_an_impossible_camera_is_refused(changes: dict[str, Any], field: str, message: str) -> None:
     with pytest.raises(CameraError, match=message) as error:
         camera(**changes)
     assert error.value.where == field

@@ -33,7 +33,10 @@ def relative_error(value: Tensor, truth: Tensor) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_agrees_with_the_oracle(device: Device, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
-    scene, camera = random_scene(generator, 300, sh_degree=seed % 4), random_camera(generator, 90, 70)
+    scene, camera = (
+        random_scene(generator, 300, sh_degree=seed % 4),
+        random_camera(generator, 90, 70),
+    )
     background = (0.2, 0.5, 0.9)
     truth_leaves, leaves = scene.tensors(), scene.tensors(torch.float32)
     truth = reference.render(*truth_leaves, camera, background)

@@ -12,17 +12,9 @@ from core_rasterizer.model import PARAMETERS
 from core_rasterizer.topology import CHILDREN, SHRINK
 from tests.core_rasterizer.test_model import parameters, view
 
-RATES = {
-    name: 1e-3
-    for name in (
-        "means",
-        "sh_constant",
-        "sh_rest",
-        "opacity_logits",
-        "log_scales",
-        "quaternions",
-    )
-}
+RATES = dict.fromkeys(
+    ("means", "sh_constant", "sh_rest", "opacity_logits", "log_scales", "quaternions"), 1e-3
+)
 
 
 def trained(device: Device, count: int = 50) -> tuple[GaussianModel, Adam]:
@@ -91,7 +83,9 @@ def test_children_are_drawn_from_their_parent(device: Device) -> None:
     )
     axes = rotation * gaussians.log_scales[0].double().exp()
     covariance = axes @ axes.T
-    assert torch.allclose(offsets.T @ offsets / len(offsets), covariance, atol=0.06 * covariance.max())
+    assert torch.allclose(
+        offsets.T @ offsets / len(offsets), covariance, atol=0.06 * covariance.max()
+    )
     assert offsets.mean(0).norm() < 0.05 * covariance.trace().sqrt()
 
 

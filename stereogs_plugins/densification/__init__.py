@@ -1,0 +1,1 @@
+"""Densification policies: where Gaussians are added and removed."""

@@ -1,0 +1,1 @@
+"""Initializers: the points that Gaussians start from."""

@@ -1,0 +1,1 @@
+"""Metrics: scores of a rendered view against its photograph."""

@@ -1,0 +1,1 @@
+"""Opacity policies: resets and decays."""

@@ -1,0 +1,1 @@
+"""Scene loaders: photographs and cameras in, a `Scene` out."""
