@@ -158,9 +158,7 @@ def _visible(
 ) -> Tensor:
     """Indices of the Gaussians in front of the camera with finite parameters and a finite ellipse."""
     means, quaternions, scales, opacities, _ = parameters
-    finite = torch.stack(
-        [torch.isfinite(t).reshape(t.shape[0], -1).all(dim=1) for t in parameters]
-    ).all(dim=0)
+    finite = torch.isfinite(torch.cat([t[..., None].flatten(1) for t in parameters], 1)).all(1)
     points = _to_camera(means, camera)
     _, determinants = _ellipses(points, quaternions, scales, camera, dilation)
     return (

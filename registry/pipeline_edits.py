@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
-from .components import Settings
 from .errors import PipelineError
 from .hook_points import HOOK_POINTS
 from .suggestions import did_you_mean, listing
@@ -110,11 +109,6 @@ def expand(item: Node) -> dict[str, Node]:
     return item.content
 
 
-def known_settings(model: type[Settings], extra: Iterable[str] = ()) -> list[str]:
-    """Names that may be written: the model's fields, then those that the host lends."""
-    return [*model.model_fields, *extra]
-
-
 def _descend(node: Node, key: str, path: list[str], place: Place) -> Node:
     if isinstance(node.content, list):
         return _item(node, key, path, place)
@@ -140,10 +134,8 @@ def _item(node: Node, name: str, path: list[str], place: Place) -> Node:
 
 
 def _mapping(node: Node, path: list[str], place: Place) -> dict[str, Node]:
-    if isinstance(node.content, str) and len(path) == 1 and path[0] in SECTIONS:
-        return expand(node)
-    if isinstance(node.content, str) and len(path) == 2 and path[0] in SECTIONS:
-        return expand(node)
+    if isinstance(node.content, str) and path[0] in SECTIONS and len(path) <= 2:
+        return expand(node)  # a component written as a bare name
     if not isinstance(node.content, dict):
         raise PipelineError(
             f"{'.'.join(path)} is {node.kind} and has no parts to set", where=str(place)

@@ -194,7 +194,10 @@ def resolve(text: str) -> Scalar:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every text that `resolve` would read as something else."""
+    """Quotes every text that `resolve` would read as something else, and writes no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -207,6 +210,4 @@ _Dumper.add_representer(str, _represent_text)
 
 def to_yaml(value: Any) -> str:
     """Plain dicts, lists and scalars as YAML, keys in their order."""
-    # Shared lists would come out as aliases, which `parse` refuses.
-    _Dumper.ignore_aliases = lambda self, data: True  # type: ignore[method-assign]
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100))

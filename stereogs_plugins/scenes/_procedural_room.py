@@ -43,6 +43,7 @@ class Photographs:
         tile: float = 0.0,
         tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
         gain: float = 1.0,
+        contrast: float = 1.0,
     ) -> Texture:
         """A texture for a surface of `width` x `height`.
 
@@ -51,6 +52,7 @@ class Photographs:
             tile: width of one copy where the photograph repeats; 0 stretches one copy over all.
             tint: factor a colour channel.
             gain: brightness factor.
+            contrast: below 1 mixes the photograph with its mean colour.
         """
         with as_file(files("skimage.data") / name) as path, Image.open(path) as file:
             picture = file.convert("RGB")
@@ -58,6 +60,8 @@ class Photographs:
         tile_height = tile * picture.height / picture.width or height
         size = (self._texels(tile_width), self._texels(tile_height))
         pixels = np.asarray(picture.resize(size, Image.Resampling.LANCZOS), dtype=np.float64) / 255
+        mean = pixels.mean(axis=(0, 1))
+        pixels = mean + contrast * (pixels - mean)
         return Texture(
             np.clip(pixels * gain * np.array(tint), 0, 1), width / tile_width, height / tile_height
         )
@@ -119,7 +123,9 @@ def _walls(photographs: Photographs) -> list[Surface]:
             _vector(LEFT, CEILING, BACK),
             _vector(width, 0, 0),
             _vector(0, height, 0),
-            photographs.lay("grass.png", width, height, tile=2.0, tint=COOL, gain=1.4),
+            photographs.lay(
+                "grass.png", width, height, tile=3.6, tint=COOL, gain=1.5, contrast=0.6
+            ),
         ),
         Rectangle(
             _vector(LEFT, FLOOR, BACK),
@@ -131,7 +137,9 @@ def _walls(photographs: Photographs) -> list[Surface]:
             _vector(LEFT, CEILING, FRONT),
             _vector(width, 0, 0),
             _vector(0, 0, depth),
-            photographs.lay("page.png", width, depth, tile=2.4, tint=CREAM),
+            photographs.lay(
+                "gravel.png", width, depth, tile=3.0, tint=CREAM, gain=1.7, contrast=0.3
+            ),
         ),
         Rectangle(
             _vector(LEFT, CEILING, FRONT), _vector(0, 0, depth), _vector(0, height, 0), brick
