@@ -28,6 +28,7 @@ _NUMPY_TYPES = {
     torch.float64: np.float64,
     torch.int32: np.int32,
     torch.int64: np.int64,
+    torch.uint8: np.uint8,
 }
 
 
@@ -138,7 +139,7 @@ class DeviceArray:
 
     Args:
         shape: of the array; a dimension may be zero.
-        dtype: float32, float64, int32 or int64.
+        dtype: float32, float64, int32, int64 or uint8.
         over: wrap this CPU tensor instead of allocating; only where memory is shared.
     """
 

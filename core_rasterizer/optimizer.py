@@ -116,7 +116,11 @@ class Adam:
         if begin < end:
             for moments in (self.first_moments, self.second_moments):
                 cl.enqueue_fill_buffer(
-                    self._model.device.queue, moments.buffer, np.uint32(0), begin, end - begin
+                    self._model.device.queue,
+                    moments.buffer,
+                    np.zeros(1, np.uint32),
+                    begin,
+                    end - begin,
                 )
 
     def state(self) -> dict[str, Tensor]:

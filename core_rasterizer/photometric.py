@@ -82,7 +82,7 @@ class _PhotometricLoss(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
         (gradient,) = ctx.saved_tensors
-        if float(upstream) != 1.0:  # a loss that is the sum of its terms saves a pass over the image
+        if float(upstream) != 1.0:  # an unweighted loss saves a pass over the image
             gradient = gradient * upstream
         return gradient, None, None, None
 
@@ -110,17 +110,15 @@ class _Workspace:
     ) -> tuple[float, Tensor | None]:
         """The loss and, if asked for, its gradient image."""
         image, reference, result = self._bind(rgb, target)
-        height, row, _ = self._size
+        values = int(np.prod(self._shape))
         real = np.float64 if self._dtype == torch.float64 else np.float32
-        scales = (real((1 - ssim_weight) / (height * row)), real(ssim_weight / (height * row)))
+        scales = (real((1 - ssim_weight) / values), real(ssim_weight / values))
         self._run("filter_columns", _ROWS, image, reference, self._maps)
-        self._run(
-            "dissimilarity", 1, image, reference, self._maps, self._derivatives, self._sums
-        )
+        self._run("dissimilarity", 1, image, reference, self._maps, self._derivatives, self._sums)
         if with_gradient:
             self._run("filter_derivatives", _ROWS, self._derivatives, self._maps)
             self._run("gradient", 1, image, reference, self._maps, result, scalars=scales)
-        l1, dissimilarity = (self._sums.read().double().sum(dim=0) / (height * row)).tolist()
+        l1, dissimilarity = (self._sums.read().double().sum(dim=0) / values).tolist()
         loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
         return loss, result.read() if with_gradient else None
 
@@ -141,8 +139,7 @@ class _Workspace:
         *arrays: DeviceArray,
         scalars: tuple[np.generic, ...] = (),
     ) -> None:
-        height = int(self._size[0])
-        global_size = (self._items, -(-height // rows))
+        global_size = (self._items, -(-self._shape[0] // rows))
         self._program.run(kernel, global_size, (self._items, 1), *arrays, *self._size, *scalars)
 
 

@@ -80,7 +80,8 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
     rest_names = tuple(f"f_rest_{i}" for i in range(rest.shape[1]))
     names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
-    _write(PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=[_COMMENT]), path)
+    vertex = PlyElement.describe(rows, "vertex")
+    _write(PlyData([vertex], byte_order="<", comments=[_COMMENT]), path)
     return dropped
 
 
@@ -181,7 +182,9 @@ def _check_header(path: Path) -> None:
             start = file.read(_LONGEST_HEADER)
     except OSError as error:
         raise PlyError(
-            f"the PLY file cannot be opened: {error.strerror}", where=str(path), fix="check the path"
+            f"the PLY file cannot be opened: {error.strerror}",
+            where=str(path),
+            fix="check the path",
         ) from error
     header = re.match(rb"ply\s*?\r?\n(.*?)^end_header\s*?$", start, re.DOTALL | re.MULTILINE)
     if header is None:

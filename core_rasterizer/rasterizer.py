@@ -110,6 +110,7 @@ class Rasterizer:
             "scene",
             "harmonics",
             "projection",
+            "cover",
             "project",
             "scan",
             "sort",
@@ -210,7 +211,7 @@ class Rasterizer:
             block.parameters,
             arrays["modifiers"] if modified else arrays["camera"],
             arrays["camera"],
-            arrays["records"],
+            arrays["clamped"],
             sums,
             arrays["slot_start"],
             arrays["slot_count"],
@@ -242,12 +243,14 @@ class Rasterizer:
         self._fit(frame, "records", self.dtype, capacity * _RECORD)
         self._fit(frame, "slot_start", torch.int32, capacity)
         self._fit(frame, "slot_count", torch.int32, capacity)
+        self._fit(frame, "clamped", torch.uint8, capacity)
         self._fit(frame, "tile_starts", torch.int32, tiles + 1)
         self._fit(frame, "counters", torch.int64, 4)
         self._fit(frame, "transmittance", self.dtype, camera.width * camera.height)
         self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
         for name in ("keys", "keys_a", "order_a", "keys_b", "order_b"):
             self._reserve(name, torch.int32, capacity)
+        self._reserve("covers", torch.int32, 4 * capacity)
         self._reserve("counts", torch.int32, self.chunks * max(_BUCKETS, tiles))
         self._reserve("totals", torch.int32, _BUCKETS + 1)
         self._reserve("chunk_pairs", torch.int32, self.chunks + 1)
@@ -270,6 +273,8 @@ class Rasterizer:
             arrays["records"],
             self._scratch["keys"],
             arrays["slot_count"],
+            arrays["clamped"],
+            self._scratch["covers"],
             np.uint32(block.count),
             np.uint32(block.capacity),
             np.int32(view.sh_degree),
@@ -309,7 +314,14 @@ class Rasterizer:
         size = (np.uint32(tiles), np.int32(frame.tiles[0]))
         chunk_pairs = scratch["chunk_pairs"]
         self._run_chunks(
-            "count_tiles", arrays["records"], order, counts, chunk_pairs, counters, *size
+            "count_tiles",
+            arrays["records"],
+            scratch["covers"],
+            order,
+            counts,
+            chunk_pairs,
+            counters,
+            *size,
         )
         self._scan(counts, arrays["tile_starts"], tiles, counters, counter=2)
         self._program.run(
@@ -318,6 +330,7 @@ class Rasterizer:
         self._run_chunks(
             "fill_tiles",
             arrays["records"],
+            scratch["covers"],
             order,
             counts,
             arrays["tile_starts"],

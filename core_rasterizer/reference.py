@@ -162,10 +162,7 @@ def _visible(
     points = _to_camera(means, camera)
     _, determinants = _ellipses(points, quaternions, scales, camera, dilation)
     return (
-        finite
-        & (points[:, 2] > near)
-        & (opacities >= ALPHA_MIN)
-        & torch.isfinite(determinants)
+        finite & (points[:, 2] > near) & (opacities >= ALPHA_MIN) & torch.isfinite(determinants)
     ).nonzero()[:, 0]
 
 

@@ -49,10 +49,10 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
         terms += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]
     xx, yy, zz = x * x, y * y, z * z
     if degree >= 2:
-        polynomials = (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy)
-        terms += [c * p for c, p in zip(SH_C2, polynomials, strict=True)]
+        quadratic = (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy)
+        terms += [c * p for c, p in zip(SH_C2, quadratic, strict=True)]
     if degree >= 3:
-        polynomials = (
+        cubic = (
             y * (3 * xx - yy),
             x * y * z,
             y * (4 * zz - xx - yy),
@@ -61,7 +61,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
             z * (xx - yy),
             x * (xx - 3 * yy),
         )
-        terms += [c * p for c, p in zip(SH_C3, polynomials, strict=True)]
+        terms += [c * p for c, p in zip(SH_C3, cubic, strict=True)]
     return torch.stack(terms, dim=-1)
 
 

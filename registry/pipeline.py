@@ -227,8 +227,8 @@ def _item(point: HookPoint, node: Node, plugins: Plugins) -> Item | None:
         offer = plugins.find(point, settings.use)
     except PluginError as error:
         place = str(mapping["use"].place)
-        error.where = f"{place}; {error.where}" if error.where else place
-        raise
+        where = f"{place}; {error.where}" if error.where else place
+        raise PluginError(error.what, where=where, fix=error.fix) from error
     own = Node({k: v for k, v in mapping.items() if k not in lent}, node.place)
     return Item(
         name=settings.name or settings.use,

@@ -43,7 +43,7 @@ class HostSettings(Schedule):
 
     use: str
     """The component's name, as its plugin registered it."""
-    name: str | None = None
+    name: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
     """What this component is called in the pipeline; `use` unless given."""
     enabled: bool = True
     """False switches the component off, as if it were not written."""

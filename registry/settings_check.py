@@ -21,6 +21,7 @@ _MESSAGES = {
     "int_type": "must be a whole number",
     "float_type": "must be a number",
     "bool_type": "must be true or false",
+    "model_type": "must be a mapping of settings",
     "string_type": "must be text; numbers, true, false and null need quotes to be text",
 }
 

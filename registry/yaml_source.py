@@ -116,10 +116,11 @@ def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark and has_lines else None
         problem = " ".join(filter(None, (error.context, error.problem)))
+        fix = "check the indentation, colons and quotes at this line"
+        if mark and "${" in text.splitlines()[mark.line]:
+            fix = "within { } put quotes around a value that contains ${...}"
         raise PipelineError(
-            f"this is not valid YAML: {problem}",
-            where=str(Place(source, line)),
-            fix="check the indentation, colons and quotes at this line",
+            f"this is not valid YAML: {problem}", where=str(Place(source, line)), fix=fix
         ) from error
     except yaml.YAMLError as error:  # a character that YAML does not allow
         raise PipelineError(f"this is not valid YAML: {error}", where=source) from error

@@ -30,7 +30,8 @@ static inline void shade(
 __kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
 void project(
     __global const real *parameters, __global const real *modifiers, __global const real *camera,
-    __global real *records, __global uint *keys, __global int *slot_count,
+    __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
+    __global uint4 *covers,
     uint count, uint capacity, int degree, int activated, int modified)
 {
     const size_t i = get_global_id(0) * LANES;
@@ -78,6 +79,9 @@ void project(
     shade(color, parameters, capacity, i, camera, degree);
     for (int channel = 0; channel < 3; channel++)
         visible &= color[channel] < (lane)big;
+    for (int l = 0; l < LANES; l++)
+        clamped[i + l] = (LANE_AT(color[0], l) <= 0) | (LANE_AT(color[1], l) <= 0) << 1
+            | (LANE_AT(color[2], l) <= 0) << 2;
 
     field[REC_X] = mean_x;
     field[REC_Y] = mean_y;
@@ -97,6 +101,10 @@ void project(
     field[15] = (lane)0;
     store_records(records, i, field);
     for (int l = 0; l < LANES; l++)
-        if (LANE_AT_MASK(visible, l) && i + l < count)
-            keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */
+        if (LANE_AT_MASK(visible, l) && i + l < count) {
+            const uint4 cover = cover_of(records + (i + l) * RECORD);
+            covers[i + l] = cover;
+            if (cover.z | cover.w)
+                keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */
+        }
 }

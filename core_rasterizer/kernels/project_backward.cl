@@ -5,20 +5,21 @@ static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, size_t i)
 {
+    real totals[LANES][PAIR];
     for (int l = 0; l < LANES; l++) {
-        real total[PAIR_TOUCHED + 1];
-        for (int k = 0; k <= PAIR_TOUCHED; k++)
-            total[k] = 0;
+        for (int k = 0; k < PAIR; k++)
+            totals[l][k] = 0;
         const uint slots = slot_count[i + l];
-        if (slots) {
-            __global const real *slot = pair_sums + (size_t)slot_start[i + l] * PAIR;
-            for (uint s = 0; s < slots; s++, slot += PAIR)
-                for (int k = 0; k <= PAIR_TOUCHED; k++)
-                    total[k] += slot[k];
-        }
-        for (int k = 0; k <= PAIR_TOUCHED; k++)
-            LANE_AT(sums[k], l) = total[k];
+        if (!slots) /* slot_start is undefined */
+            continue;
+        __global const real *slot = pair_sums + (size_t)slot_start[i + l] * PAIR;
+        for (uint s = 0; s < slots; s++, slot += PAIR)
+            for (int k = 0; k < PAIR; k++)
+                totals[l][k] += slot[k];
     }
+    for (int k = 0; k <= PAIR_TOUCHED; k++)
+        for (int l = 0; l < LANES; l++)
+            LANE_AT(sums[k], l) = totals[l][k];
 }
 
 static inline void put(__global real *row, lane value, int accumulate)
@@ -119,7 +120,7 @@ static inline void covariance_backward(
 __kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
 void project_backward(
     __global const real *parameters, __global const real *modifiers, __global const real *camera,
-    __global const real *records, __global const real *pair_sums, __global const uint *slot_start,
+    __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
     uint capacity, int degree, int activated, int modified, int accumulate, int collect)
 {
@@ -170,12 +171,11 @@ void project_backward(
     for (int k = 0; k < 3; k++)
         d_mean[k] = r[k] * d_camera[0] + r[3 + k] * d_camera[1] + r[6 + k] * d_camera[2];
 
-    for (int channel = 0; channel < 3; channel++) {
-        lane color;
-        for (int l = 0; l < LANES; l++) /* records of unseen Gaussians hold no colour */
-            LANE_AT(color, l)
-                = slot_count[i + l] ? records[(i + l) * RECORD + REC_RED + channel] : (real)0;
-        d_color[channel] = color > (lane)0 ? sums[PAIR_RED + channel] : (lane)0;
+    for (int channel = 0; channel < 3; channel++) { /* a clamped colour has no gradient */
+        d_color[channel] = sums[PAIR_RED + channel];
+        for (int l = 0; l < LANES; l++)
+            if (clamped[i + l] >> channel & 1)
+                LANE_AT(d_color[channel], l) = 0;
     }
     color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate, d_mean);
 

@@ -20,7 +20,9 @@ RATES = {
 }
 
 
-def make_model(device: Device, dtype: torch.dtype, count: int = 37, degree: int = 3) -> GaussianModel:
+def make_model(
+    device: Device, dtype: torch.dtype, count: int = 37, degree: int = 3
+) -> GaussianModel:
     generator = torch.Generator().manual_seed(3)
     gaussians = Gaussians(
         means=torch.randn(count, 3, generator=generator),
@@ -47,7 +49,9 @@ def twin_of(model: GaussianModel) -> tuple[list[Tensor], torch.optim.Adam]:
     """torch's Adam over copies of the rows of each group."""
     rows = model.parameters.read().clone()
     leaves = [rows[slice(*span)].clone().requires_grad_() for span in PARAMETER_GROUPS.values()]
-    groups = [{"params": [t], "lr": RATES[n]} for n, t in zip(PARAMETER_GROUPS, leaves, strict=True)]
+    groups = [
+        {"params": [t], "lr": RATES[n]} for n, t in zip(PARAMETER_GROUPS, leaves, strict=True)
+    ]
     return leaves, torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
 
 

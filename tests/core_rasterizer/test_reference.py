@@ -66,9 +66,7 @@ def test_images_agree_with_an_independent_renderer(
     assert share <= PIXEL_BUDGET
 
 
-def test_gradients_agree_with_an_independent_renderer(
-    golden: Golden, rendering: Rendering
-) -> None:
+def test_gradients_agree_with_an_independent_renderer(golden: Golden, rendering: Rendering) -> None:
     loss = sum(
         (golden.answer[f"weight_{name}"].double() * getattr(rendering, name)).sum()
         for name in OUTPUTS
@@ -130,7 +128,8 @@ def test_alpha_is_clamped_without_gradient() -> None:
     image = render(**scene, camera=simple_camera())
     assert image.alpha[12, 16].item() == pytest.approx(0.99, rel=1e-12)
     image.alpha[12, 16].backward()
-    assert scene["opacities"].grad is not None and scene["opacities"].grad.item() == 0
+    assert scene["opacities"].grad is not None
+    assert scene["opacities"].grad.item() == 0
 
 
 def test_a_pixel_stops_before_its_light_is_spent() -> None:
@@ -188,7 +187,8 @@ def test_no_gaussians_give_the_background() -> None:
     assert torch.equal(image.rgb[5, 5], torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64))
     assert not image.alpha.any()
     image.rgb.sum().backward()
-    assert scene["sh"].grad is not None and scene["sh"].grad.shape == (0, 1, 3)
+    assert scene["sh"].grad is not None
+    assert scene["sh"].grad.shape == (0, 1, 3)
 
 
 def test_quaternions_of_any_length_are_rotations() -> None:
@@ -210,7 +210,8 @@ def test_a_zero_quaternion_is_the_identity_without_gradient() -> None:
     image = render(**zero, camera=simple_camera())
     assert torch.equal(image.rgb, render(**identity, camera=simple_camera()).rgb)
     image.alpha.sum().backward()
-    assert zero["quaternions"].grad is not None and (zero["quaternions"].grad == 0).all()
+    assert zero["quaternions"].grad is not None
+    assert (zero["quaternions"].grad == 0).all()
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["left", "right"])

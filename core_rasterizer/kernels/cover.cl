@@ -1,0 +1,84 @@
+/* Which tiles a Gaussian can touch: 16 bytes, so that binning in depth order, which is random access,
+ * stays within the caches where whole records would not. */
+
+typedef struct {
+    int x0, x1, y0, y1; /* tiles, half open */
+} tile_box;
+
+static inline tile_box tiles_of(__global const real *record)
+{
+    tile_box box;
+    box.x0 = (int)record[REC_X0] / TILE_WIDTH;
+    box.x1 = ((int)record[REC_X1] + TILE_WIDTH - 1) / TILE_WIDTH;
+    box.y0 = (int)record[REC_Y0] / TILE_HEIGHT;
+    box.y1 = ((int)record[REC_Y1] + TILE_HEIGHT - 1) / TILE_HEIGHT;
+    return box;
+}
+
+/* Does the ellipse where alpha >= 1/255 reach a pixel centre of the tile? The exponent is a concave
+ * quadratic with its maximum at the mean: if the mean is outside, the maximum over the tile lies on an
+ * edge that faces it. */
+static inline int reaches(__global const real *record, int tile_x, int tile_y)
+{
+    const real low_x = tile_x * TILE_WIDTH + (real)0.5 - record[REC_X];
+    const real low_y = tile_y * TILE_HEIGHT + (real)0.5 - record[REC_Y];
+    const real high_x = low_x + (TILE_WIDTH - 1), high_y = low_y + (TILE_HEIGHT - 1);
+    const int inside_x = low_x <= 0 && high_x >= 0, inside_y = low_y <= 0 && high_y >= 0;
+    if (inside_x && inside_y)
+        return 1;
+    const real a = record[REC_A], b = record[REC_B], c = record[REC_C];
+    real best = -REAL_LARGEST;
+    if (!inside_x) {
+        const real x = low_x > 0 ? low_x : high_x;
+        real y = (real)-0.5 * b * x / c;
+        y = y < low_y ? low_y : (y > high_y ? high_y : y);
+        best = a * x * x + (b * x + c * y) * y;
+    }
+    if (!inside_y) {
+        const real y = low_y > 0 ? low_y : high_y;
+        real x = (real)-0.5 * b * y / a;
+        x = x < low_x ? low_x : (x > high_x ? high_x : x);
+        const real value = a * x * x + (b * x + c * y) * y;
+        best = best > value ? best : value;
+    }
+    /* A hair more than exact, since the per-pixel test decides; written so that an undefined value
+     * (a needle's a or c rounded to 0) keeps the pair. */
+    return !(best < record[REC_FLOOR] * (real)1.0001 - (real)1e-3);
+}
+
+/* (first tile x | y << 16, width | height << 16, 64 bits: which tiles of the box are reached, row by
+ * row). A box of more than 64 tiles is tested again where it is walked. */
+#define BOX_BITS 64
+
+static inline uint4 cover_of(__global const real *record)
+{
+    const tile_box box = tiles_of(record);
+    const int width = box.x1 - box.x0, height = box.y1 - box.y0;
+    ulong mask = 0;
+    if (width > 0 && height > 0 && width * height <= BOX_BITS) {
+        ulong bit = 1;
+        for (int y = box.y0; y < box.y1; y++)
+            for (int x = box.x0; x < box.x1; x++, bit <<= 1)
+                if (reaches(record, x, y))
+                    mask |= bit;
+    } else if (width > 0 && height > 0)
+        mask = ~0ul;
+    return (uint4)(box.x0 | box.y0 << 16, width | height << 16, (uint)mask, (uint)(mask >> 32));
+}
+
+/* Calls BODY with `tile` set for every tile that the Gaussian reaches, row by row. */
+#define FOR_EACH_TILE(cover, record, BODY)                                                        \
+    {                                                                                             \
+        const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                      \
+        const int width = cover.y & 0xFFFF, height = cover.y >> 16;                               \
+        const int large = width * height > BOX_BITS;                                              \
+        ulong mask = cover.z | (ulong)cover.w << 32;                                              \
+        for (int y = y0; y < y0 + height; y++)                                                    \
+            for (int x = x0; x < x0 + width; x++) {                                               \
+                if (large ? reaches(record, x, y) : (int)(mask & 1)) {                            \
+                    const int tile = y * tiles_x + x;                                             \
+                    BODY                                                                          \
+                }                                                                                 \
+                mask >>= 1;                                                                       \
+            }                                                                                     \
+    }

@@ -1,0 +1,59 @@
+"""`gradient_threshold`: clone, split and prune as 3D Gaussian Splatting does (Kerbl et al. 2023).
+
+Where the image pulls hard at a Gaussian's place on the screen, detail is missing: a small Gaussian is
+cloned, a large one split. Faint Gaussians go, and later also those that have grown out of proportion.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from core_rasterizer import Edit
+from registry import Densification, Register, Settings, Step, hookimpl
+
+SPLIT_SHRINK = 1.6
+"""A split makes children that are smaller by this factor (3DGS); the engine does the same."""
+
+
+class GradientThresholdSettings(Settings):
+    gradient_threshold: float = Field(2e-4, gt=0)
+    """Mean norm of the screen-space gradient, in normalised device coordinates, from which on a
+    Gaussian is cloned or split."""
+    percent_dense: float = Field(0.01, gt=0)
+    """Largest scale, as a part of the scene's extent, of a Gaussian that is cloned instead of split."""
+    min_opacity: float = Field(0.005, ge=0, lt=1)
+    """Gaussians fainter than this are removed."""
+    size_prune_from: int | None = Field(3000, ge=0)
+    """After this iteration, Gaussians larger than `max_size` are removed; null never does."""
+    max_size: float = Field(0.1, gt=0)
+    """Largest scale that is kept, as a part of the scene's extent."""
+    min_gaussians: int = Field(1, ge=1)
+    """Nothing is removed if fewer Gaussians than this would be left."""
+
+
+class GradientThreshold(Densification[GradientThresholdSettings]):
+    """The rules of 3DGS for when to clone, split and prune; when it is due, the pipeline says."""
+
+    Settings = GradientThresholdSettings
+
+    def refine(self, step: Step) -> Edit:
+        """Return the edit, empty masks included, so that statistics start anew each time."""
+        settings, model = self.settings, step.model
+        size = model.scales().amax(dim=1)
+        pulled = model.screen_gradient() >= settings.gradient_threshold
+        large = size > settings.percent_dense * step.extent
+        clone, split = pulled & ~large, pulled & large
+        prune = model.opacities() < settings.min_opacity
+        if settings.size_prune_from is not None and step.iteration > settings.size_prune_from:
+            size_after = size.where(~split, size / SPLIT_SHRINK)
+            prune = prune | (size_after > settings.max_size * step.extent)
+        survivors = ~prune
+        added = int((survivors & (clone | split)).sum())
+        if int(survivors.sum()) + added < settings.min_gaussians:
+            return Edit(clone=clone, split=split)
+        return Edit(clone=clone, split=split, prune=prune)
+
+
+@hookimpl
+def stereogs_register_densifications(register: Register[GradientThreshold]) -> None:
+    register("gradient_threshold", GradientThreshold)

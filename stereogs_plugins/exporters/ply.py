@@ -1,0 +1,23 @@
+"""`ply`: the standard 3D Gaussian Splatting PLY, readable by public viewers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from core_rasterizer import GaussianModel, save_ply
+from registry import Exporter, Register, Scene, Settings, hookimpl
+
+
+class PlyExporter(Exporter[Settings]):
+    """Writes scene.ply: means, spherical harmonics, opacity logits, log-scales, quaternions."""
+
+    def export(self, model: GaussianModel, scene: Scene, folder: Path) -> list[Path]:
+        """Write the file and return its path."""
+        path = folder / "scene.ply"
+        save_ply(model.gaussians(), path)
+        return [path]
+
+
+@hookimpl
+def stereogs_register_exporters(register: Register[PlyExporter]) -> None:
+    register("ply", PlyExporter)

@@ -1,0 +1,52 @@
+"""`random`: points anywhere that a training camera can see; needs no features and cannot fail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from pydantic import Field
+
+from registry import Initializer, PointCloud, Prior, Register, Scene, Settings, hookimpl
+
+
+class RandomSettings(Settings):
+    count: int = Field(10_000, ge=1)
+    """How many points."""
+
+
+class RandomInitializer(Initializer[RandomSettings]):
+    """Points in the frusta of the training cameras, each with the colour of the pixel before it.
+
+    A point takes a random training camera, a random place in its image, and an inverse depth uniform
+    between those of the scene's bounds, so that near things get their share.
+    """
+
+    Settings = RandomSettings
+
+    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+        """Return `count` points; the component's generator decides where."""
+        count = self.settings.count
+        choice = torch.randint(len(scene.train), (count,), generator=self.generator)
+        u, v, w = torch.rand(3, count, generator=self.generator, dtype=torch.float64)
+        near, far = scene.bounds
+        depth = 1 / torch.lerp(torch.full_like(w, 1 / far), torch.full_like(w, 1 / near), w)
+        positions = torch.empty(count, 3)
+        colors = torch.empty(count, 3)
+        for index, view in enumerate(scene.train):
+            mine = choice == index
+            camera = view.camera
+            x, y, z = u[mine] * camera.width, v[mine] * camera.height, depth[mine]
+            local = torch.stack(
+                [(x - camera.cx) / camera.fx * z, (y - camera.cy) / camera.fy * z, z], dim=1
+            )
+            pose = camera.camera_to_world
+            positions[mine] = (local @ pose[:3, :3].T + pose[:3, 3]).float()
+            colors[mine] = view.image[y.long(), x.long()]
+        return PointCloud(positions=positions, colors=colors)
+
+
+@hookimpl
+def stereogs_register_initializers(register: Register[RandomInitializer]) -> None:
+    register("random", RandomInitializer)

@@ -1,0 +1,38 @@
+"""`psnr`: peak signal-to-noise ratio, -10 log10(mean squared error), values in [0, 1]."""
+
+from __future__ import annotations
+
+import math
+
+from torch import Tensor
+
+from registry import Metric, Register, SceneError, Settings, hookimpl
+
+MIN_ERROR = 1e-10
+"""Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""
+
+
+class PSNR(Metric[Settings]):
+    """Over all pixels and channels; with a mask, over the pixels inside it."""
+
+    unit = "dB"
+
+    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
+        """Return decibels, at most 100.
+
+        Raises:
+            SceneError: a mask without a single pixel.
+        """
+        squares = (rendered.double() - photograph.double()) ** 2
+        if mask is not None:
+            if not mask.any():
+                raise SceneError(
+                    "the mask is empty, so there is nothing to score", fix="check the mask file"
+                )
+            squares = squares[mask]
+        return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
+
+
+@hookimpl
+def stereogs_register_metrics(register: Register[PSNR]) -> None:
+    register("psnr", PSNR)

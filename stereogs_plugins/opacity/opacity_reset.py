@@ -1,0 +1,32 @@
+"""`opacity_reset`: now and then all Gaussians become nearly transparent (3DGS, Kerbl et al. 2023).
+
+Those that matter recover their opacity from the photographs; the others stay faint and are pruned.
+3DGS does it every 3,000 iterations.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
+
+
+class OpacityResetSettings(Settings):
+    ceiling: float = Field(0.01, gt=0, lt=1)
+    """No opacity is higher than this after a reset."""
+
+
+class OpacityReset(OpacityPolicy[OpacityResetSettings]):
+    """alpha <- min(alpha, ceiling); the optimizer forgets the opacities' moments."""
+
+    Settings = OpacityResetSettings
+
+    def update(self, step: Step) -> OpacityUpdate:
+        """Return the lowered opacities."""
+        opacities = step.model.opacities().clamp(max=self.settings.ceiling)
+        return OpacityUpdate(opacities, reset_moments=True)
+
+
+@hookimpl
+def stereogs_register_opacity_policies(register: Register[OpacityReset]) -> None:
+    register("opacity_reset", OpacityReset)
