@@ -109,9 +109,13 @@ class GaussianModel:
 
     def gradient(self, name: str) -> Tensor:
         """The gradient of one parameter, summed over the renders since `zero_gradients`."""
+        self.settle_gradients()
+        return self._unpack(self.gradients.read(), name)
+
+    def settle_gradients(self) -> None:
+        """Write the zeros that `zero_gradients` promised, if no backward pass came since."""
         if self._gradients_are_zero:
             self.gradients.fill(0)
-        return self._unpack(self.gradients.read(), name)
 
     def opacities(self) -> Tensor:
         """Activated opacities `[N]` in (0, 1)."""

@@ -48,7 +48,7 @@ class Adam:
 
     def __init__(self, model: GaussianModel) -> None:
         self._model = model
-        self._program = model.device.program("adam", dtype=model.dtype)
+        self.program = model.device.program("adam", dtype=model.dtype)
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
@@ -73,6 +73,7 @@ class Adam:
                 fix=f"give one for each of {', '.join(PARAMETER_GROUPS)}",
             )
         model = self._model
+        model.settle_gradients()
         self.steps += 1
         real = np.float64 if model.dtype == torch.float64 else np.float32
         first_correction = 1 - _BETA1**self.steps
@@ -83,7 +84,7 @@ class Adam:
         on_cpu = model.device.variant == "cpu"
         span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)
         items = -(-columns // (span * group)) * group
-        self._program.run(
+        self.program.run(
             "adam",
             (items, rows),
             (group, 1),

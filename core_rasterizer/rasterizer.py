@@ -106,7 +106,7 @@ class Rasterizer:
         self.chunks = min(16, 2 * device.compute_units) if self.on_cpu else 64
         self.group = 16 if self.on_cpu else 64
         width, height = self.tile
-        self._program = device.program(
+        self.program = device.program(
             "scene",
             "harmonics",
             "projection",
@@ -324,7 +324,7 @@ class Rasterizer:
             *size,
         )
         self._scan(counts, arrays["tile_starts"], tiles, counters, counter=2)
-        self._program.run(
+        self.program.run(
             "scan_buckets", (1,), (1,), chunk_pairs, counters, np.uint32(self.chunks), np.uint32(1)
         )
         self._run_chunks(
@@ -416,7 +416,7 @@ class Rasterizer:
         counter: int,
     ) -> None:
         size = -(-buckets // self.group) * self.group
-        self._program.run(
+        self.program.run(
             "scan_chunks",
             (size,),
             (self.group,),
@@ -425,22 +425,22 @@ class Rasterizer:
             np.uint32(buckets),
             np.uint32(self.chunks),
         )
-        self._program.run(
+        self.program.run(
             "scan_buckets", (1,), (1,), totals, counters, np.uint32(buckets), np.uint32(counter)
         )
 
     def _run_blocks(self, kernel: str, capacity: int, *arguments: Any) -> None:
         blocks = capacity // self.device.lanes
         size = -(-blocks // self.group) * self.group
-        self._program.run(kernel, (size,), (self.group,), *arguments)
+        self.program.run(kernel, (size,), (self.group,), *arguments)
 
     def _run_chunks(self, kernel: str, *arguments: Any) -> None:
-        self._program.run(kernel, (self.chunks,), (1,), *arguments)
+        self.program.run(kernel, (self.chunks,), (1,), *arguments)
 
     def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
         tiles = frame.tiles[0] * frame.tiles[1]
         local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
-        self._program.run(kernel, (tiles * local,), (local,), *arguments)
+        self.program.run(kernel, (tiles * local,), (local,), *arguments)
 
 
 def _make_room(

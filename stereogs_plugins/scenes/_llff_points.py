@@ -25,8 +25,10 @@ MIN_TRAINING_OBSERVATIONS = 2
 class _Tracks:
     positions: NDArray[np.float32]  # [P, 3]
     colors: NDArray[np.uint8]  # [P, 3]
-    lengths: NDArray[np.int64]  # [P], how many observations each point has
-    images: NDArray[np.int64]  # [sum of lengths], 0-based index of the sorted image, tracks in a row
+    lengths: NDArray[np.int64]  # [P] observations of each point
+    images: NDArray[
+        np.int64
+    ]  # [sum of lengths], 0-based index of the sorted image, tracks in a row
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:

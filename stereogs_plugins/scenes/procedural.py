@@ -73,7 +73,9 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
             for k in range(settings.train_views)
         ]
         test = [
-            self._view(f"test_{k:02d}", surfaces, _angle(k, settings.test_views, 0.8), -_lift(k) / 2)
+            self._view(
+                f"test_{k:02d}", surfaces, _angle(k, settings.test_views, 0.8), -_lift(k) / 2
+            )
             for k in range(settings.test_views)
         ]
         depths = torch.cat([view.depth[view.depth > 0] for view in train if view.depth is not None])

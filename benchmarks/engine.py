@@ -1,0 +1,219 @@
+"""How long the engine takes: `python -m benchmarks.engine`, which `make bench-engine` runs.
+
+Prints tables and writes `benchmarks/out/engine.json`. Figures are medians of one run on one machine;
+only the ratios carry over to another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
+from core_rasterizer import Adam, Device, GaussianModel, open_device, photometric_loss
+
+OUT = Path(__file__).parent / "out" / "engine.json"
+COUNTS = (10_000, 50_000, 126_000)
+MORE_COUNTS = (10_000, 50_000, 126_000, 300_000, 1_000_000)
+SIZES = ((252, 189), (504, 378), (1008, 756))
+RATES = dict.fromkeys(
+    ("means", "log_scales", "quaternions", "opacity_logits", "sh_constant", "sh_rest"), 1e-6
+)
+
+
+class Workload:
+    """One scene on one device, with the steps of a training iteration as methods."""
+
+    def __init__(self, count: int, device: Device, width: int = WIDTH, height: int = HEIGHT):
+        gaussians, self.camera = surfaces(count, width, height)
+        self.model = GaussianModel(gaussians, device)
+        self.optimizer = Adam(self.model)
+        generator = torch.Generator().manual_seed(0)
+        self.target = torch.rand(height, width, 3, generator=generator)
+        self.weights = torch.rand(height, width, 3, generator=generator)
+
+    def forward(self) -> None:
+        with torch.no_grad():
+            self.model.render(self.camera)
+
+    def forward_backward(self) -> None:
+        self.model.zero_gradients()
+        torch.autograd.backward([self.model.render(self.camera).rgb], [self.weights])
+
+    def iteration(self) -> None:
+        self.model.zero_gradients()
+        photometric_loss(
+            self.model.render(self.camera).rgb, self.target, device=self.model.device
+        ).backward()
+        self.optimizer.step(RATES, active_sh_degree=3)
+        self.model.device.finish()
+
+
+def milliseconds(work: Callable[[], Any], repeats: int = 15) -> float:
+    """Median of several runs after two that are not counted."""
+    times = []
+    for _ in range(repeats + 2):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return 1e3 * median(times[2:])
+
+
+def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
+    """Milliseconds of each kernel in an iteration, the device drained after each."""
+    totals: dict[str, float] = {}
+    programs = [workload.model.rasterizer.program, workload.optimizer.program]
+    originals = [program.run for program in programs]
+
+    def timed(original: Callable[..., None]) -> Callable[..., None]:
+        def run(kernel: str, *arguments: Any) -> None:
+            begin = time.perf_counter()
+            original(kernel, *arguments)
+            workload.model.device.finish()
+            totals[kernel] = totals.get(kernel, 0.0) + time.perf_counter() - begin
+
+        return run
+
+    for program, original in zip(programs, originals, strict=True):
+        program.run = timed(original)  # type: ignore[method-assign]
+    for _ in range(repeats):
+        workload.iteration()
+    for program, original in zip(programs, originals, strict=True):
+        program.run = original  # type: ignore[method-assign]
+    return {kernel: 1e3 * seconds / repeats for kernel, seconds in totals.items()}
+
+
+def torch_photometric(rgb: Tensor, target: Tensor) -> Tensor:
+    """The same loss in plain torch, the baseline of the fused one."""
+    offsets = torch.arange(11) - 5.0
+    window = torch.exp(-offsets.square() / (2 * 1.5**2))
+    window = (window / window.sum())[:, None] @ (window / window.sum())[None]
+    weight = window.expand(3, 1, 11, 11).contiguous()
+    x, y = (image.permute(2, 0, 1)[None] for image in (rgb, target))
+
+    def blur(image: Tensor) -> Tensor:
+        return conv2d(image, weight, padding=5, groups=3)
+
+    mean_x, mean_y = blur(x), blur(y)
+    var_x, var_y = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2
+    covariance = blur(x * y) - mean_x * mean_y
+    top = (2 * mean_x * mean_y + 1e-4) * (2 * covariance + 9e-4)
+    ssim = top / ((mean_x**2 + mean_y**2 + 1e-4) * (var_x + var_y + 9e-4))
+    return 0.8 * (rgb - target).abs().mean() + 0.2 * (1 - ssim.mean())
+
+
+def ratios(device: Device) -> dict[str, float]:
+    """The engine against named baselines, in this run."""
+    count = COUNTS[-1]
+    workload = Workload(count, device)
+    other = Workload(count, device.as_variant("gpu"))
+    rgb = torch.rand(HEIGHT, WIDTH, 3, requires_grad=True)
+
+    def loss(function: Callable[..., Tensor], **arguments: Any) -> Callable[[], None]:
+        return lambda: function(rgb, workload.target, **arguments).backward()
+
+    parameters = torch.randn(59, count, requires_grad=True)
+    parameters.grad = torch.randn(59, count)
+    torch_adam = torch.optim.Adam([parameters], lr=1e-6, eps=1e-15, fused=True)
+
+    def engine_adam() -> None:
+        workload.optimizer.step(RATES, active_sh_degree=3)
+        device.finish()
+
+    return {
+        "gpu_variant_over_cpu_variant": milliseconds(other.forward_backward, 3)
+        / milliseconds(workload.forward_backward),
+        "torch_ssim_over_fused": milliseconds(loss(torch_photometric), 5)
+        / milliseconds(loss(photometric_loss, device=device)),
+        "torch_fused_adam_over_ours": milliseconds(torch_adam.step) / milliseconds(engine_adam),
+    }
+
+
+def peak_memory_mb(count: int) -> float:
+    """Peak memory above that of an interpreter with torch and a device, in a process of its own."""
+    # The kernel's own high-water mark: resource.getrusage would start from the parent's.
+    code = (
+        "import re, sys; from benchmarks.engine import Workload, open_device\n"
+        "status = lambda: open('/proc/self/status').read()\n"
+        "peak = lambda: int(re.search(r'VmHWM:\\s+(\\d+)', status())[1])\n"
+        "d = open_device(); Workload(16, d).iteration(); base = peak()\n"
+        "w = Workload(int(sys.argv[1]), d); [w.iteration() for _ in range(3)]\n"
+        "print((peak() - base) / 1024)"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code, str(count)], capture_output=True, text=True, check=True
+    )
+    return float(output.stdout)
+
+
+def measure(device: Device) -> dict[str, Any]:
+    """All figures, in the layout of `engine.json`."""
+    result: dict[str, Any] = {
+        "device": f"{device.name} ({device.platform}, {device.compute_units} compute units)",
+        "size": [WIDTH, HEIGHT],
+    }
+    for name in ("forward", "forward_backward", "iteration"):
+        result[f"{name}_ms"] = {}
+    for count in COUNTS:
+        workload = Workload(count, device)
+        for name in ("forward", "forward_backward", "iteration"):
+            result[f"{name}_ms"][str(count)] = milliseconds(getattr(workload, name))
+    result["stages_ms"] = stages(Workload(COUNTS[-1], device))
+    result["ratios"] = ratios(device)
+    result["growth_with_count_ms"] = {
+        str(count): milliseconds(Workload(count, device).iteration, 7) for count in MORE_COUNTS
+    }
+    result["growth_with_pixels_ms"] = {
+        f"{width}x{height}": milliseconds(Workload(COUNTS[-1], device, width, height).iteration, 7)
+        for width, height in SIZES
+    }
+    result["peak_memory_mb"] = {str(count): peak_memory_mb(count) for count in (126_000, 1_000_000)}
+    return result
+
+
+def show(result: dict[str, Any]) -> None:
+    """The figures as tables."""
+    console = Console()
+    console.print(f"[bold]{result['device']}[/], {WIDTH}x{HEIGHT}, SH degree 3, medians in ms")
+    table = Table("", *(f"N = {int(count):,}" for count in result["iteration_ms"]))
+    for name in ("forward", "forward_backward", "iteration"):
+        table.add_row(name, *(f"{value:.1f}" for value in result[f"{name}_ms"].values()))
+    console.print(table)
+    for name in (
+        "stages_ms",
+        "ratios",
+        "growth_with_count_ms",
+        "growth_with_pixels_ms",
+        "peak_memory_mb",
+    ):
+        rows = Table(name, "")
+        for key, value in result[name].items():
+            rows.add_row(key, f"{value:.2f}")
+        console.print(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", help="part of a device's name")
+    result = measure(open_device(parser.parse_args().device))
+    show(result)
+    OUT.parent.mkdir(parents=True, exist_ok=True)
+    OUT.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    Console().print(f"written to {OUT}")
+
+
+if __name__ == "__main__":
+    main()
