@@ -15,8 +15,8 @@
 #define EPSILON ((real)1e-15)
 
 __kernel void adam(
-    __global real *parameters, __global const real *gradients,
-    __global real *first_moments, __global real *second_moments,
+    __global real *restrict parameters, __global const real *restrict gradients,
+    __global real *restrict first_moments, __global real *restrict second_moments,
     real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,
     real sh_rest, real correction, int columns, int capacity, int span)
 {
@@ -29,14 +29,14 @@ __kernel void adam(
                       : row < 11 ? opacity_logits
                       : row < 14 ? sh_constant
                                  : sh_rest;
-    for (int column = begin; column < end; column += LANES) {
-        const size_t at = row * capacity + column;
-        const lane gradient = LOAD_GLOBAL(gradients + at);
-        const lane m = BETA1 * LOAD_GLOBAL(first_moments + at) + SHARE1 * gradient;
-        const lane v = BETA2 * LOAD_GLOBAL(second_moments + at) + SHARE2 * (gradient * gradient);
-        STORE_GLOBAL(first_moments + at, m);
-        STORE_GLOBAL(second_moments + at, v);
-        const lane change = rate * m / (lane_sqrt(v) * correction + EPSILON);
-        STORE_GLOBAL(parameters + at, LOAD_GLOBAL(parameters + at) - change);
+    const size_t first = row * capacity;
+    /* Plain reals: the compiler makes vectors of them, of the square root too, given `restrict`. */
+    for (size_t at = first + begin; at < first + end; at++) {
+        const real gradient = gradients[at];
+        const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
+        const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
+        first_moments[at] = m;
+        second_moments[at] = v;
+        parameters[at] -= rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
     }
 }

@@ -26,9 +26,7 @@ class _Tracks:
     positions: NDArray[np.float32]  # [P, 3]
     colors: NDArray[np.uint8]  # [P, 3]
     lengths: NDArray[np.int64]  # [P] observations of each point
-    images: NDArray[
-        np.int64
-    ]  # [sum of lengths], 0-based index of the sorted image, tracks in a row
+    images: NDArray[np.int64]  # [sum of lengths] 0-based sorted images, track after track
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:

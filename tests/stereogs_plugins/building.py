@@ -1,0 +1,58 @@
+"""Build components and steps as the host does, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+
+from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
+from registry import Component, Context, Scene, Step, View
+
+ComponentType = TypeVar("ComponentType", bound=Component[Any])
+
+
+def build(component: type[ComponentType], *, seed: int = 0, **settings: object) -> ComponentType:
+    """The component with these settings, validated."""
+    return component(component.Settings(**settings), Context("under test", seed))
+
+
+def offered(hook: Callable[..., None]) -> dict[str, type]:
+    """What a plugin's hook registers."""
+    found: dict[str, type] = {}
+    hook(found.__setitem__)
+    return found
+
+
+def some_gaussians(scales: list[float], opacities: list[float]) -> Gaussians:
+    """Grey round Gaussians in a row across the view of `step_with`'s camera."""
+    count = len(scales)
+    positions = torch.zeros(count, 3)
+    positions[:, 0] = torch.linspace(-1, 1, count)
+    positions[:, 2] = 4
+    return Gaussians.from_points(
+        positions, torch.full((count, 3), 0.5), torch.tensor(scales), torch.tensor(opacities), 0
+    )
+
+
+def step_with(gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0) -> Step:
+    """A step after a real render of the Gaussians and a real backward pass against a striped image."""
+    model = GaussianModel(gaussians, open_device())
+    camera = Camera(torch.eye(4), 64, 64, 32, 24, 64, 48)
+    image = (torch.arange(64) % 8 < 4).float()[None, :, None].expand(48, 64, 3).contiguous()
+    view = View("stripes", camera, image)
+    rendering = model.render(camera, collect_statistics=True)
+    ((rendering.rgb - image) ** 2).mean().backward()
+    return Step(
+        iteration=iteration,
+        iterations=1000,
+        scene=Scene("stripes", (view,), (), (1.0, 10.0)),
+        view=view,
+        rendering=rendering,
+        model=model,
+        extent=extent,
+        priors={},
+        render=model.render,
+        log=lambda name, value: None,
+    )

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import torch
+
+from registry import Step
+from stereogs_plugins.densification.gradient_threshold import (
+    GradientThreshold,
+    stereogs_register_densifications,
+)
+from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+
+SCALES = [0.02, 0.02, 0.3, 0.3, 0.05, 0.08]
+OPACITIES = [0.5, 0.001, 0.5, 0.001, 0.9, 0.9]
+
+
+def some_step(iteration: int = 500) -> Step:
+    return step_with(some_gaussians(SCALES, OPACITIES), iteration=iteration)
+
+
+def between(values: torch.Tensor) -> float:
+    """A threshold that about half of the values reach."""
+    ordered = values.sort().values
+    middle = len(ordered) // 2
+    return float((ordered[middle - 1] + ordered[middle]) / 2)
+
+
+def test_is_offered_as_gradient_threshold() -> None:
+    assert offered(stereogs_register_densifications) == {"gradient_threshold": GradientThreshold}
+
+
+def test_small_ones_are_cloned_and_large_ones_split_where_the_gradient_is_high() -> None:
+    step = some_step()
+    gradient = step.model.screen_gradient()
+    threshold = between(gradient)
+    edit = build(
+        GradientThreshold, gradient_threshold=threshold, percent_dense=0.06, min_opacity=0.0
+    ).refine(step)
+    assert edit.clone is not None
+    assert edit.split is not None
+    pulled = (gradient >= threshold).tolist()
+    assert 0 < sum(pulled) < len(pulled)
+    small = [scale <= 0.06 for scale in SCALES]
+    assert edit.clone.tolist() == [p and s for p, s in zip(pulled, small, strict=True)]
+    assert edit.split.tolist() == [p and not s for p, s in zip(pulled, small, strict=True)]
+
+
+def test_the_limits_scale_with_the_extent() -> None:
+    step = some_step()
+    step.extent = 100.0
+    edit = build(GradientThreshold, gradient_threshold=1e-12).refine(step)
+    assert edit.split is not None
+    assert not edit.split.any()
+
+
+def test_faint_ones_are_pruned() -> None:
+    edit = build(GradientThreshold).refine(some_step())
+    assert edit.prune is not None
+    assert edit.prune.tolist() == [False, True, False, True, False, False]
+
+
+def test_oversized_ones_are_pruned_only_after_the_given_iteration() -> None:
+    settings: dict[str, object] = {"min_opacity": 0.0, "gradient_threshold": 1e9}
+    for iteration, start, pruned in (
+        (3000, 3000, False),
+        (3001, 3000, True),
+        (9000, None, False),
+    ):
+        policy = build(GradientThreshold, size_prune_from=start, **settings)
+        edit = policy.refine(some_step(iteration))
+        assert edit.prune is not None
+        assert edit.prune.tolist() == [pruned and scale > 0.1 for scale in SCALES]
+
+
+def test_an_oversized_one_is_split_if_its_children_are_small_enough() -> None:
+    step = step_with(some_gaussians([0.15, 0.18], [0.9, 0.9]), iteration=5000)
+    edit = build(GradientThreshold, gradient_threshold=1e-12).refine(step)
+    assert edit.split is not None
+    assert edit.prune is not None
+    assert edit.split.tolist() == [True, True]
+    assert edit.prune.tolist() == [False, True]  # 0.15 / 1.6 < 0.1 < 0.18 / 1.6
+
+
+def test_never_removes_everything() -> None:
+    step = step_with(some_gaussians([0.02, 0.02], [0.001, 0.001]))
+    edit = build(GradientThreshold).refine(step)
+    assert edit.prune is None
+    one_left = step_with(some_gaussians([0.02, 0.02], [0.001, 0.9]))
+    assert build(GradientThreshold).refine(one_left).prune is not None
+    assert build(GradientThreshold, min_gaussians=2).refine(one_left).prune is None

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from registry import PointCloud, Scene, SceneError
+from stereogs_plugins.initializers._triangulation import triangulate
+from stereogs_plugins.initializers.sfm import SfmInitializer, stereogs_register_initializers
+from stereogs_plugins.scenes.llff import LLFFScene
+from stereogs_plugins.scenes.procedural import ProceduralScene
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build, offered
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build(ProceduralScene, test_views=0).load()
+
+
+@pytest.fixture(scope="module")
+def points(scene: Scene) -> PointCloud:
+    return build(SfmInitializer, source="triangulate").initialize(scene, {})
+
+
+def test_is_offered_as_sfm() -> None:
+    assert offered(stereogs_register_initializers) == {"sfm": SfmInitializer}
+
+
+def test_triangulated_points_lie_on_the_true_surfaces(scene: Scene, points: PointCloud) -> None:
+    assert len(points) > 300
+    best = torch.full((len(points),), torch.inf, dtype=torch.float64)
+    for view in scene.train:
+        assert view.depth is not None
+        camera, pose = view.camera, view.camera.world_to_camera
+        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
+        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
+        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
+        best = torch.minimum(best, (local[:, 2] / view.depth[y, x] - 1).abs())
+    assert best.median() < 0.003
+    assert best.quantile(0.9) < 0.02
+
+
+def test_colors_are_those_of_the_photographs(scene: Scene, points: PointCloud) -> None:
+    differences = []
+    for view in scene.train:
+        camera, pose = view.camera, view.camera.world_to_camera
+        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
+        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
+        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
+        differences.append((view.image[y, x] - points.colors).abs().mean(dim=1))
+    assert torch.stack(differences).amin(dim=0).median() < 0.05
+
+
+def test_one_seed_one_result(scene: Scene, points: PointCloud) -> None:
+    again = build(SfmInitializer, source="triangulate").initialize(scene, {})
+    assert torch.equal(again.positions, points.positions)
+    assert torch.equal(again.colors, points.colors)
+
+
+def test_off_center_principal_points_are_respected(scene: Scene, points: PointCloud) -> None:
+    def crop(view):  # type: ignore[no-untyped-def]
+        camera = replace(view.camera, cx=view.camera.cx - 40, width=view.camera.width - 40)
+        return replace(view, camera=camera, image=view.image[:, 40:].contiguous(), depth=None)
+
+    cropped = replace(scene, train=tuple(crop(view) for view in scene.train))
+    found = build(SfmInitializer, source="triangulate").initialize(cropped, {})
+    distance = torch.cdist(found.positions, points.positions).amin(dim=1)
+    assert distance.median() < 1e-3
+
+
+def test_settings_limit_error_and_angle(scene: Scene) -> None:
+    loose, strict = (
+        triangulate(scene.train, max_reprojection_error=error, min_angle=1.5, seed=0)
+        for error in (4.0, 0.5)
+    )
+    assert strict.errors.max() <= 0.5 < loose.errors.max()
+    assert (loose.seen_by.sum(dim=1) >= 2).all()
+    wide = triangulate(scene.train, max_reprojection_error=4.0, min_angle=12.0, seed=0)
+    assert 0 < len(wide.positions) < len(loose.positions)
+
+
+def test_source_chooses(scene: Scene, points: PointCloud) -> None:
+    bare = replace(scene, points=None)
+    assert build(SfmInitializer).initialize(scene, {}) is scene.points
+    assert build(SfmInitializer, source="scene").initialize(scene, {}) is scene.points
+    assert torch.equal(build(SfmInitializer).initialize(bare, {}).positions, points.positions)
+    with pytest.raises(SceneError, match="brings no points") as caught:
+        build(SfmInitializer, source="scene").initialize(bare, {})
+    assert "triangulate" in caught.value.fix
+
+
+def test_zero_points_are_explained(scene: Scene) -> None:
+    grey = tuple(replace(view, image=torch.full_like(view.image, 0.5)) for view in scene.train)
+    with pytest.raises(SceneError, match="no point could be triangulated") as caught:
+        build(SfmInitializer, source="triangulate").initialize(replace(scene, train=grey), {})
+    assert "random" in caught.value.fix
+
+
+def test_one_view_is_explained(scene: Scene) -> None:
+    alone = replace(scene, train=scene.train[:1], points=None)
+    with pytest.raises(SceneError, match="one training view"):
+        build(SfmInitializer).initialize(alone, {})
+
+
+def test_points_outside_the_bounds_are_dropped(scene: Scene, points: PointCloud) -> None:
+    near_only = replace(scene, bounds=(scene.bounds[0], 3.0))
+    found = build(SfmInitializer, source="triangulate").initialize(near_only, {})
+    assert 0 < len(found) < len(points)
+    pose = scene.train[0].camera.world_to_camera
+    assert (found.positions.double() @ pose[2, :3] + pose[2, 3]).median() < 3.3
+
+
+@pytest.mark.parametrize(("name", "least"), [("llff_fern", 550), ("llff_flower", 1500)])
+def test_three_real_photographs_give_points(name: str, least: int) -> None:
+    scene = build(LLFFScene, path=data_folder(name)).load()
+    found = triangulate(scene.train, max_reprojection_error=2.0, min_angle=1.5, seed=0)
+    assert len(found.positions) > least
+    assert found.errors.mean() < 0.5
+    assert scene.points is not None  # the data set's own points, from all photographs
+    distance = torch.cdist(found.positions, scene.points.positions).amin(dim=1)
+    assert distance.median() < 0.02 * scene.bounds[1]
+
+
+def test_png_files_can_still_be_written_after_pycolmap_is_loaded(tmp_path: Path) -> None:
+    """pycolmap before Pillow corrupts memory (two zlibs in one process), so the order matters."""
+    code = f"""
+import torch
+from stereogs_plugins.initializers._triangulation import _pycolmap
+_pycolmap()
+from PIL import Image
+import numpy as np
+pixels = np.random.default_rng(0).integers(0, 255, (378, 504, 3), dtype=np.uint8)
+Image.fromarray(pixels).save({str(tmp_path / "noise.png")!r})
+assert (np.asarray(Image.open({str(tmp_path / "noise.png")!r})) == pixels).all()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from skimage.metrics import peak_signal_noise_ratio
+
+from registry import SceneError
+from stereogs_plugins.metrics.psnr import PSNR, stereogs_register_metrics
+from tests.stereogs_plugins.building import build, offered
+
+
+def test_is_offered_as_psnr() -> None:
+    assert offered(stereogs_register_metrics) == {"psnr": PSNR}
+
+
+def test_agrees_with_scikit_image() -> None:
+    first, second = torch.rand(2, 20, 30, 3, generator=torch.Generator().manual_seed(0))
+    expected = peak_signal_noise_ratio(
+        first.double().numpy(), second.double().numpy(), data_range=1
+    )
+    assert build(PSNR).measure(first, second, None) == pytest.approx(expected, abs=1e-9)
+
+
+def test_counts_masked_pixels_only() -> None:
+    photograph = torch.zeros(4, 4, 3)
+    rendered = torch.full((4, 4, 3), 0.1)
+    rendered[0, 0] = 1.0
+    mask = torch.ones(4, 4, dtype=torch.bool)
+    mask[0, 0] = False
+    assert build(PSNR).measure(rendered, photograph, mask) == pytest.approx(20, abs=1e-5)
+    assert build(PSNR).measure(rendered, photograph, None) < 12
+
+
+def test_equal_images_score_a_hundred() -> None:
+    assert build(PSNR).measure(torch.ones(4, 4, 3), torch.ones(4, 4, 3), None) == 100
+
+
+def test_an_empty_mask_is_explained() -> None:
+    image = torch.zeros(4, 4, 3)
+    with pytest.raises(SceneError, match="mask is empty"):
+        build(PSNR).measure(image, image, torch.zeros(4, 4, dtype=torch.bool))

@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+import torch
+
+from stereogs_plugins.opacity.opacity_reset import (
+    OpacityReset,
+    stereogs_register_opacity_policies,
+)
+from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+
+
+def test_is_offered_as_opacity_reset() -> None:
+    assert offered(stereogs_register_opacity_policies) == {"opacity_reset": OpacityReset}
+
+
+def test_lowers_to_the_ceiling_and_forgets_the_moments() -> None:
+    step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]))
+    update = build(OpacityReset).update(step)
+    torch.testing.assert_close(update.opacities, torch.tensor([0.01, 0.006]))
+    assert update.reset_moments
+    higher = build(OpacityReset, ceiling=0.05).update(step)
+    torch.testing.assert_close(higher.opacities, torch.tensor([0.05, 0.006]))
