@@ -93,7 +93,12 @@ class Device:
                     f"the device {self.name!r} does not compute in double precision",
                     fix="use float32, or another device",
                 )
-            macros = {"LANES": self.lanes, "REAL_IS_DOUBLE": int(dtype == torch.float64), **defines}
+            macros = {
+                "LANES": self.lanes,
+                "REAL_IS_DOUBLE": int(dtype == torch.float64),
+                "HAS_DOUBLE": int(self.supports_double),
+                **defines,
+            }
             self._programs[key] = Program(self, sources, macros)
         return self._programs[key]
 

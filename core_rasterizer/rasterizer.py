@@ -209,7 +209,7 @@ class Rasterizer:
             "project_backward",
             block.capacity,
             block.parameters,
-            arrays["modifiers"] if modified else arrays["camera"],
+            arrays["modifiers"] if modified else block.parameters,
             arrays["camera"],
             arrays["clamped"],
             sums,
@@ -239,7 +239,8 @@ class Rasterizer:
         width, height = self.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
-        self._fit(frame, "camera", self.dtype, 32)
+        wide = torch.float64 if self.device.supports_double else self.dtype
+        self._fit(frame, "camera", wide, 32)
         self._fit(frame, "records", self.dtype, capacity * _RECORD)
         self._fit(frame, "slot_start", torch.int32, capacity)
         self._fit(frame, "slot_count", torch.int32, capacity)
@@ -268,7 +269,7 @@ class Rasterizer:
             "project",
             block.capacity,
             block.parameters,
-            arrays["modifiers"] if modified else arrays["camera"],
+            arrays["modifiers"] if modified else block.parameters,
             arrays["camera"],
             arrays["records"],
             self._scratch["keys"],

@@ -18,7 +18,7 @@ static inline tile_box tiles_of(__global const real *record)
 /* Does the ellipse where alpha >= 1/255 reach a pixel centre of the tile? The exponent is a concave
  * quadratic with its maximum at the mean: if the mean is outside, the maximum over the tile lies on an
  * edge that faces it. */
-static inline int reaches(__global const real *record, int tile_x, int tile_y)
+static inline int reaches(__global const real *record, real floor_of_alpha, int tile_x, int tile_y)
 {
     const real low_x = tile_x * TILE_WIDTH + (real)0.5 - record[REC_X];
     const real low_y = tile_y * TILE_HEIGHT + (real)0.5 - record[REC_Y];
@@ -43,14 +43,14 @@ static inline int reaches(__global const real *record, int tile_x, int tile_y)
     }
     /* A hair more than exact, since the per-pixel test decides; written so that an undefined value
      * (a needle's a or c rounded to 0) keeps the pair. */
-    return !(best < record[REC_FLOOR] * (real)1.0001 - (real)1e-3);
+    return !(best < floor_of_alpha * (real)1.0001 - (real)1e-3);
 }
 
 /* (first tile x | y << 16, width | height << 16, 64 bits: which tiles of the box are reached, row by
  * row). A box of more than 64 tiles is tested again where it is walked. */
 #define BOX_BITS 64
 
-static inline uint4 cover_of(__global const real *record)
+static inline uint4 cover_of(__global const real *record, real floor_of_alpha)
 {
     const tile_box box = tiles_of(record);
     const int width = box.x1 - box.x0, height = box.y1 - box.y0;
@@ -59,7 +59,7 @@ static inline uint4 cover_of(__global const real *record)
         ulong bit = 1;
         for (int y = box.y0; y < box.y1; y++)
             for (int x = box.x0; x < box.x1; x++, bit <<= 1)
-                if (reaches(record, x, y))
+                if (reaches(record, floor_of_alpha, x, y))
                     mask |= bit;
     } else if (width > 0 && height > 0)
         mask = ~0ul;
@@ -72,10 +72,11 @@ static inline uint4 cover_of(__global const real *record)
         const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                      \
         const int width = cover.y & 0xFFFF, height = cover.y >> 16;                               \
         const int large = width * height > BOX_BITS;                                              \
+        const real floor_of_alpha = large ? -log2(255 * (record)[REC_OPACITY]) : (real)0;         \
         ulong mask = cover.z | (ulong)cover.w << 32;                                              \
         for (int y = y0; y < y0 + height; y++)                                                    \
             for (int x = x0; x < x0 + width; x++) {                                               \
-                if (large ? reaches(record, x, y) : (int)(mask & 1)) {                            \
+                if (large ? reaches(record, floor_of_alpha, x, y) : (int)(mask & 1)) {            \
                     const int tile = y * tiles_x + x;                                             \
                     BODY                                                                          \
                 }                                                                                 \

@@ -10,12 +10,12 @@ static inline void store_records(__global real *records, size_t i, const lane *f
 
 static inline void shade(
     lane *color, __global const real *parameters, size_t capacity, size_t i,
-    __global const real *camera, int degree)
+    __global const wide *camera, int degree)
 {
     __global const real *row = parameters + i;
-    lane dx = LOAD_GLOBAL(row) - camera[CAMERA_CENTER];
-    lane dy = LOAD_GLOBAL(row + capacity) - camera[CAMERA_CENTER + 1];
-    lane dz = LOAD_GLOBAL(row + 2 * capacity) - camera[CAMERA_CENTER + 2];
+    lane dx = LOAD_GLOBAL(row) - (real)camera[CAMERA_CENTER];
+    lane dy = LOAD_GLOBAL(row + capacity) - (real)camera[CAMERA_CENTER + 1];
+    lane dz = LOAD_GLOBAL(row + 2 * capacity) - (real)camera[CAMERA_CENTER + 2];
     const lane scale = 1 / lane_sqrt(dx * dx + dy * dy + dz * dz);
     lane basis[16];
     sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);
@@ -29,7 +29,7 @@ static inline void shade(
 
 __kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
 void project(
-    __global const real *parameters, __global const real *modifiers, __global const real *camera,
+    __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
     __global uint4 *covers,
     uint count, uint capacity, int degree, int activated, int modified)
@@ -51,8 +51,7 @@ void project(
     const lane inverse = 1 / g.determinant;
     const lane a = g.covariance_yy * inverse, b = -g.covariance_xy * inverse,
                c = g.covariance_xx * inverse;
-    const lane mean_x = camera[CAMERA_FX] * (g.x / g.z) + camera[CAMERA_CX];
-    const lane mean_y = camera[CAMERA_FY] * (g.y / g.z) + camera[CAMERA_CY];
+    const lane mean_x = g.mean_x, mean_y = g.mean_y;
 
     /* alpha >= 1/255 inside the ellipse whose exponent is ln(1 / (255 o)): the opacity-aware extent. */
     const lane ratio = 255 * g.opacity;
@@ -63,7 +62,7 @@ void project(
 
     /* Comparisons are false for NaN, so each test also refuses what is not a number. */
     const real big = REAL_LARGEST, width = camera[CAMERA_WIDTH], height = camera[CAMERA_HEIGHT];
-    lane_mask visible = (g.z > (lane)camera[CAMERA_NEAR]) & (g.z < (lane)big);
+    lane_mask visible = (g.z > (lane)(real)camera[CAMERA_NEAR]) & (g.z < (lane)big);
     visible &= (ratio >= (lane)1) & (ratio < (lane)big);
     visible &= (g.determinant < (lane)big) & (LANE_ABS(a) < (lane)big) & (LANE_ABS(c) < (lane)big);
     visible &= (mean_x + reach_x > (lane)0.5f) & (mean_x - reach_x < (lane)(width - 0.5f));
@@ -97,12 +96,13 @@ void project(
     field[REC_X1] = LANE_MIN(mean_x + reach_x + (real)0.5, (lane)width);
     field[REC_Y0] = LANE_MAX(mean_y - reach_y + (real)0.5, (lane)0);
     field[REC_Y1] = LANE_MIN(mean_y + reach_y + (real)0.5, (lane)height);
-    field[REC_FLOOR] = -level * LOG2_E;
-    field[15] = (lane)0;
+    field[REC_REST_X] = g.rest_x;
+    field[REC_REST_Y] = g.rest_y;
     store_records(records, i, field);
+    lane floor_of_alpha = -level * LOG2_E; /* the exponent of 2 at which alpha is the cut-off */
     for (int l = 0; l < LANES; l++)
         if (LANE_AT_MASK(visible, l) && i + l < count) {
-            const uint4 cover = cover_of(records + (i + l) * RECORD);
+            const uint4 cover = cover_of(records + (i + l) * RECORD, LANE_AT(floor_of_alpha, l));
             covers[i + l] = cover;
             if (cover.z | cover.w)
                 keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */

@@ -32,13 +32,13 @@ static inline void put(__global real *row, lane value, int accumulate)
 /* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`. */
 static inline void color_backward(
     __global const real *parameters, __global real *gradients, size_t capacity, size_t i,
-    __global const real *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
+    __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
     lane *d_mean)
 {
     __global const real *row = parameters + i;
-    lane dx = LOAD_GLOBAL(row) - camera[CAMERA_CENTER];
-    lane dy = LOAD_GLOBAL(row + capacity) - camera[CAMERA_CENTER + 1];
-    lane dz = LOAD_GLOBAL(row + 2 * capacity) - camera[CAMERA_CENTER + 2];
+    lane dx = LOAD_GLOBAL(row) - (real)camera[CAMERA_CENTER];
+    lane dy = LOAD_GLOBAL(row + capacity) - (real)camera[CAMERA_CENTER + 1];
+    lane dz = LOAD_GLOBAL(row + 2 * capacity) - (real)camera[CAMERA_CENTER + 2];
     const lane scale = visible ? 1 / lane_sqrt(dx * dx + dy * dy + dz * dz) : (lane)0;
     dx = visible ? dx * scale : (lane)0;
     dy = visible ? dy * scale : (lane)0;
@@ -82,7 +82,7 @@ static inline void rotation_backward(const projected *g, const lane *d, lane *d_
 
 /* From dL/d(2D covariance) to the scales, the rotation and, through the Jacobian, the mean. */
 static inline void covariance_backward(
-    const projected *g, lane d_xx, lane d_xy, lane d_yy, int activated, __global const real *camera,
+    const projected *g, lane d_xx, lane d_xy, lane d_yy, int activated, __global const wide *camera,
     lane *d_scale, lane *d_quaternion, lane *d_camera)
 {
     lane d_u[9], d_j00 = (lane)0, d_j02 = (lane)0, d_j11 = (lane)0, d_j12 = (lane)0;
@@ -101,7 +101,10 @@ static inline void covariance_backward(
         d_u[3 + k] = s1 * g->j11;
         d_u[6 + k] = s0 * g->j02 + s1 * g->j12;
     }
-    __global const real *r = camera + CAMERA_ROTATION;
+    __global const wide *w = camera + CAMERA_ROTATION;
+    real r[9];
+    for (int k = 0; k < 9; k++)
+        r[k] = w[k];
     lane d_rotation[9];
     for (int j = 0; j < 3; j++)
         for (int k = 0; k < 3; k++)
@@ -119,7 +122,7 @@ static inline void covariance_backward(
 
 __kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
 void project_backward(
-    __global const real *parameters, __global const real *modifiers, __global const real *camera,
+    __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
     uint capacity, int degree, int activated, int modified, int accumulate, int collect)
@@ -167,7 +170,10 @@ void project_backward(
     d_camera[2] = sums[PAIR_Z]
         - inverse_z * inverse_z * (fx * g.x * d_mean_x + fy * g.y * d_mean_y);
     covariance_backward(&g, d_xx, d_xy, d_yy, activated, camera, d_scale, d_quaternion, d_camera);
-    __global const real *r = camera + CAMERA_ROTATION;
+    __global const wide *w = camera + CAMERA_ROTATION;
+    real r[9];
+    for (int k = 0; k < 9; k++)
+        r[k] = w[k];
     for (int k = 0; k < 3; k++)
         d_mean[k] = r[k] * d_camera[0] + r[3 + k] * d_camera[1] + r[6 + k] * d_camera[2];
 
@@ -190,8 +196,8 @@ void project_backward(
     put(gradients + ROW_OPACITY * stride + i,
         visible ? sums[PAIR_P] / g.opacity * g.opacity_slope : (lane)0, accumulate);
     if (collect) {
-        const lane ndc_x = d_mean_x * (camera[CAMERA_WIDTH] / 2);
-        const lane ndc_y = d_mean_y * (camera[CAMERA_HEIGHT] / 2);
+        const lane ndc_x = d_mean_x * (real)(camera[CAMERA_WIDTH] / 2);
+        const lane ndc_y = d_mean_y * (real)(camera[CAMERA_HEIGHT] / 2);
         const lane norm = visible ? lane_sqrt(ndc_x * ndc_x + ndc_y * ndc_y) : (lane)0;
         put(statistics + i, norm, 1);
         put(statistics + stride + i, visible ? (lane)1 : (lane)0, 1);

@@ -2,6 +2,8 @@
 
 typedef struct {
     lane x, y, z;             /* mean in camera coordinates */
+    lane mean_x, mean_y;      /* mean on the image, pixels */
+    lane rest_x, rest_y;      /* what rounding mean_x and mean_y left over */
     lane ratio_x, ratio_y;    /* x/z and y/z after the clamp */
     lane_mask free_x, free_y; /* where the clamp is inactive */
     lane j00, j02, j11, j12;  /* Jacobian of the projection */
@@ -60,15 +62,25 @@ static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, l
 /* Twin: reference.py, `project`. Nothing is culled here; values behind the camera are meaningless. */
 static inline void project_block(
     projected *g, __global const real *parameters, size_t capacity, size_t i,
-    __global const real *camera, lane modifier, int activated)
+    __global const wide *camera, lane modifier, int activated)
 {
     __global const real *row = parameters + i;
     const lane mx = LOAD_GLOBAL(row), my = LOAD_GLOBAL(row + capacity),
                mz = LOAD_GLOBAL(row + 2 * capacity);
-    __global const real *r = camera + CAMERA_ROTATION;
-    g->x = r[0] * mx + r[1] * my + r[2] * mz + camera[CAMERA_TRANSLATION];
-    g->y = r[3] * mx + r[4] * my + r[5] * mz + camera[CAMERA_TRANSLATION + 1];
-    g->z = r[6] * mx + r[7] * my + r[8] * mz + camera[CAMERA_TRANSLATION + 2];
+    __global const wide *w = camera + CAMERA_ROTATION;
+    const wide_lane wide_x = TO_WIDE(mx), wide_y = TO_WIDE(my), wide_z = TO_WIDE(mz);
+    const wide_lane x = w[0] * wide_x + w[1] * wide_y + w[2] * wide_z + w[9];
+    const wide_lane y = w[3] * wide_x + w[4] * wide_y + w[5] * wide_z + w[10];
+    const wide_lane z = w[6] * wide_x + w[7] * wide_y + w[8] * wide_z + w[11];
+    const wide_lane image_x = camera[CAMERA_FX] * (x / z) + camera[CAMERA_CX];
+    const wide_lane image_y = camera[CAMERA_FY] * (y / z) + camera[CAMERA_CY];
+    g->x = FROM_WIDE(x);
+    g->y = FROM_WIDE(y);
+    g->z = FROM_WIDE(z);
+    g->mean_x = FROM_WIDE(image_x);
+    g->mean_y = FROM_WIDE(image_y);
+    g->rest_x = FROM_WIDE(image_x - TO_WIDE(g->mean_x));
+    g->rest_y = FROM_WIDE(image_y - TO_WIDE(g->mean_y));
 
     lane rotation[9];
     read_rotation(g, LOAD_GLOBAL(row + ROW_QUATERNION * capacity),
@@ -77,18 +89,18 @@ static inline void project_block(
         LOAD_GLOBAL(row + (ROW_QUATERNION + 3) * capacity), rotation);
     for (int j = 0; j < 3; j++)
         for (int k = 0; k < 3; k++)
-            g->u[3 * j + k] = r[3 * j] * rotation[k] + r[3 * j + 1] * rotation[3 + k]
-                + r[3 * j + 2] * rotation[6 + k];
+            g->u[3 * j + k] = (real)w[3 * j] * rotation[k] + (real)w[3 * j + 1] * rotation[3 + k]
+                + (real)w[3 * j + 2] * rotation[6 + k];
 
-    __global const real *limits = camera + CAMERA_LIMITS;
+    __global const wide *limits = camera + CAMERA_LIMITS;
     const lane inverse_z = 1 / g->z, raw_x = g->x * inverse_z, raw_y = g->y * inverse_z;
-    g->ratio_x = LANE_MIN(LANE_MAX(raw_x, (lane)limits[0]), (lane)limits[1]);
-    g->ratio_y = LANE_MIN(LANE_MAX(raw_y, (lane)limits[2]), (lane)limits[3]);
+    g->ratio_x = LANE_MIN(LANE_MAX(raw_x, (lane)(real)limits[0]), (lane)(real)limits[1]);
+    g->ratio_y = LANE_MIN(LANE_MAX(raw_y, (lane)(real)limits[2]), (lane)(real)limits[3]);
     g->free_x = g->ratio_x == raw_x;
     g->free_y = g->ratio_y == raw_y;
-    g->j00 = camera[CAMERA_FX] * inverse_z;
+    g->j00 = (real)camera[CAMERA_FX] * inverse_z;
     g->j02 = -g->j00 * g->ratio_x;
-    g->j11 = camera[CAMERA_FY] * inverse_z;
+    g->j11 = (real)camera[CAMERA_FY] * inverse_z;
     g->j12 = -g->j11 * g->ratio_y;
 
     lane xx = (lane)0, xy = (lane)0, yy = (lane)0;

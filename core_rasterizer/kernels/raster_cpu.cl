@@ -11,7 +11,7 @@ typedef struct {
     int x, y, width, height; /* pixels of the image that the tile covers */
 } tile_area;
 
-static inline tile_area area_of(uint tile, int tiles_x, __global const real *camera)
+static inline tile_area area_of(uint tile, int tiles_x, __global const wide *camera)
 {
     tile_area area;
     area.x = (int)(tile % tiles_x) * TILE_WIDTH;
@@ -69,7 +69,7 @@ static inline lane distances(real first)
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void raster(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
-    __global const ulong *counters, __global const real *camera, __global real *rgb,
+    __global const ulong *counters, __global const wide *camera, __global real *rgb,
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
     uint pair_capacity)
 {
@@ -92,9 +92,9 @@ void raster(
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const real first_dy = area.y + box.y0 + (real)0.5 - g[REC_Y];
+        const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
         for (int x = box.x0; x < box.x1; x += LANES) {
-            const lane dx = distances(area.x + x + (real)0.5 - g[REC_X]);
+            const lane dx = distances((area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X]);
             const lane square = a * dx * dx, slope = b * dx;
             real dy = first_dy;
             for (int i = box.y0 * STRIDE + x; i < box.y1 * STRIDE; i += STRIDE, dy += 1) {
@@ -110,15 +110,15 @@ void raster(
     }
 
     const int width = (int)camera[CAMERA_WIDTH];
-    __global const real *background = camera + CAMERA_BACKGROUND;
+    __global const wide *background = camera + CAMERA_BACKGROUND;
     for (int y = 0; y < area.height; y++)
         for (int x = 0; x < area.width; x++) {
             const int i = y * STRIDE + x;
             const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
             const real left = t[i] < 0 ? -t[i] : t[i];
-            rgb[3 * pixel] = red[i] + left * background[0];
-            rgb[3 * pixel + 1] = green[i] + left * background[1];
-            rgb[3 * pixel + 2] = blue[i] + left * background[2];
+            rgb[3 * pixel] = red[i] + left * (real)background[0];
+            rgb[3 * pixel + 1] = green[i] + left * (real)background[1];
+            rgb[3 * pixel + 2] = blue[i] + left * (real)background[2];
             depth[pixel] = z[i];
             alpha[pixel] = 1 - left;
             final_transmittance[pixel] = left;
@@ -162,7 +162,7 @@ static inline void load_gradients(
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void raster_backward(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
-    __global const real *camera, __global const real *rgb, __global const real *depth,
+    __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
     __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums, int tiles_x)
 {
@@ -184,12 +184,12 @@ void raster_backward(
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const real first_dy = area.y + box.y0 + (real)0.5 - g[REC_Y];
+        const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
         lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
              sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
              sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
         for (int x = box.x0; x < box.x1; x += LANES) {
-            const lane dx = distances(area.x + x + (real)0.5 - g[REC_X]);
+            const lane dx = distances((area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X]);
             const lane square = a * dx * dx, slope = b * dx;
             lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
             real dy = first_dy;

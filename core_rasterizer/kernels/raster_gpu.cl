@@ -14,10 +14,20 @@ static inline void stage(
             staged[k] = records[(size_t)pairs[p + k / RECORD].x * RECORD + k % RECORD];
 }
 
-static inline real exponent_at(__local const real *g, real x, real y)
+static inline real exponent_at(__local const real *g, real dx, real dy)
 {
-    const real dx = x - g[REC_X], dy = y - g[REC_Y];
     return g[REC_A] * dx * dx + dy * (g[REC_B] * dx + g[REC_C] * dy);
+}
+
+/* Distances from the mean to a pixel's centre; the bracket is exact, the rest is what rounding left. */
+static inline real distance_x(__local const real *g, int x)
+{
+    return (x + (real)0.5 - g[REC_X]) - g[REC_REST_X];
+}
+
+static inline real distance_y(__local const real *g, int y)
+{
+    return (y + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
 }
 
 static inline int in_box(__local const real *g, int x, int y)
@@ -41,7 +51,7 @@ static inline int any_in_group(__local int *flag, int open)
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void raster(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
-    __global const ulong *counters, __global const real *camera, __global real *rgb,
+    __global const ulong *counters, __global const wide *camera, __global real *rgb,
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
     uint pair_capacity)
 {
@@ -67,7 +77,8 @@ void raster(
             __local const real *g = staged + k * RECORD;
             if (t < 0 || !in_box(g, x, y))
                 continue;
-            const meeting m = meet(exponent_at(g, x + (real)0.5, y + (real)0.5), g[REC_OPACITY], t);
+            const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
+            const meeting m = meet(exponent, g[REC_OPACITY], t);
             t = keep_transmittance(m, t);
             red += m.weight * g[REC_RED];
             green += m.weight * g[REC_GREEN];
@@ -79,9 +90,9 @@ void raster(
         return;
     const size_t pixel = (size_t)y * width + x;
     const real left = t < 0 ? -t : t;
-    rgb[3 * pixel] = red + left * camera[CAMERA_BACKGROUND];
-    rgb[3 * pixel + 1] = green + left * camera[CAMERA_BACKGROUND + 1];
-    rgb[3 * pixel + 2] = blue + left * camera[CAMERA_BACKGROUND + 2];
+    rgb[3 * pixel] = red + left * (real)camera[CAMERA_BACKGROUND];
+    rgb[3 * pixel + 1] = green + left * (real)camera[CAMERA_BACKGROUND + 1];
+    rgb[3 * pixel + 2] = blue + left * (real)camera[CAMERA_BACKGROUND + 2];
     depth[pixel] = z;
     alpha[pixel] = 1 - left;
     final_transmittance[pixel] = left;
@@ -109,7 +120,7 @@ static inline void sum_group(__local real *scratch, const real *values, __global
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void raster_backward(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
-    __global const real *camera, __global const real *rgb, __global const real *depth,
+    __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
     __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums, int tiles_x)
 {
@@ -148,9 +159,8 @@ void raster_backward(
             for (int s = 0; s <= PAIR_TOUCHED; s++)
                 sums[s] = 0;
             if (t > 0 && in_box(g, x, y)) {
-                const real dx = x + (real)0.5 - g[REC_X], dy = y + (real)0.5 - g[REC_Y];
-                const meeting m
-                    = meet(exponent_at(g, x + (real)0.5, y + (real)0.5), g[REC_OPACITY], t);
+                const real dx = distance_x(g, x), dy = distance_y(g, y);
+                const meeting m = meet(exponent_at(g, dx, dy), g[REC_OPACITY], t);
                 t = keep_transmittance(m, t);
                 const real value
                     = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;

@@ -7,7 +7,7 @@
 #define ROW_OPACITY 10
 #define ROW_SH 11
 
-/* The camera block, written by the host once a render. */
+/* The camera block, written by the host once a render, in `wide`. */
 #define CAMERA_ROTATION 0 /* 9: world to camera, row-major */
 #define CAMERA_TRANSLATION 9
 #define CAMERA_CENTER 12
@@ -37,7 +37,8 @@
 #define REC_X1 11
 #define REC_Y0 12
 #define REC_Y1 13
-#define REC_FLOOR 14 /* exponent of 2 at which alpha is exactly the cut-off */
+#define REC_REST_X 14 /* what rounding REC_X and REC_Y left over: the mean is their sum */
+#define REC_REST_Y 15
 
 /* Sums over pixels that a (tile, Gaussian) pair hands back, 16 reals. */
 #define PAIR 16

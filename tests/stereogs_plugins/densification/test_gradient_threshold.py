@@ -81,9 +81,9 @@ def test_an_oversized_one_is_split_if_its_children_are_small_enough() -> None:
 
 
 def test_never_removes_everything() -> None:
+    settings: dict[str, object] = {"gradient_threshold": 1e9}
     step = step_with(some_gaussians([0.02, 0.02], [0.001, 0.001]))
-    edit = build(GradientThreshold).refine(step)
-    assert edit.prune is None
+    assert build(GradientThreshold, **settings).refine(step).prune is None
     one_left = step_with(some_gaussians([0.02, 0.02], [0.001, 0.9]))
-    assert build(GradientThreshold).refine(one_left).prune is not None
-    assert build(GradientThreshold, min_gaussians=2).refine(one_left).prune is None
+    assert build(GradientThreshold, **settings).refine(one_left).prune is not None
+    assert build(GradientThreshold, min_gaussians=2, **settings).refine(one_left).prune is None

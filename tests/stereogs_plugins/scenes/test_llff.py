@@ -102,7 +102,10 @@ def test_only_points_that_two_training_views_see(tmp_path: Path) -> None:
     assert points is not None
     assert points.positions[:, 0].tolist() == [0, 6]
     torch.testing.assert_close(points.colors[0], torch.tensor([1.0, 0.0, 0.2]))
-    assert load(folder, downsample=2, train_views=3).points is None  # views 1, 4, 7: one sees each
+    points = load(folder, downsample=2, train_views=3).points  # views 1, 4 and 7
+    assert points is not None
+    assert points.positions[:, 0].tolist() == [6]
+    assert load(folder, downsample=2, train_views=2).points is None  # views 1 and 7
     assert load(folder, downsample=2, train_views=None, points=False).points is None
 
 
@@ -155,7 +158,7 @@ def cropped_images(folder: Path) -> None:
 
 def broken_image(folder: Path) -> None:
     path = folder / "images_2" / "photo_01.png"
-    path.write_bytes(path.read_bytes()[:60])
+    path.write_bytes(path.read_bytes()[:45])
 
 
 def change_row(folder: Path, column: int, value: float) -> None:
@@ -264,7 +267,7 @@ def test_real_points_have_the_colors_of_the_photographs(name: str, count: int) -
         for camera, errors in ((view.camera, right), (other.camera, wrong)):
             difference = colors_at(view, camera, scene.points.positions) - scene.points.colors
             errors.append(difference.abs().mean(dim=1).median())
-    assert max(right) < 0.07
+    assert max(right) < 0.08
     assert min(wrong) > 2 * max(right)
 
 
