@@ -77,7 +77,7 @@ class GaussianModel:
         self.parameters = parameters
         self.count = count
         self.gradients = DeviceArray(self.device, parameters.shape, self.dtype)
-        self._gradients_are_zero = True
+        self._forgotten = False
         self._written_degree = 0
         self._statistics = DeviceArray(self.device, (2, self.capacity), self.dtype)
 
@@ -113,8 +113,8 @@ class GaussianModel:
         return self._unpack(self.gradients.read(), name)
 
     def settle_gradients(self) -> None:
-        """Write the zeros that `zero_gradients` promised, if no backward pass came since."""
-        if self._gradients_are_zero:
+        """Write the zeros that `zero_gradients` promised, if no backward pass has overwritten them."""
+        if self._forgotten:
             self.gradients.fill(0)
 
     def opacities(self) -> Tensor:
@@ -127,7 +127,7 @@ class GaussianModel:
 
     def zero_gradients(self) -> None:
         """Forget the gradients. Costs nothing: the next backward pass overwrites them."""
-        self._gradients_are_zero = True
+        self._forgotten = True
 
     def screen_gradient(self) -> Tensor:
         """Mean NDC norm of the screen-space mean gradient over the renders that saw a Gaussian, `[N]`.
@@ -200,10 +200,10 @@ class GaussianModel:
     ) -> None:
         """Run the backward pass of one render into `gradients`."""
         degree = frame.view.sh_degree
-        if self._gradients_are_zero and degree < self._written_degree:
+        if self._forgotten and degree < self._written_degree:
             self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
         self._written_degree = (
-            degree if self._gradients_are_zero else max(degree, self._written_degree)
+            degree if self._forgotten else max(degree, self._written_degree)
         )
         # Adding needs every row to hold something; a higher band than before holds zeros already.
         self.rasterizer.backward(
@@ -211,10 +211,10 @@ class GaussianModel:
             self.block,
             image_gradients,
             self.gradients,
-            accumulate=not self._gradients_are_zero,
+            accumulate=not self._forgotten,
             statistics=self._statistics if collect_statistics else None,
         )
-        self._gradients_are_zero = False
+        self._forgotten = False
 
     def _rows_of(self, name: str) -> tuple[int, int]:
         if name == "sh":

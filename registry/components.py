@@ -22,11 +22,13 @@ from .scene import PointCloud, Scene, View
 
 
 class Settings(pydantic.BaseModel):
-    """Base of every component's settings: immutable, unknown keys refused, defaults checked."""
+    """Base of every component's settings: immutable, unknown keys refused.
 
-    model_config = pydantic.ConfigDict(
-        extra="forbid", frozen=True, validate_default=True, use_attribute_docstrings=True
-    )
+    Types are strict: a pipeline's "3" is no number and 3.0 no whole number. The text below a field
+    is its documentation.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 SettingsType = TypeVar("SettingsType", bound=Settings)
@@ -87,7 +89,8 @@ class Step:
             also `model.gradient(name)`.
         extent: the scene's extent in world units (`Scene.extent`).
         priors: the pipeline's prior models by name.
-        render: renders another camera at the current parameters; gradients flow if `gradient`.
+        render: `render(camera, *, gradient=True)` renders another camera at the current parameters,
+            without modifiers, on the scene's background; gradients flow if `gradient`.
         log: records a number under a name in the run's metrics.
     """
 
@@ -150,7 +153,10 @@ class Densification(Component[SettingsType], ABC):
 
     @abstractmethod
     def refine(self, step: Step) -> Edit | None:
-        """Return the edit that is due, or None. Called after the backward pass, when scheduled."""
+        """Return the edit that is due, or None. Called after the backward pass, when scheduled.
+
+        Any edit, an empty one too, starts the densification statistics anew; None leaves them.
+        """
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,9 +187,11 @@ class Trainer:
         edited = False
         for part in self.parts.due("densification", step.iteration):
             with blame(part.item, step.iteration):
-                edit = check_edit(part.component.refine(step), self.model.count)
-                edit = self._with_host_rules(edit or Edit(), step)
+                wanted = check_edit(part.component.refine(step), self.model.count)
+                edit = self._with_host_rules(wanted or Edit(), step)
                 if not any(m is not None and m.any() for m in (edit.clone, edit.split, edit.prune)):
+                    if wanted is not None:
+                        self.model.reset_statistics()
                     continue
                 carried = apply_edit(self.model, self.optimizer, edit, self._topology)
             self.parts.carry(carried.source, carried.fresh, step.iteration)

@@ -1,0 +1,65 @@
+"""The host of StereoGS plugins: what a plugin author imports, and nothing else.
+
+    import registry
+
+    class Flat(registry.Initializer[registry.Settings]):
+        ...
+
+    @registry.hookimpl
+    def stereogs_register_initializers(register):
+        register("flat", Flat)
+
+The host's own machinery lives in the modules: `registry.pipeline`, `registry.training_run`,
+`registry.plugins`. A plugin is tried with `registry.testing`.
+"""
+
+from .components import (
+    Component,
+    Context,
+    Densification,
+    Exporter,
+    Initializer,
+    Metric,
+    Modifier,
+    OpacityPolicy,
+    OpacityUpdate,
+    Prior,
+    Regularizer,
+    Report,
+    SceneLoader,
+    Settings,
+    Step,
+)
+from .errors import PipelineError, PluginError, RunError, SceneError
+from .hook_points import API_VERSION
+from .hooks import Register, hookimpl
+from .scene import PointCloud, Scene, View, validate
+
+__all__ = [
+    "API_VERSION",
+    "Component",
+    "Context",
+    "Densification",
+    "Exporter",
+    "Initializer",
+    "Metric",
+    "Modifier",
+    "OpacityPolicy",
+    "OpacityUpdate",
+    "PipelineError",
+    "PluginError",
+    "PointCloud",
+    "Prior",
+    "Register",
+    "Regularizer",
+    "Report",
+    "RunError",
+    "Scene",
+    "SceneError",
+    "SceneLoader",
+    "Settings",
+    "Step",
+    "View",
+    "hookimpl",
+    "validate",
+]
