@@ -46,24 +46,37 @@ def finish(
     run.write_results(
         jsonable(
             {
-                "pipeline": pipeline.name,
-                **scores,
-                "gaussians": model.count,
-                "iterations": iterations,
+                **describe(pipeline, scene, model, iterations),
                 "seconds": round(seconds, 3),
                 "iterations_per_second": round(iterations / max(seconds, 1e-9), 3),
                 "peak_memory_mb": peak_memory_mb(),
-                "hash": model.digest(),
-                "seed": pipeline.training.seed,
                 "exports": exported,
-                "scene": _describe_scene(scene),
-                "device": describe_device(model.device),
+                **scores,
             }
         )
     )
     for part in parts["reports"]:
         with blame(part.item):
             part.component.write(run.path, scene)
+
+
+def describe(
+    pipeline: Pipeline, scene: Scene, model: GaussianModel, iterations: int
+) -> dict[str, Any]:
+    """What was trained on what; the facts that open results.json.
+
+    Args:
+        iterations: that the Gaussians have been trained for.
+    """
+    return {
+        "pipeline": pipeline.name,
+        "scene": _describe_scene(scene),
+        "device": describe_device(model.device),
+        "seed": pipeline.training.seed,
+        "iterations": iterations,
+        "gaussians": model.count,
+        "hash": model.digest(),
+    }
 
 
 def score(run: RunFolder, parts: Parts, scene: Scene, model: GaussianModel) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from registry import PointCloud, SceneError
 
+from ._colmap_files import read_image_names, read_points3d
+
 MIN_TRAINING_OBSERVATIONS = 2
 """A point that two training views see could have been triangulated from them; one view cannot."""
 
@@ -77,30 +79,27 @@ def _read_archive(path: Path) -> _Tracks:
 
 
 def _read_colmap(folder: Path, image_count: int) -> _Tracks:
-    import pycolmap  # heavy, and not needed by scenes without a COLMAP model
-
     try:
-        model = pycolmap.Reconstruction(folder)
-    except (OSError, ValueError, RuntimeError, IndexError) as error:
+        names = read_image_names(folder / "images.bin")
+        points = read_points3d(folder / "points3D.bin")
+    except (OSError, ValueError) as error:
         raise SceneError(
             f"the COLMAP model cannot be read: {error}", where=str(folder), fix=_FIX
         ) from error
-    if len(model.images) != image_count:
+    if len(names) != image_count:
         raise SceneError(
-            f"the COLMAP model knows {len(model.images)} images, the scene has {image_count}",
+            f"the COLMAP model knows {len(names)} images, the scene has {image_count}",
             where=str(folder),
             fix=_FIX,
         )
-    # The resized photographs may be renamed, but never reordered.
-    by_name = sorted(model.images.values(), key=lambda image: str(image.name))
-    index = {image.image_id: k for k, image in enumerate(by_name)}
-    points = [model.points3D[key] for key in sorted(model.points3D)]
-    tracks = [[index[e.image_id] for e in point.track.elements] for point in points]
+    # The resized photographs may be renamed, but never reordered. An unknown id becomes -1: refused.
+    index = {identity: k for k, identity in enumerate(sorted(names, key=lambda i: names[i]))}
+    tracks = [index.get(identity, -1) for point in points for identity in point.image_ids]
     return _Tracks(
-        positions=np.array([p.xyz for p in points], dtype=np.float32).reshape(-1, 3),
+        positions=np.array([p.position for p in points], dtype=np.float32).reshape(-1, 3),
         colors=np.array([p.color for p in points], dtype=np.uint8).reshape(-1, 3),
-        lengths=np.array([len(track) for track in tracks], dtype=np.int64),
-        images=np.array([image for track in tracks for image in track], dtype=np.int64),
+        lengths=np.array([len(p.image_ids) for p in points], dtype=np.int64),
+        images=np.array(tracks, dtype=np.int64),
     )
 
 
@@ -118,7 +117,7 @@ def _check(tracks: _Tracks, image_count: int, path: Path) -> None:
             f"but the tracks have {len(tracks.images)} entries"
         )
     elif count and (tracks.images.min() < 0 or tracks.images.max() >= image_count):
-        problem = f"a track names image {tracks.images.max() + 1} of {image_count}"
+        problem = f"a track names an image that is not one of the {image_count}"
     elif not np.isfinite(tracks.positions).all():
         row = int(np.flatnonzero(~np.isfinite(tracks.positions).all(axis=1))[0])
         problem = f"point {row} is not finite"

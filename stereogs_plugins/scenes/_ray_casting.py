@@ -59,7 +59,10 @@ def _mix(first: Array, second: Array, weight: Array) -> Array:
 class Surface(Protocol):
     """What the ray caster asks of a surface."""
 
-    texture: Texture
+    @property
+    def texture(self) -> Texture:
+        """Its picture."""
+        ...
 
     def hull(self) -> Array:
         """`[K, 3]` points whose convex hull contains the surface."""
@@ -102,9 +105,8 @@ class Rectangle:
         return np.asarray(normal / np.linalg.norm(normal))
 
     def hull(self) -> Array:
-        return self.corner + np.array(
-            [0 * self.across, self.across, self.down, self.across + self.down]
-        )
+        offsets = [0 * self.across, self.across, self.down, self.across + self.down]
+        return np.asarray(self.corner + np.array(offsets))
 
     def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
         offset = self.corner - origin
@@ -141,6 +143,7 @@ class Sphere:
 
     center: Array
     radius: float
+
     texture: Texture
 
     def hull(self) -> Array:

@@ -109,8 +109,8 @@ def test_only_points_that_two_training_views_see(tmp_path: Path) -> None:
     assert load(folder, downsample=2, train_views=None, points=False).points is None
 
 
-def test_points_of_a_colmap_model(tmp_path: Path) -> None:
-    folder = write_scene(tmp_path)
+def write_colmap_model(folder: Path) -> None:
+    """Three points, seen by images 0 1 | 1 2 | 2 of the sorted list."""
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera.create_from_model_id(
         1, pycolmap.CameraModelId.SIMPLE_PINHOLE, 40, 32, 24
@@ -129,10 +129,28 @@ def test_points_of_a_colmap_model(tmp_path: Path) -> None:
         model.add_point3D(np.full(3, float(number)), track, np.array([0, 255, 0], dtype=np.uint8))
     (folder / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "sparse" / "0")
+
+
+def test_points_of_a_colmap_model(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    write_colmap_model(folder)
     points = load(folder, downsample=2, train_views=None).points
     assert points is not None
     assert points.positions.tolist() == [[1, 1, 1]]
     assert points.colors.tolist() == [[0, 1, 0]]
+
+
+@pytest.mark.parametrize("name", ["images.bin", "points3D.bin"])
+def test_a_damaged_colmap_model_is_explained(name: str, tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    write_colmap_model(folder)
+    path = folder / "sparse" / "0" / name
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:5], whole[: len(whole) // 2], whole[:-3], whole + b"xyz"):
+        path.write_bytes(damaged)
+        with pytest.raises(SceneError, match="COLMAP model cannot be read") as caught:
+            load(folder, downsample=2)
+        assert "points: false" in caught.value.fix
 
 
 def delete_folder(folder: Path) -> None:
@@ -221,7 +239,7 @@ def points_of_other_images(folder: Path) -> None:
         (truncated_poses, "cannot be read", "poses_bounds.npy"),
         (wrong_shape, "(9, 15)", "poses_bounds.npy"),
         (unreadable_points, "points file cannot be read", "points3d.npz"),
-        (points_of_other_images, "image 10 of 9", "points3d.npz"),
+        (points_of_other_images, "not one of the 9", "points3d.npz"),
     ],
 )
 def test_bad_input_is_explained(

@@ -1,0 +1,96 @@
+"""The `stereogs` command."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+from core_rasterizer import ExplainedError
+
+from .commands import demo, doctor, evaluate, plugins, render, train
+from .commands.output import error_console
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+TRACE = "STEREOGS_TRACE"
+"""Environment variable: 1 shows the Python traceback of every error."""
+
+_EPILOG = """\
+examples:
+  stereogs demo                               three photographs to a scored scene, in minutes
+  stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
+  stereogs eval runs/3dgs-fern
+  stereogs render runs/3dgs-fern --path
+  stereogs plugins                            what a pipeline can name
+
+environment:
+  STEREOGS_DATA      folder of data sets that the ready pipelines read
+  STEREOGS_DEVICE    part of the name of the OpenCL device to use
+  STEREOGS_PLUGINS   plugins to load: unset = all, empty = none, or names by commas
+  STEREOGS_TRACE     1 = show the Python traceback of errors
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status.
+
+    0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C.
+    """
+    parsed = build_parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING, format="stereogs: %(message)s")
+    try:
+        status: int = parsed.run(parsed)
+    except ExplainedError as error:
+        return _explain(error)
+    except OSError as error:
+        where = str(error.filename or "")
+        what = f"a file operation failed: {error.strerror or error}"
+        return _explain(ExplainedError(what, where=where, fix="check the path and the free space"))
+    except KeyboardInterrupt:
+        error_console().print("stereogs: interrupted")
+        return INTERRUPTED
+    return status
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line, verb by verb."""
+    parser = argparse.ArgumentParser(
+        prog="stereogs",
+        description="Three to twenty-four photographs become a 3D Gaussian scene.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+    for verb in (train, evaluate, render, plugins, doctor, demo):
+        verb.add(verbs)
+    return parser
+
+
+def _explain(error: ExplainedError) -> int:
+    if os.environ.get(TRACE) == "1":
+        traceback.print_exception(error)
+    console = error_console()
+    for index, (label, text) in enumerate(
+        (("", error.what), ("where", error.where), ("fix", error.fix))
+    ):
+        if not text:
+            continue
+        lines = text.splitlines()
+        first = "stereogs: " if index == 0 else f"  {label:<6} "
+        rest = "" if index == 0 else " " * 9
+        for number, line in enumerate(lines):
+            console.print(
+                (first if number == 0 else rest) + line,
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
+    return USAGE_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""`stereogs render`: the test views, or a smooth path between the training views."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from core_rasterizer import open_device
+
+from ..camera_path import smooth_path
+from ..evaluation import render_view
+from ..pictures import save_view_pictures
+from ..plugins import Plugins
+from ..results import RENDERS
+from ..training_run import open_run
+from ..video import write_video
+from .output import Verbs, add_device, add_verb, console
+
+PATH = "path"
+
+_EPILOG = """\
+examples:
+  stereogs render runs/3dgs-fern             the test views, as pictures
+  stereogs render runs/3dgs-fern --path      a flight between the training views
+
+The flight is a video where the extra `video` is installed (pip install 'stereogs-plugins[video]'),
+else numbered PNG pictures.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "render", "render a run's test views, or a flight", _EPILOG)
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    parser.add_argument(
+        "--path", action="store_true", help="fly along a smooth path between the training views"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=120, metavar="N", help="pictures of the flight (default 120)"
+    )
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render and say where the files lie."""
+    output = console()
+    opened = open_run(
+        arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device)
+    )
+    folder = opened.run.folder(RENDERS)
+    if not arguments.path:
+        for view in opened.scene.test:
+            save_view_pictures(render_view(opened.model, opened.scene, view), view, folder)
+        count = len(opened.scene.test)
+        output.print(f"{count} test views in {folder}", highlight=False, soft_wrap=True)
+        return 0
+    cameras = smooth_path([view.camera for view in opened.scene.train], arguments.frames)
+    with torch.no_grad():
+        frames = (
+            opened.model.render(camera, background=opened.scene.background).rgb
+            for camera in cameras
+        )
+        written, note = write_video(frames, folder / PATH)
+    output.print(f"{note}: {written}", highlight=False, soft_wrap=True)
+    return 0

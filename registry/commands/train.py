@@ -1,0 +1,124 @@
+"""`stereogs train`: a pipeline in, a run folder out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from core_rasterizer import open_device
+
+from ..errors import RunError
+from ..pipeline import load_pipeline
+from ..plugins import Plugins
+from ..results import RENDERS, results_table
+from ..run import RunFolder
+from ..training_run import resume, start
+from .output import Verbs, add_device, add_verb, console
+
+INTERRUPTED = 130
+
+_EPILOG = """\
+examples:
+  stereogs train pipelines/3dgs.yaml
+  stereogs train pipelines/3dgs.yaml --set scene.path=photos --set training.iterations=5000
+  stereogs train pipelines/3dgs.yaml --disable opacity_reset --out runs/without-reset
+  stereogs train --resume runs/3dgs-fern
+
+Ctrl-C stops after the current iteration and leaves a checkpoint; --resume goes on from it to the
+same result.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "train", "train a scene as a pipeline file says", _EPILOG)
+    parser.add_argument("pipeline", nargs="?", type=Path, metavar="PIPELINE", help="a YAML file")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="the run folder, new or empty (default: runs/<pipeline>-<scene>, numbered if taken)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="A.B=VALUE",
+        help="change a setting; items of lists go by name: regularizers.stereo_depth.weight=2",
+    )
+    parser.add_argument(
+        "--disable",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="switch a component off",
+    )
+    parser.add_argument(
+        "--resume", type=Path, metavar="RUN", help="go on with a run that was stopped"
+    )
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train; 0 at the end, 130 after Ctrl-C."""
+    output = console()
+    if arguments.resume is not None:
+        given = [arguments.pipeline, arguments.out, *arguments.set, *arguments.disable]
+        if any(value is not None for value in given):
+            raise RunError(
+                "--resume goes on with the run's own pipeline, unchanged",
+                where="the command line",
+                fix=f"only: stereogs train --resume {arguments.resume}",
+            )
+        device = open_device(arguments.device)
+        finished = resume(arguments.resume, plugins=Plugins(), device=device, console=output)
+        return conclude(RunFolder(arguments.resume), finished, output)
+    if arguments.pipeline is None:
+        raise RunError(
+            "there is nothing to train",
+            where="the command line",
+            fix="give a pipeline file, for example pipelines/3dgs.yaml",
+        )
+    pipeline = load_pipeline(
+        arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
+    )
+    folder, finished = start(
+        pipeline,
+        device=open_device(arguments.device),
+        out=arguments.out,
+        command=sys.argv,
+        console=output,
+    )
+    return conclude(folder, finished, output)
+
+
+def conclude(folder: RunFolder, finished: bool, output: Console) -> int:
+    """Tell how the run ended and where its files lie; returns the exit status."""
+    if not finished:
+        output.print(
+            f"stopped; the checkpoint is complete. Go on with\n"
+            f"  stereogs train --resume {folder.path}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return INTERRUPTED
+    results: dict[str, Any] = folder.results()
+    output.print(results_table(results))
+    memory = results["peak_memory_mb"]
+    output.print(
+        f"{results['gaussians']:,} Gaussians, {results['iterations']:,} iterations in "
+        f"{results['seconds']:.0f} s ({results['iterations_per_second']:.1f} it/s)"
+        + (f", at most {memory:.0f} MB" if memory is not None else ""),
+        highlight=False,
+    )
+    for file in results["exports"]:
+        output.print(f"exported  {folder.path / file}", highlight=False, soft_wrap=True)
+    if results["test"]:
+        output.print(f"pictures  {folder.path / RENDERS}", highlight=False, soft_wrap=True)
+    output.print(f"hash      {results['hash']}", highlight=False, soft_wrap=True)
+    return 0
