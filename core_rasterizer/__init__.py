@@ -18,6 +18,7 @@ from .gaussians import Gaussians
 from .model import GaussianModel
 from .optimizer import Adam
 from .photometric import photometric_loss
+from .ply import load_ply, save_ply
 from .rasterize import rasterize
 from .rendering import Rendering
 from .topology import Carried, Edit, apply_edit
@@ -39,7 +40,9 @@ __all__ = [
     "Rendering",
     "apply_edit",
     "list_devices",
+    "load_ply",
     "open_device",
     "photometric_loss",
     "rasterize",
+    "save_ply",
 ]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -52,5 +53,7 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
         pose = np.eye(4)
         pose[:3, :3] = rotation.T
         pose[:3, 3] = -rotation.T @ center
-        path.append(replace(first, world_to_camera=pose, fx=fx, fy=fy, cx=cx, cy=cy))
+        path.append(
+            replace(first, world_to_camera=torch.from_numpy(pose), fx=fx, fy=fy, cx=cx, cy=cy)
+        )
     return path

@@ -1,11 +1,11 @@
 """Errors of the host. Each says what happened, where, and how to mend it (`ExplainedError`).
 
-    ExplainedError
-    ├── (the engine's errors, see core_rasterizer.errors)
-    ├── PipelineError             the YAML file: unknown names, wrong types; carries file and line
-    ├── PluginError               a plugin that cannot be loaded, or that failed while running
-    ├── SceneError                photographs, poses or points that cannot be used
-    └── RunError                  the run folder: cannot be created, resumed or read
+ExplainedError
+├── (the engine's errors, see core_rasterizer.errors)
+├── PipelineError             the YAML file: unknown names, wrong types; carries file and line
+├── PluginError               a plugin that cannot be loaded, or that failed while running
+├── SceneError                photographs, poses or points that cannot be used
+└── RunError                  the run folder: cannot be created, resumed or read
 """
 
 from __future__ import annotations

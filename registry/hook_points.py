@@ -72,9 +72,7 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         scheduled=True,
         weighted=True,
     ),
-    HookPoint(
-        "modifiers", "modifier", "stereogs_register_modifiers", c.Modifier, scheduled=True
-    ),
+    HookPoint("modifiers", "modifier", "stereogs_register_modifiers", c.Modifier, scheduled=True),
     HookPoint(
         "densification",
         "densification",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from core_rasterizer import Gaussians
@@ -54,7 +54,7 @@ def mean_squared_distances(positions: Tensor) -> Tensor:
     if neighbours == 0:
         return torch.full((1,), MIN_SQUARED_DISTANCE, dtype=torch.float64)
     array = positions.double().numpy()
-    distances, _ = cKDTree(array).query(array, k=neighbours + 1)
+    distances, _ = KDTree(array).query(array, k=neighbours + 1)
     # The nearest is the point itself, or a duplicate: at distance 0 either way.
     squared = torch.from_numpy(distances[:, 1:] ** 2)
     return squared.mean(dim=1).clamp(min=MIN_SQUARED_DISTANCE)

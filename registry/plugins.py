@@ -200,7 +200,7 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
             f"registry.{point.base.__name__}"
         )
     if inspect.isabstract(component):
-        missing = ", ".join(sorted(component.__abstractmethods__))
+        missing = ", ".join(sorted(getattr(component, "__abstractmethods__", ())))
         raise PluginError(f"the {point.title} {name!r} does not define {missing}")
     if not (isinstance(component.Settings, type) and issubclass(component.Settings, Settings)):
         raise PluginError(

@@ -1,11 +1,11 @@
 """The run folder: everything that a run leaves behind, and nothing if it could not begin.
 
-    pipeline.yaml     the pipeline with every default written out
-    provenance.json   versions, device, platform, seed, command line
-    metrics.jsonl     one line every few iterations
-    checkpoint/       to resume from (see checkpoint.py)
-    renders/          the test views; exports/  what the exporters wrote
-    results.json      scores and measurements, once training has ended
+pipeline.yaml     the pipeline with every default written out
+provenance.json   versions, device, platform, seed, command line
+metrics.jsonl     one line every few iterations
+checkpoint/       to resume from (see checkpoint.py)
+renders/          the test views; exports/  what the exporters wrote
+results.json      scores and measurements, once training has ended
 """
 
 from __future__ import annotations

@@ -14,9 +14,7 @@ from .scene import Scene
 class StepRenderer:
     """What components call as `step.render`: another camera, the same Gaussians."""
 
-    def __init__(
-        self, model: GaussianModel, scene: Scene, sh_degree: int, iteration: int
-    ) -> None:
+    def __init__(self, model: GaussianModel, scene: Scene, sh_degree: int, iteration: int) -> None:
         self._model, self._scene = model, scene
         self._sh_degree, self._iteration = sh_degree, iteration
 
@@ -40,8 +38,9 @@ def watch_gradients(rendering: Rendering, iteration: int) -> None:
     A finite loss can have one: the square root at zero is the usual case.
     """
 
-    def check(gradient: Tensor) -> None:
-        if not torch.isfinite(gradient).all():
+    def check(gradient: Tensor | None) -> None:
+        # None: the loss does not look at this image.
+        if gradient is not None and not torch.isfinite(gradient).all():
             raise PluginError(
                 "the gradient of the loss is not finite, though the loss is",
                 where=f"iteration {iteration}, with respect to a rendered image",
@@ -60,7 +59,7 @@ def backward(loss: Tensor, iteration: int) -> None:
         PluginError: a regularizer's part of it failed; torch does not say whose.
     """
     try:
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
     except ExplainedError:
         raise
     except Exception as error:

@@ -107,9 +107,7 @@ def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) ->
         f"{opened.pipeline.training.iterations}",
         highlight=False,
     )
-    return _train_to_end(
-        opened.run, opened.pipeline, trainer, opened.checkpoint.seconds, console
-    )
+    return _train_to_end(opened.run, opened.pipeline, trainer, opened.checkpoint.seconds, console)
 
 
 def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:

@@ -159,7 +159,8 @@ class _Converter:
             return Node(self._mapping(node, depth), place)
         if isinstance(node, yaml.SequenceNode):
             return Node([self.convert(item, depth + 1) for item in node.value], place)
-        return Node(node.value if node.style else resolve(node.value), place)
+        quoted = isinstance(node, yaml.ScalarNode) and node.style
+        return Node(node.value if quoted else resolve(node.value), place)
 
     def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Node]:
         result: dict[str, Node] = {}

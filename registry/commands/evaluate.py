@@ -33,9 +33,7 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print."""
     output = console()
-    opened = open_run(
-        arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device)
-    )
+    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
     scores = score(opened.run, opened.parts, opened.scene, opened.model)
     facts = describe(opened.pipeline, opened.scene, opened.model, opened.checkpoint.iteration)
     results = jsonable({**opened.run.results(), **facts, **scores})

@@ -47,9 +47,7 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render and say where the files lie."""
     output = console()
-    opened = open_run(
-        arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device)
-    )
+    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
     folder = opened.run.folder(RENDERS)
     if not arguments.path:
         for view in opened.scene.test:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry import PointCloud, Scene, SceneError
+from registry import PointCloud, Scene, SceneError, View
 from stereogs_plugins.initializers._triangulation import triangulate
 from stereogs_plugins.initializers.sfm import SfmInitializer, stereogs_register_initializers
 from stereogs_plugins.scenes.llff import LLFFScene
@@ -63,7 +63,7 @@ def test_one_seed_one_result(scene: Scene, points: PointCloud) -> None:
 
 
 def test_off_center_principal_points_are_respected(scene: Scene, points: PointCloud) -> None:
-    def crop(view):  # type: ignore[no-untyped-def]
+    def crop(view: View) -> View:
         camera = replace(view.camera, cx=view.camera.cx - 40, width=view.camera.width - 40)
         return replace(view, camera=camera, image=view.image[:, 40:].contiguous(), depth=None)
 

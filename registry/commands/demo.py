@@ -1,0 +1,74 @@
+"""`stereogs demo`: the whole thing once, on three views."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from importlib import resources
+from pathlib import Path
+
+from core_rasterizer import open_device
+
+from ..pipeline import parse_pipeline
+from ..plugins import Plugins
+from ..results import RENDERS
+from ..training_run import start
+from .output import Verbs, add_device, add_verb, console
+from .train import conclude
+
+DATA = "STEREOGS_DATA"
+PHOTOGRAPHS = "llff_fern"
+"""The data set that the demo prefers to its own room."""
+
+_EPILOG = """\
+examples:
+  stereogs demo
+  STEREOGS_DATA=/data stereogs demo     three photographs of /data/llff_fern instead of a drawn room
+
+It trains for two minutes or so on two processor cores, scores views that it has not seen, and writes
+demo.png into the run folder: truth, render and depth of such a view, side by side.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "demo", "train on three views and score unseen ones", _EPILOG)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the run folder (default: in runs)")
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train the demo's pipeline and show what came out."""
+    output = console()
+    text = resources.files("registry").joinpath("data", "demo.yaml").read_text("utf-8")
+    pipeline = parse_pipeline(text, Plugins(), source="demo.yaml", overrides=_scene())
+    folder, finished = start(
+        pipeline,
+        device=open_device(arguments.device),
+        out=arguments.out,
+        command=sys.argv,
+        console=output,
+    )
+    if finished:
+        comparison = sorted((folder.path / RENDERS).glob("*_comparison.png"))[0]
+        shutil.copyfile(comparison, folder.path / "demo.png")
+    status = conclude(folder, finished, output)
+    if finished:
+        output.print(
+            f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    return status
+
+
+def _scene() -> list[str]:
+    """The override that puts photographs in place of the drawn room, if there are any."""
+    root = os.environ.get(DATA)
+    if not root or not Path(root, PHOTOGRAPHS).is_dir():
+        return []
+    path = f"${{{DATA}}}/{PHOTOGRAPHS}"
+    return [f'scene={{use: llff, path: "{path}", train_views: 3}}']

@@ -1,0 +1,58 @@
+"""`stereogs doctor`: which devices there are, which is used, and whether they compute correctly."""
+
+from __future__ import annotations
+
+import argparse
+
+from core_rasterizer import Device, DeviceError, list_devices, open_device
+
+from ..self_test import self_test
+from .output import Verbs, add_device, add_verb, console
+
+FAULT = 1
+
+_EPILOG = """\
+examples:
+  stereogs doctor
+  stereogs doctor --device pocl     which device this name would choose
+
+Each device renders a small scene and differentiates it; the result is compared with a reference
+computed in double precision. The first time, a driver may compile kernels for a minute.
+Exit status 1 if a device computes wrongly.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "doctor", "find and test the OpenCL devices", _EPILOG)
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Test every device; 1 if one fails."""
+    output = console()
+    chosen = open_device(arguments.device)
+    failed = False
+    for device in list_devices():
+        passed, verdict = _judge(device)
+        failed |= not passed
+        mark = "  <- chosen" if device is chosen else ""
+        output.print(
+            f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
+            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
+            f"  self-test: {verdict}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    return FAULT if failed else 0
+
+
+def _judge(device: Device) -> tuple[bool, str]:
+    try:
+        verdict = self_test(device)
+    except DeviceError as error:
+        return False, f"FAILED: {error.what}"
+    numbers = f"image error {verdict.image_error:.1e}, gradient error {verdict.gradient_error:.1e}"
+    return verdict.passed, f"{'passed' if verdict.passed else 'FAILED'}, {numbers}"

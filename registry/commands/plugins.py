@@ -1,0 +1,93 @@
+"""`stereogs plugins`: what a pipeline can name."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from rich.table import Table
+
+from ..plugins import Offer, Plugins
+from .output import Verbs, add_verb, console
+
+FAULT = 1
+
+_EPILOG = """\
+examples:
+  stereogs plugins                 a table: name, hook point, package, settings and their defaults
+  stereogs plugins --json          the same for programs, with a JSON schema of the settings
+  stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
+
+STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "plugins", "list what a pipeline can name", _EPILOG)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List them; 1 if --check finds a fault."""
+    plugins = Plugins()
+    offers = plugins.all()
+    faults = [*plugins.broken.values(), *plugins.conflicts()]
+    output = console()
+    if arguments.json:
+        print(
+            json.dumps(
+                {
+                    "plugins": [_as_json(offer) for offer in offers],
+                    "faults": [{"what": f.what, "where": f.where, "fix": f.fix} for f in faults],
+                },
+                indent=2,
+            )
+        )
+    else:
+        output.print(_table(offers))
+        for fault in faults:
+            output.print(str(fault), markup=False, highlight=False, soft_wrap=True)
+        if arguments.check and not faults:
+            output.print(f"{len(offers)} components, no fault", highlight=False)
+    return FAULT if arguments.check and faults else 0
+
+
+def _table(offers: Any) -> Table:
+    table = Table()
+    for heading in ("section", "name", "package", "settings"):
+        table.add_column(heading, overflow="fold")
+    for offer in offers:
+        table.add_row(
+            offer.point.section,
+            offer.name,
+            f"{offer.distribution} {offer.version}",
+            "\n".join(_settings(offer)),
+        )
+    return table
+
+
+def _settings(offer: Offer) -> list[str]:
+    """`name=default`, or the bare name where a pipeline must give a value."""
+    return [
+        name
+        if field.is_required()
+        else f"{name}={json.dumps(field.get_default(call_default_factory=True), default=str)}"
+        for name, field in offer.settings_type.model_fields.items()
+    ]
+
+
+def _as_json(offer: Offer) -> dict[str, Any]:
+    return {
+        "name": offer.name,
+        "section": offer.point.section,
+        "hook": offer.point.hook,
+        "plugin": offer.plugin,
+        "package": offer.distribution,
+        "version": offer.version,
+        "summary": (offer.component.__doc__ or "").strip().partition("\n")[0],
+        "settings": offer.settings_type.model_json_schema(),
+    }
