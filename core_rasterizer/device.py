@@ -44,7 +44,12 @@ class Device:
         bytes_moved: bytes copied between host and a device that does not share memory.
     """
 
-    def __init__(self, handle: cl.Device, variant: Variant | None = None) -> None:
+    def __init__(
+        self,
+        handle: cl.Device,
+        variant: Variant | None = None,
+        shares_memory: bool | None = None,
+    ) -> None:
         self._handle = handle
         self.name = handle.name.strip()
         self.platform = handle.platform.name.strip()
@@ -53,7 +58,7 @@ class Device:
         self.variant: Variant = variant or ("cpu" if self.kind == "cpu" else "gpu")
         self.compute_units = int(handle.max_compute_units)
         self.memory_bytes = int(handle.global_mem_size)
-        self.shares_memory = self.kind == "cpu"
+        self.shares_memory = self.kind == "cpu" if shares_memory is None else shares_memory
         self.supports_double = "cl_khr_fp64" in handle.extensions.split()
         self.lanes = CPU_LANES if self.variant == "cpu" else 1
         self.bytes_moved = 0
@@ -73,7 +78,29 @@ class Device:
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""
-        return Device(self._handle, variant)
+        return Device(self._handle, variant, self.shares_memory)
+
+    def as_discrete(self) -> Device:
+        """The same device as if its memory were its own: whatever crosses is copied, and counted."""
+        return Device(self._handle, self.variant, shares_memory=False)
+
+    def allocate(
+        self, elements: int, dtype: torch.dtype, over: Tensor | None
+    ) -> tuple[cl.Buffer, Tensor | None]:
+        """Memory for an array.
+
+        Args:
+            over: a CPU tensor to wrap instead, where memory is shared.
+
+        Returns:
+            A buffer of so many elements, and where memory is shared the flat tensor that it is.
+        """
+        flags = cl.mem_flags.READ_WRITE
+        if not self.shares_memory:
+            return cl.Buffer(self.context, flags, size=elements * dtype.itemsize), None
+        host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
+        flags |= cl.mem_flags.USE_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
 
     def program(self, *sources: str, dtype: torch.dtype, **defines: int) -> Program:
         """Build the named kernel files together, once for each combination of settings.
@@ -159,18 +186,10 @@ class DeviceArray:
         self.device = device
         self.shape = shape
         self.dtype = dtype
-        flags = cl.mem_flags.READ_WRITE
+        # OpenCL has no empty buffers, so an empty array keeps one element in reserve.
         elements = max(1, int(np.prod(shape, dtype=np.int64)))
-        self._host: Tensor | None = None
-        if device.shares_memory:
-            # OpenCL has no empty buffers, so an empty array keeps one element in reserve.
-            storage = over if over is not None else torch.zeros(elements, dtype=dtype)
-            self._host = storage.reshape(-1)
-            self.buffer = cl.Buffer(
-                device.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=self._host.numpy()
-            )
-        else:
-            self.buffer = cl.Buffer(device.context, flags, size=elements * dtype.itemsize)
+        self.buffer, self._host = device.allocate(elements, dtype, over)
+        if self._host is None:
             self.fill(0)
 
     @property

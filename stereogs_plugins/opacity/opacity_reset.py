@@ -14,6 +14,8 @@ from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hoo
 class OpacityResetSettings(Settings):
     ceiling: float = Field(0.01, gt=0, lt=1)
     """No opacity is higher than this after a reset."""
+    recovery: int = Field(500, ge=0)
+    """Iterations that opacities need to grow back; with fewer left before the end nothing is reset."""
 
 
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
@@ -21,8 +23,10 @@ class OpacityReset(OpacityPolicy[OpacityResetSettings]):
 
     Settings = OpacityResetSettings
 
-    def update(self, step: Step) -> OpacityUpdate:
-        """Return the lowered opacities."""
+    def update(self, step: Step) -> OpacityUpdate | None:
+        """Return the lowered opacities, or None too close to the end of training."""
+        if step.iterations - step.iteration < self.settings.recovery:
+            return None
         opacities = step.model.opacities().clamp(max=self.settings.ceiling)
         return OpacityUpdate(opacities, reset_moments=True)
 

@@ -20,3 +20,9 @@ def test_lowers_to_the_ceiling_and_forgets_the_moments() -> None:
     assert update.reset_moments
     higher = build(OpacityReset, ceiling=0.05).update(step)
     torch.testing.assert_close(higher.opacities, torch.tensor([0.05, 0.006]))
+
+
+def test_nothing_is_reset_so_late_that_opacities_could_not_recover() -> None:
+    step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]), iteration=501)
+    assert build(OpacityReset).update(step) is None
+    assert build(OpacityReset, recovery=499).update(step) is not None
