@@ -16,7 +16,7 @@ from torch import Tensor
 
 from .camera import Camera
 from .device import Device, DeviceArray
-from .errors import CameraError, MemoryBudgetError
+from .errors import CameraError, GaussianError, MemoryBudgetError
 
 ROWS_BEFORE_SH = 11
 """Parameter rows in front of the SH coefficients: mean 3, scale 3, quaternion 4, opacity 1."""
@@ -25,10 +25,13 @@ NEAR_PLANE = 0.2
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 
+_LARGEST = 1e37
+"""REAL_LARGEST of the kernels: what reaches it is not shown."""
 _RECORD = 16
 _DIGIT_BITS = 11
 _BUCKETS = 1 << _DIGIT_BITS
-_PAIR_LIMIT = 2**32 - 1
+_PAIR_LIMIT = 3 * 2**30
+"""Pairs that 32-bit indices can count, with room for the margin of growing arrays."""
 
 
 def padded(count: int) -> int:
@@ -69,6 +72,7 @@ class Frame:
         self.arrays: dict[str, DeviceArray] = {}
         self.view: View
         self.tiles = (0, 0)
+        self.pair_limit = 0
         self.visible = 0
         self.pairs = 0
 
@@ -90,7 +94,8 @@ class Rasterizer:
     Args:
         device: where to run; `device.variant` decides which raster kernels and tile size.
         dtype: torch.float32, or torch.float64 where the device supports it.
-        memory_budget: bytes that the lists of (tile, Gaussian) pairs may take.
+        memory_budget: bytes that one render and its backward pass may take; None is half of the device's
+            memory.
     """
 
     def __init__(
@@ -137,8 +142,10 @@ class Rasterizer:
             `backward` wants.
 
         Raises:
-            MemoryBudgetError: the Gaussians cover so many tiles that the lists would not fit.
-            CameraError: the image is larger than a device index can address.
+            MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
+            CameraError: the image is larger than a device index can address, or the near plane is not
+                in front of the camera.
+            GaussianError: a background that is not three numbers.
         """
         lease = Lease(self._frames)
         frame = lease.frame
@@ -153,7 +160,7 @@ class Rasterizer:
             frame.visible, frame.pairs = int(counters[0]), int(counters[1])
             if frame.pairs <= self._capacity_of(frame):
                 break
-            self._grow_pairs(frame, view.camera)
+            self._grow_pairs(frame, block)
         rgb, depth, alpha = (image.read() for image in images)
         return rgb, depth, alpha, lease
 
@@ -236,9 +243,11 @@ class Rasterizer:
                 where="camera",
                 fix="render it in parts, or at a lower resolution",
             )
+        _check_view(view)
         width, height = self.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
+        self._check_budget(frame, block)
         wide = torch.float64 if self.device.supports_double else self.dtype
         self._fit(frame, "camera", wide, 32)
         self._fit(frame, "records", self.dtype, capacity * _RECORD)
@@ -323,6 +332,7 @@ class Rasterizer:
             chunk_pairs,
             counters,
             *size,
+            np.uint32(frame.pair_limit),
         )
         self._scan(counts, arrays["tile_starts"], tiles, counters, counter=2)
         self.program.run(
@@ -365,20 +375,48 @@ class Rasterizer:
         )
         return rgb, depth, alpha
 
-    def _grow_pairs(self, frame: Frame, camera: Camera) -> None:
-        needed = frame.pairs + frame.pairs // 4
-        # A pair takes 8 bytes in the list and a record of sums in the backward pass.
-        bytes_needed = needed * (8 + _RECORD * self.dtype.itemsize)
-        if needed > _PAIR_LIMIT or bytes_needed > self.memory_budget:
-            raise MemoryBudgetError(
-                f"the Gaussians cover {frame.pairs:,} (tile, Gaussian) pairs, which need "
-                f"{bytes_needed / 2**20:,.0f} MB; the budget is {self.memory_budget / 2**20:,.0f} MB",
-                where=f"a render of {camera.width}x{camera.height} pixels",
-                fix="lower the number or the size of the Gaussians, render fewer pixels, or raise "
-                "the memory budget",
+    def _check_budget(self, frame: Frame, block: Block) -> None:
+        """Refuse a render whose image and Gaussians alone are too large; see how many pairs may join."""
+        camera, real = frame.view.camera, self.dtype.itemsize
+        # Three images, the transmittance, and five numbers a pixel of gradients.
+        pixels = camera.width * camera.height * 11 * real
+        # Record, cover, sort keys and orders, slots; the tables of counts, a row a chunk.
+        gaussians = block.capacity * (_RECORD * real + 16 + 5 * 4 + 2 * 4 + 1)
+        counts = 4 * self.chunks * max(_BUCKETS, frame.tiles[0] * frame.tiles[1])
+        needed = pixels + gaussians + counts
+        if needed > self.memory_budget:
+            raise self._over_budget(
+                frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"
             )
-        self._pair_capacity = max(self._pair_capacity, needed)
+        frame.pair_limit = min(_PAIR_LIMIT, (self.memory_budget - needed) // self._bytes_of_pair)
+
+    def _grow_pairs(self, frame: Frame, block: Block) -> None:
+        if frame.pairs > frame.pair_limit:
+            self._scratch["chunk_pairs"].fill(0)  # where the kernels note that they were refused
+            needed = frame.pair_limit * self._bytes_of_pair / 2**20
+            raise self._over_budget(
+                frame,
+                block,
+                f"has more than {frame.pair_limit:,} (tile, Gaussian) pairs, which need {needed:,.0f} MB "
+                "beside the images",
+            )
+        wanted = min(frame.pairs + frame.pairs // 4, frame.pair_limit)
+        self._pair_capacity = max(self._pair_capacity, wanted)
         self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
+
+    @property
+    def _bytes_of_pair(self) -> int:
+        """A pair takes 8 bytes in the list and a record of sums in the backward pass."""
+        return 8 + _RECORD * self.dtype.itemsize
+
+    def _over_budget(self, frame: Frame, block: Block, what: str) -> MemoryBudgetError:
+        camera = frame.view.camera
+        return MemoryBudgetError(
+            f"the render {what}; the budget is {self.memory_budget / 2**20:,.0f} MB",
+            where=f"{block.count:,} Gaussians in {camera.width}x{camera.height} pixels",
+            fix="lower the number or the size of the Gaussians, render fewer pixels, or raise the memory "
+            "budget",
+        )
 
     def _capacity_of(self, frame: Frame) -> int:
         return frame.arrays["pairs"].shape[0] // 2
@@ -453,6 +491,21 @@ def _make_room(
         margin = elements // 8 if array is not None else 0
         array = arrays[name] = DeviceArray(device, (elements + margin,), dtype)
     return array
+
+
+def _check_view(view: View) -> None:
+    """Refuse a near plane or a background that would make the image undefined."""
+    if not 0 < view.near < _LARGEST:
+        raise CameraError(
+            f"the near plane is at {view.near}; it must be in front of the camera",
+            where="near",
+            fix=f"use a small positive depth, such as {NEAR_PLANE}",
+        )
+    if len(view.background) != 3:
+        raise GaussianError(f"{len(view.background)} numbers given, expected 3", field="background")
+    for index, value in enumerate(view.background):
+        if not abs(value) < _LARGEST:
+            raise GaussianError(f"the value is {value}", field="background", index=index)
 
 
 def _camera_block(view: View) -> Tensor:

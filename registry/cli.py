@@ -9,6 +9,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+import torch
+
 from core_rasterizer import ExplainedError
 
 from .commands import demo, doctor, evaluate, plugins, render, train
@@ -41,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C.
     """
     parsed = build_parser().parse_args(arguments)
+    # torch's own threads would wait in a spin beside the OpenCL device's: small operations between
+    # kernels then cost milliseconds. One thread also makes torch's sums independent of the machine.
+    torch.set_num_threads(1)
     logging.basicConfig(level=logging.WARNING, format="stereogs: %(message)s")
     try:
         status: int = parsed.run(parsed)
@@ -74,21 +79,11 @@ def _explain(error: ExplainedError) -> int:
     if os.environ.get(TRACE) == "1":
         traceback.print_exception(error)
     console = error_console()
-    for index, (label, text) in enumerate(
-        (("", error.what), ("where", error.where), ("fix", error.fix))
-    ):
-        if not text:
-            continue
-        lines = text.splitlines()
-        first = "stereogs: " if index == 0 else f"  {label:<6} "
-        rest = "" if index == 0 else " " * 9
-        for number, line in enumerate(lines):
-            console.print(
-                (first if number == 0 else rest) + line,
-                markup=False,
-                highlight=False,
-                soft_wrap=True,
-            )
+    console.print(f"stereogs: {error.what}")
+    for label, text in (("where", error.where), ("fix", error.fix)):
+        if text:
+            indented = text.replace("\n", "\n" + " " * 9)
+            console.print(f"  {label:<6} {indented}")
     return USAGE_ERROR
 
 

@@ -76,7 +76,5 @@ class TrainingProgress:
             left = int((self._total - iteration) / max(speed, 1e-9))
             self._console.print(
                 f"iteration {iteration}/{self._total}  loss {smooth:.4f}  "
-                f"{gaussians:,} Gaussians  {speed:.1f} it/s  {left // 60}:{left % 60:02d} left",
-                highlight=False,
-                soft_wrap=True,
+                f"{gaussians:,} Gaussians  {speed:.1f} it/s  {left // 60}:{left % 60:02d} left"
             )

@@ -69,10 +69,7 @@ def start(
         RunFolder.check_vacant(out)
     parts = Parts(pipeline)
     scene = load_scene(parts)
-    console.print(
-        f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views",
-        highlight=False,
-    )
+    console.print(f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views")
     initializer = parts.one("initializer")
     with blame(initializer.item):
         points = initializer.component.initialize(scene, parts.priors)
@@ -80,11 +77,7 @@ def start(
     model = GaussianModel(gaussians, device)
     run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
     run.create(pipeline.to_yaml(), provenance(pipeline, device, list(command)))
-    console.print(
-        f"{len(points):,} points; {device.name}; writing {run.path}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
     trainer = Trainer(pipeline.training, parts, scene, model)
     return run, _train_to_end(run, pipeline, trainer, 0.0, console)
 
@@ -104,8 +97,7 @@ def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) ->
     opened.run.forget_metrics_after(opened.checkpoint.iteration)
     console.print(
         f"going on after iteration {opened.checkpoint.iteration} of "
-        f"{opened.pipeline.training.iterations}",
-        highlight=False,
+        f"{opened.pipeline.training.iterations}"
     )
     return _train_to_end(opened.run, opened.pipeline, trainer, opened.checkpoint.seconds, console)
 

@@ -24,7 +24,7 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
         What was written, and a few words that say which of the two it is.
     """
     try:
-        import imageio_ffmpeg
+        import imageio_ffmpeg  # type: ignore[import-untyped]
     except ImportError:
         target.mkdir(parents=True, exist_ok=True)
         for number, frame in enumerate(frames):

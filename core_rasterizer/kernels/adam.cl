@@ -13,6 +13,8 @@
 #define SHARE1 ((real)0.1)
 #define SHARE2 ((real)0.001)
 #define EPSILON ((real)1e-15)
+/* The square of a gradient beyond this is no number; such a gradient, or an undefined one, counts as 0. */
+#define LARGEST_GRADIENT ((real)(REAL_IS_DOUBLE ? 1e150 : 1e18))
 
 __kernel void adam(
     __global real *restrict parameters, __global const real *restrict gradients,
@@ -29,7 +31,8 @@ __kernel void adam(
     const size_t first = row * capacity;
     /* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. */
     for (size_t at = first + begin; at < first + end; at++) {
-        const real gradient = gradients[at];
+        const real given = gradients[at];
+        const real gradient = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT) ? given : 0;
         const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
         const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
         first_moments[at] = m;

@@ -93,18 +93,19 @@ static inline lane lane_sqrt(lane x)
     return x;
 }
 
-/* e^x, to about one unit in the last place; x is clamped so that the result stays finite. */
+/* e^x, to about one unit in the last place; x is clamped so that the result stays finite. The order of
+ * the clamps' arguments lets NaN through. */
 static inline lane lane_exp(lane x)
 {
 #if REAL_IS_DOUBLE || LANES == 1
-    x = LANE_MIN(x, (lane)(REAL_IS_DOUBLE ? 700 : 88));
+    x = LANE_MIN((lane)(REAL_IS_DOUBLE ? 700 : 88), x);
     for (int i = 0; i < LANES; i++)
         LANE_AT(x, i) = exp(LANE_AT(x, i));
     return x;
 #else
     /* x = n ln 2 + r with |r| <= ln 2 / 2; ln 2 in two parts keeps r exact. Adding and subtracting
      * 1.5 * 2^23 rounds to the nearest integer without a call. */
-    x = LANE_MIN(LANE_MAX(x, (lane)-87.0f), (lane)88.0f);
+    x = LANE_MIN((lane)88.0f, LANE_MAX((lane)-87.0f, x));
     const lane shifted = x * 1.44269504f + 12582912.0f;
     const lane n = shifted - 12582912.0f;
     const lane r = (x - n * 0.693145752f) - n * 1.42860677e-6f;

@@ -208,8 +208,9 @@ __kernel void gradient(
         const lane b = LOAD_GLOBAL(target + pixel);
         const lane d = LOAD_GLOBAL(image + pixel) - b;
         const lane sign = d > (lane)0 ? (lane)1 : d < (lane)0 ? (lane)-1 : (lane)0;
-        STORE_GLOBAL(
-            result + pixel,
-            l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + b * by_product));
+        const lane slope
+            = l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + b * by_product);
+        /* Values beyond 1e12 may overflow on the way; what is undefined is no gradient. */
+        STORE_GLOBAL(result + pixel, LANE_ABS(slope) < (lane)REAL_LARGEST ? slope : (lane)0);
     }
 }

@@ -23,7 +23,7 @@ static inline void shade(
         lane sum = (lane)0.5;
         for (int k = 0; k < (degree + 1) * (degree + 1); k++)
             sum += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
-        color[c] = LANE_MAX(sum, (lane)0);
+        color[c] = sum < (lane)0 ? (lane)0 : sum; /* NaN stays, and makes the Gaussian invisible */
     }
 }
 

@@ -22,11 +22,12 @@ static inline void sum_pairs(
             LANE_AT(sums[k], l) = totals[l][k];
 }
 
+/* What overflowed is no gradient: it becomes 0, so that no step of an optimizer can be undefined. */
 static inline void put(__global real *row, lane value, int accumulate)
 {
     if (accumulate)
         value += LOAD_GLOBAL(row);
-    STORE_GLOBAL(row, value);
+    STORE_GLOBAL(row, LANE_ABS(value) < (lane)REAL_LARGEST ? value : (lane)0);
 }
 
 /* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`. */

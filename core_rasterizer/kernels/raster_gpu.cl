@@ -147,7 +147,8 @@ void raster_backward(
     for (uint p = tile_starts[tile]; p < end; p += BATCH) {
         const uint batch = min((uint)BATCH, end - p);
         if (!any_in_group(&flag, t > 0)) {
-            for (uint k = p * (PAIR_TOUCHED + 1) + local_id; k < end * (PAIR_TOUCHED + 1); k += GROUP)
+            const size_t last = (size_t)end * (PAIR_TOUCHED + 1);
+            for (size_t k = (size_t)p * (PAIR_TOUCHED + 1) + local_id; k < last; k += GROUP)
                 pair_sums[(size_t)pairs[k / (PAIR_TOUCHED + 1)].y * PAIR + k % (PAIR_TOUCHED + 1)] = 0;
             break;
         }

@@ -15,6 +15,8 @@ void gather_columns(
         target[(size_t)row * target_capacity + j] = keep ? values[(size_t)row * capacity + from] : 0;
 }
 
+#define LARGEST_LOG_SCALE ((real)80) /* e^80 times the noise is still a number */
+
 /* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks (3DGS: 1.6). */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
 void spread_children(
@@ -28,14 +30,17 @@ void spread_children(
     const size_t stride = capacity;
     real w = row[ROW_QUATERNION * stride], x = row[(ROW_QUATERNION + 1) * stride],
          y = row[(ROW_QUATERNION + 2) * stride], z = row[(ROW_QUATERNION + 3) * stride];
-    const real norm = sqrt(w * w + x * x + y * y + z * z);
-    if (norm > SMALLEST_QUATERNION)
+    /* As in projection.cl: the largest component first, so that no square overflows. */
+    const real largest = fmax(fmax(fabs(w), fabs(x)), fmax(fabs(y), fabs(z)));
+    if (largest >= SMALLEST_QUATERNION) {
+        w /= largest, x /= largest, y /= largest, z /= largest;
+        const real norm = sqrt(w * w + x * x + y * y + z * z);
         w /= norm, x /= norm, y /= norm, z /= norm;
-    else
+    } else
         w = 1, x = y = z = 0;
     real offset[3];
     for (int k = 0; k < 3; k++)
-        offset[k] = exp(row[(ROW_SCALE + k) * stride]) * noise[3 * child + k];
+        offset[k] = exp(fmin(row[(ROW_SCALE + k) * stride], LARGEST_LOG_SCALE)) * noise[3 * child + k];
     row[0] += (1 - 2 * (y * y + z * z)) * offset[0] + 2 * (x * y - w * z) * offset[1]
         + 2 * (x * z + w * y) * offset[2];
     row[stride] += 2 * (x * y + w * z) * offset[0] + (1 - 2 * (x * x + z * z)) * offset[1]

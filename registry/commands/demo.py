@@ -57,11 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         shutil.copyfile(comparison, folder.path / "demo.png")
     status = conclude(folder, finished, output)
     if finished:
-        output.print(
-            f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        output.print(f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}")
     return status
 
 

@@ -41,10 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         output.print(
             f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
             f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
-            f"  self-test: {verdict}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+            f"  self-test: {verdict}"
         )
     return FAULT if failed else 0
 

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     facts = describe(opened.pipeline, opened.scene, opened.model, opened.checkpoint.iteration)
     results = jsonable({**opened.run.results(), **facts, **scores})
     opened.run.write_results(results)
-    output.print(results_table(results))
+    output.print(results_table(results), soft_wrap=False)
     if opened.scene.test:
-        output.print(f"pictures  {opened.run.path / RENDERS}", highlight=False, soft_wrap=True)
+        output.print(f"pictures  {opened.run.path / RENDERS}")
     return 0

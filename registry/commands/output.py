@@ -13,12 +13,12 @@ Verbs = Any
 
 def console() -> Console:
     """Standard output, as it is now."""
-    return Console()
+    return Console(markup=False, highlight=False, soft_wrap=True)
 
 
 def error_console() -> Console:
     """Standard error, as it is now."""
-    return Console(stderr=True)
+    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def add_verb(verbs: Verbs, name: str, help_text: str, epilog: str) -> argparse.ArgumentParser:

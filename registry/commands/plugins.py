@@ -48,11 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
             )
         )
     else:
-        output.print(_table(offers))
+        output.print(_table(offers), soft_wrap=False)
         for fault in faults:
-            output.print(str(fault), markup=False, highlight=False, soft_wrap=True)
+            output.print(str(fault))
         if arguments.check and not faults:
-            output.print(f"{len(offers)} components, no fault", highlight=False)
+            output.print(f"{len(offers)} components, no fault")
     return FAULT if arguments.check and faults else 0
 
 

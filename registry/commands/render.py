@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         for view in opened.scene.test:
             save_view_pictures(render_view(opened.model, opened.scene, view), view, folder)
         count = len(opened.scene.test)
-        output.print(f"{count} test views in {folder}", highlight=False, soft_wrap=True)
+        output.print(f"{count} test views in {folder}")
         return 0
     cameras = smooth_path([view.camera for view in opened.scene.train], arguments.frames)
     with torch.no_grad():
@@ -62,5 +62,5 @@ def run(arguments: argparse.Namespace) -> int:
             for camera in cameras
         )
         written, note = write_video(frames, folder / PATH)
-    output.print(f"{note}: {written}", highlight=False, soft_wrap=True)
+    output.print(f"{note}: {written}")
     return 0

@@ -102,23 +102,20 @@ def conclude(folder: RunFolder, finished: bool, output: Console) -> int:
     if not finished:
         output.print(
             f"stopped; the checkpoint is complete. Go on with\n"
-            f"  stereogs train --resume {folder.path}",
-            highlight=False,
-            soft_wrap=True,
+            f"  stereogs train --resume {folder.path}"
         )
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
-    output.print(results_table(results))
+    output.print(results_table(results), soft_wrap=False)
     memory = results["peak_memory_mb"]
     output.print(
         f"{results['gaussians']:,} Gaussians, {results['iterations']:,} iterations in "
         f"{results['seconds']:.0f} s ({results['iterations_per_second']:.1f} it/s)"
-        + (f", at most {memory:.0f} MB" if memory is not None else ""),
-        highlight=False,
+        + (f", at most {memory:.0f} MB" if memory is not None else "")
     )
     for file in results["exports"]:
-        output.print(f"exported  {folder.path / file}", highlight=False, soft_wrap=True)
+        output.print(f"exported  {folder.path / file}")
     if results["test"]:
-        output.print(f"pictures  {folder.path / RENDERS}", highlight=False, soft_wrap=True)
-    output.print(f"hash      {results['hash']}", highlight=False, soft_wrap=True)
+        output.print(f"pictures  {folder.path / RENDERS}")
+    output.print(f"hash      {results['hash']}")
     return 0
