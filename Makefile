@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test lint types check clean help
+.PHONY: demo test lint types docs bench-engine check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,12 @@ lint: $(VENV)/.dev ## ruff: rules and format
 
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy
+
+docs: $(VENV)/.dev ## docs/components.md, written from the code
+	$(BIN)/python docs/make_reference.py
+
+bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
+	$(BIN)/python -m benchmarks.engine
 
 check: test lint types ## everything that must hold
 

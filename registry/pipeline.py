@@ -12,7 +12,7 @@ from .errors import PipelineError, PluginError
 from .hook_points import HOOK_POINTS, HookPoint
 from .pipeline_edits import TOP_LEVEL, apply_override, disable, expand
 from .plugins import Offer, Plugins
-from .schedule import HostSettings, Schedule
+from .schedule import HostSettings, Schedule, in_iterations
 from .settings_check import escape_variables, plain, validate_settings
 from .suggestions import did_you_mean, listing
 from .training_settings import TrainingSettings
@@ -142,18 +142,17 @@ def _checked(
                 where=str(node.place),
                 fix=f"sections: {listing(TOP_LEVEL)}",
             )
+    written = sections.get("training", Node({}, root.place))
+    if written.content is None:
+        written = Node({}, written.place)
+    training = validate_settings(TrainingSettings, _mapping(written, "training"), "training")
     items = {
-        point.section: _section(point, sections.get(point.section), root.place, plugins)
+        point.section: _section(
+            point, sections.get(point.section), root.place, plugins, training.iterations
+        )
         for point in HOOK_POINTS
     }
-    training = sections.get("training", Node({}, root.place))
-    if training.content is None:
-        training = Node({}, training.place)
-    return Pipeline(
-        _name(sections.get("name"), root.place),
-        items,
-        validate_settings(TrainingSettings, _mapping(training, "training"), "training"),
-    )
+    return Pipeline(_name(sections.get("name"), root.place), items, training)
 
 
 def _name(node: Node | None, start: Place) -> str:
@@ -168,14 +167,16 @@ def _name(node: Node | None, start: Place) -> str:
 
 
 def _section(
-    point: HookPoint, node: Node | None, start: Place, plugins: Plugins
+    point: HookPoint, node: Node | None, start: Place, plugins: Plugins, iterations: int
 ) -> tuple[Item, ...]:
     if node is None or node.content is None:
         written: list[Node] = []
     elif not point.many:
         if isinstance(node.content, list):
             raise PipelineError(
-                f"{point.section} holds a single {point.title}, not a list", where=str(node.place)
+                f"{point.section} holds a single {point.title}, not a list",
+                where=str(node.place),
+                fix="write one component; set its `use` and settings without a dash",
             )
         written = [node]
     elif isinstance(node.content, list):
@@ -188,7 +189,7 @@ def _section(
         )
     items: dict[str, Item] = {}
     for component in written:
-        item = _item(point, component, plugins)
+        item = _item(point, component, plugins, iterations)
         if item is None:
             continue
         if item.name in items:
@@ -201,18 +202,19 @@ def _section(
         items[item.name] = item
     if point.required and not items:
         raise PipelineError(
-            f"the pipeline needs a {point.title}",
+            f"the pipeline has no {point.title}, and cannot do without",
             where=str(node.place if node else start),
             fix=f"write {point.section}: {{use: ...}}; `stereogs plugins` lists what there is",
         )
     return tuple(items.values())
 
 
-def _item(point: HookPoint, node: Node, plugins: Plugins) -> Item | None:
+def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> Item | None:
     """One component, or None if it is switched off."""
     mapping = expand(node)
     label = _label(point, mapping)
-    host = Node({k: v for k, v in mapping.items() if k in point.host_settings}, node.place)
+    lent_nodes = {k: v for k, v in mapping.items() if k in point.host_settings}
+    host = Node(in_iterations(lent_nodes, iterations), node.place)
     lent = point.host_settings
     if "use" not in mapping:
         raise PipelineError(

@@ -104,7 +104,9 @@ def expand(item: Node) -> dict[str, Node]:
         item.content = {"use": Node(item.content, item.place)}
     if not isinstance(item.content, dict):
         raise PipelineError(
-            f"a component is a name or a mapping with `use`, not {item.kind}", where=str(item.place)
+            f"a component is a name or a mapping with `use`, not {item.kind}",
+            where=str(item.place),
+            fix="write the name alone, or {use: NAME, ...}",
         )
     return item.content
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping
 from typing import Annotated, Self
 
 import pydantic
 
 from .components import Settings
+from .yaml_source import Node
+
+_SHARE = re.compile(r"(\d+(?:\.\d+)?)%")
 
 
 class Schedule(Settings):
     """The iterations in which a component is called.
 
     Due exactly when start <= iteration <= stop and iteration is a multiple of `every`. Iterations
-    count from 1. With `start: 500, every: 100` the first call is at 500.
+    count from 1. With `start: 500, every: 100` the first call is at 500. In a pipeline, `start` and
+    `stop` may also be written as a share of `training.iterations`, such as `50%`.
     """
 
     start: Annotated[int, pydantic.Field(ge=1)] = 1
@@ -49,6 +56,18 @@ class HostSettings(Schedule):
     """False switches the component off, as if it were not written."""
     weight: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 1.0
     """Factor of a regularizer's term in the loss."""
+
+
+def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
+    """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down."""
+    result = dict(settings)
+    for name in ("start", "stop"):
+        node = settings.get(name)
+        share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
+        if node and share:
+            moment = math.floor(float(share[1]) / 100 * iterations)
+            result[name] = Node(max(1, moment), node.place)
+    return result
 
 
 def active_sh_degree(iteration: int, sh_degree: int, every: int) -> int:

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, Edit, GaussianModel, apply_edit
+from core_rasterizer import Adam, Edit, ExplainedError, GaussianModel, apply_edit
 from core_rasterizer import photometric_loss as photometric
 
 from .answers import check_edit, check_loss, check_opacity_scale, check_opacity_update
@@ -149,19 +149,20 @@ class Trainer:
 
     def _loss(self, step: Step) -> Tensor:
         assert step.rendering is not None
-        loss = photometric(
-            step.rendering.rgb,
-            step.view.image,
-            self.settings.ssim_weight,
-            device=self.model.device,
-        )
-        self._log_number("photometric", float(loss.detach()))
-        if not torch.isfinite(loss):
+        try:
+            loss = photometric(
+                step.rendering.rgb,
+                step.view.image,
+                self.settings.ssim_weight,
+                device=self.model.device,
+            )
+        except ExplainedError as error:
             raise RunError(
-                f"the photometric loss is {float(loss.detach())}",
+                error.what,
                 where=f"iteration {step.iteration}, view {step.view.name!r}",
                 fix="lower the learning rates; the last checkpoint, if any, is whole",
-            )
+            ) from error
+        self._log_number("photometric", float(loss.detach()))
         watch_gradients(step.rendering, step.iteration)
         for part in self.parts.due("regularizers", step.iteration):
             with blame(part.item, step.iteration):

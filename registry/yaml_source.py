@@ -204,6 +204,8 @@ class _Dumper(yaml.SafeDumper):
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     style = None if resolve(text) == text else "'"
+    if not text.isprintable():
+        style = '"'  # the only style with escapes: others fold line breaks and lose U+0085
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 

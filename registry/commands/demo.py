@@ -11,6 +11,7 @@ from pathlib import Path
 
 from core_rasterizer import open_device
 
+from ..files import replacing
 from ..pipeline import parse_pipeline
 from ..plugins import Plugins
 from ..results import RENDERS
@@ -54,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if finished:
         comparison = sorted((folder.path / RENDERS).glob("*_comparison.png"))[0]
-        shutil.copyfile(comparison, folder.path / "demo.png")
+        with replacing(folder.path / "demo.png") as temporary:
+            shutil.copyfile(comparison, temporary)
     status = conclude(folder, finished, output)
     if finished:
         output.print(f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}")

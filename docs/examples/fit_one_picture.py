@@ -1,0 +1,47 @@
+"""Fit Gaussians to one picture with the rasterizer alone: no pipeline, no plugins.
+
+    python docs/examples/fit_one_picture.py [PICTURE] [ITERATIONS]
+
+Writes fitted.png, the picture and its fit side by side.
+"""
+
+import sys
+
+import numpy as np
+import torch
+from PIL import Image
+from skimage import data
+
+from core_rasterizer import Camera, photometric_loss, rasterize
+
+picture = Image.open(sys.argv[1]).convert("RGB") if len(sys.argv) > 1 else Image.fromarray(data.coffee())
+picture.thumbnail((300, 300))
+iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 300
+target = torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)
+height, width, _ = target.shape
+
+# Looking along +z from the origin: at depth 1 an image pixel is 1 / focal world units wide.
+focal, count = float(width), 3000
+camera = Camera(torch.eye(4), focal, focal, width / 2, height / 2, width, height)
+torch.manual_seed(0)
+positions = (torch.rand(count, 2) - 0.5) * torch.tensor([width, height]) / focal
+means = torch.cat([positions, torch.ones(count, 1)], dim=1).requires_grad_()
+log_scales = torch.full((count, 3), np.log(4 / focal)).requires_grad_()
+quaternions = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1).requires_grad_()
+logits = torch.zeros(count).requires_grad_()
+sh = torch.zeros(count, 1, 3).requires_grad_()
+rates = {means: 2e-3, log_scales: 2e-2, quaternions: 2e-2, logits: 5e-2, sh: 2e-2}
+optimizer = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in rates.items()])
+
+for iteration in range(iterations):
+    optimizer.zero_grad()
+    image = rasterize(means, quaternions, log_scales.exp(), logits.sigmoid(), sh, camera).rgb
+    loss = photometric_loss(image, target)
+    loss.backward()
+    optimizer.step()
+    if (iteration + 1) % 100 == 0:
+        psnr = -10 * torch.log10((image.detach().clamp(0, 1) - target).square().mean())
+        print(f"iteration {iteration + 1}: loss {loss.item():.4f}, PSNR {psnr:.2f} dB")
+
+both = torch.cat([target, image.detach().clamp(0, 1)], dim=1)
+Image.fromarray((both * 255).round().byte().numpy()).save("fitted.png")

@@ -1,0 +1,18 @@
+"""What the author of a plugin tests: the contract, and what the component is for."""
+
+import torch
+from stereogs_flat_initializer import FlatInitializer, FlatSettings
+
+import registry
+from registry.testing import check, tiny_scene
+
+
+def test_it_keeps_the_contract() -> None:
+    check(FlatInitializer, points_per_view=50)
+
+
+def test_points_lie_on_the_plane() -> None:
+    scene = tiny_scene()
+    settings = FlatSettings(points_per_view=50, depth=1.0)
+    points = FlatInitializer(settings, registry.Context("flat", seed=0)).initialize(scene, {})
+    torch.testing.assert_close(points.positions[:, 2], torch.full((100,), scene.bounds[1]))

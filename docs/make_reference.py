@@ -1,0 +1,78 @@
+"""Writes docs/components.md from the settings themselves: `make docs`. A test holds it up to date."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic.fields import FieldInfo
+
+from registry import Settings
+from registry.hook_points import HOOK_POINTS
+from registry.plugins import Offer, Plugins
+from registry.schedule import HostSettings
+from registry.training_settings import LearningRates, TrainingSettings
+
+PAGE = Path(__file__).parent / "components.md"
+PACKAGE = "stereogs-plugins"
+
+_HEAD = """\
+# Components and their settings
+
+<!-- Written by docs/make_reference.py from the code (`make docs`). Do not edit. -->
+
+What a pipeline can name, section by section, as installed with this project. `stereogs plugins` lists what *your*
+installation has, third parties' plugins included.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    offers = [offer for offer in Plugins().all() if offer.distribution == PACKAGE]
+    parts = [_HEAD]
+    for point in HOOK_POINTS:
+        mine = [offer for offer in offers if offer.point is point]
+        number = "a list" if point.many else f"one {point.title}"
+        parts.append(f"## `{point.section}`: {number}\n")
+        lent = [f"`{name}`" for name in point.host_settings]
+        parts.append(f"Settings of the host: {', '.join(lent)} (see below).\n")
+        parts.extend(_component(offer) for offer in mine)
+        if not mine:
+            parts.append("None is built in.\n")
+    parts.append("## Settings that the host lends to components\n")
+    parts.append(_table(HostSettings))
+    parts.append("## `training`\n")
+    parts.append(_table(TrainingSettings))
+    parts.append("## `training.learning_rates`\n")
+    parts.append(_table(LearningRates))
+    return "\n".join(parts)
+
+
+def _component(offer: Offer) -> str:
+    summary = inspect.cleandoc(offer.component.__doc__ or "")
+    return f"### {offer.name}\n\n{summary}\n\n{_table(offer.settings_type)}"
+
+
+def _table(settings: type[Settings]) -> str:
+    if not settings.model_fields:
+        return "No settings.\n"
+    rows = [
+        f"| `{name}` | {_default(field)} | {' '.join((field.description or '').split())} |"
+        for name, field in settings.model_fields.items()
+    ]
+    return "\n".join(["| setting | default | meaning |", "|---|---|---|", *rows]) + "\n"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value: Any = field.get_default(call_default_factory=True)
+    if isinstance(value, Settings):
+        return "see below"
+    return f"`{json.dumps(value, default=str)}`"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

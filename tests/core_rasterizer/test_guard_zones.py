@@ -1,0 +1,175 @@
+"""No kernel reads or writes outside its buffers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from core_rasterizer import (
+    Adam,
+    Camera,
+    Device,
+    Edit,
+    GaussianModel,
+    Gaussians,
+    apply_edit,
+    photometric_loss,
+    rasterize,
+)
+from core_rasterizer.device import DeviceArray
+from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.rasterizer import PAIRS_AT_FIRST, Rasterizer, View
+from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
+from tests.core_rasterizer.scenes import random_camera, random_scene
+from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.test_rasterize import weighted_loss
+
+RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
+
+
+@cache
+def guarded(device: Device, pattern: int) -> GuardedDevice:
+    return GuardedDevice(device, pattern)
+
+
+def same_inside_zones(device: Device, work: Callable[[Device], list[Tensor]]) -> None:
+    """Zones stay untouched, and whatever lies in them, the results are those without zones."""
+    expected = work(device)
+    assert all(torch.isfinite(values).all() for values in expected)
+    for pattern in PATTERNS:
+        inside = guarded(device, pattern)
+        results = work(inside)
+        for number, (values, truth) in enumerate(zip(results, expected, strict=True)):
+            assert torch.equal(values, truth), f"result {number} depends on memory outside buffers"
+        assert inside.check() > 0
+
+
+def rendered(scene: tuple[Tensor, ...], camera: Camera, device: Device) -> list[Tensor]:
+    """Images and gradients of one render."""
+    leaves = [values.detach().clone().requires_grad_() for values in scene]
+    rendering = rasterize(*leaves, camera, (0.1, 0.2, 0.3), device=device)
+    weighted_loss(rendering, 0).backward()
+    images = [rendering.rgb, rendering.depth, rendering.alpha]
+    return [image.detach().clone() for image in images] + [leaf.grad for leaf in leaves]
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_the_zones_catch_a_kernel_that_strays(device: Device, pattern: int) -> None:
+    """The instrument itself: a kernel is told that its array is one element longer than it is."""
+    inside = GuardedDevice(device, pattern)
+    array = DeviceArray(inside, (15,), torch.int32)
+    totals = DeviceArray(inside, (17,), torch.int32)
+    program = inside.program("scan", dtype=torch.float32, SCAN_GROUP=16)
+    arguments = (np.uint32(15), np.uint32(1))
+    program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
+    assert inside.check() == 2
+    program.run("scan_chunks", (16,), (16,), array, totals, np.uint32(16), np.uint32(1))
+    assert totals.read()[15] == torch.tensor([pattern] * 4, dtype=torch.uint8).view(torch.int32)
+    with pytest.raises(AssertionError, match="after buffer 0"):
+        inside.check()
+
+
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 17])
+@pytest.mark.parametrize("size", [(1, 1), (65, 33)], ids=lambda size: f"{size[0]}x{size[1]}")
+def test_any_count_and_any_image_size(device: Device, count: int, size: tuple[int, int]) -> None:
+    generator = torch.Generator().manual_seed(count)
+    scene, camera = random_scene(generator, count), random_camera(generator, *size)
+    tensors = scene.tensors(torch.float32)
+    same_inside_zones(device, lambda on: rendered(tensors, camera, on))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("scale", [1e-12, 3.0, 1e6, 1e17])
+def test_specks_and_giants_at_the_edges_of_tiles(
+    device: Device, dtype: torch.dtype, scale: float
+) -> None:
+    """Means on, and a rounding step beside, the edges of the image and of tiles of any size."""
+    edges = torch.tensor([-0.5, 0.0, 0.5, 15.5, 16.0, 32.0, 63.5, 64.0, 95.0, 96.5, 97.0])
+    x, y = (values.flatten() for values in torch.meshgrid(edges, edges, indexing="ij"))
+    count = len(x)
+    camera = Camera(torch.eye(4), 100.0, 100.0, 0.0, 0.0, 97, 65)
+    generator = torch.Generator().manual_seed(0)
+    scene = random_scene(generator, count, sh_degree=1)
+    scene.means = torch.stack((x / 100, y / 100, torch.ones(count)), dim=1).double() * 2
+    scene.scales = torch.full((count, 3), scale, dtype=torch.float64)
+    scene.scales[::3, 0] = 1e-6  # needles and discs
+    tensors = scene.tensors(dtype)
+    same_inside_zones(device, lambda on: rendered(tensors, camera, on))
+
+
+def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
+    """More pairs than there is room for at first; then a small render in the large buffers."""
+    generator = torch.Generator().manual_seed(1)
+    width, height = 300, 200
+    tile_width, tile_height = Rasterizer(device).tile
+    count = int(1.3 * PAIRS_AT_FIRST / (-(-width // tile_width) * -(-height // tile_height)))
+    large, small = random_scene(generator, count, sh_degree=0), random_scene(generator, 5)
+    large.scales[:] = 40.0
+    large.opacities[:] = 0.005
+    wide = random_camera(generator, width, height)
+    gaussians = Gaussians(
+        large.means, large.scales.log(), large.quaternions, torch.logit(large.opacities), large.sh
+    )
+    model = GaussianModel(gaussians, device)
+    lease = model.rasterizer.forward(model.block, View(wide, (0.0, 0.0, 0.0), 0))[-1]
+    assert lease.frame.pairs > PAIRS_AT_FIRST
+    tensors = large.tensors(torch.float32), small.tensors(torch.float32)
+
+    def work(on: Device) -> list[Tensor]:
+        results = rendered(tensors[0], wide, on)
+        return results + rendered(tensors[1], random_camera(generator.manual_seed(2)), on)
+
+    same_inside_zones(device, work)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "size",
+    [(1, 1), (1, 40), (40, 1), (2, 3), (3, 3), (11, 11), (17, 33)],
+    ids=lambda size: f"{size[0]}x{size[1]}",
+)
+def test_the_photometric_loss(device: Device, size: tuple[int, int], dtype: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(3)
+    images = torch.rand(2, *size, 3, generator=generator, dtype=dtype)
+
+    def work(on: Device) -> list[Tensor]:
+        rgb = images[0].clone().requires_grad_()
+        loss = photometric_loss(rgb, images[1], device=on)
+        loss.backward()
+        return [loss.detach(), rgb.grad]
+
+    same_inside_zones(device, work)
+
+
+@pytest.mark.parametrize(("count", "degree"), [(1, 3), (16, 0), (17, 3), (4097, 0)])
+def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
+    """Steps of the optimizer at lower bands too, moments reset, clones, splits and prunes."""
+    gaussians = parameters(count, sh_degree=degree)
+    camera = random_camera(torch.Generator().manual_seed(4), 15, 11)
+
+    def work(on: Device) -> list[Tensor]:
+        generator = torch.Generator().manual_seed(5)
+        model = GaussianModel(gaussians, on)
+        optimizer = Adam(model)
+        for active in (0, degree):
+            model.zero_gradients()
+            model.render(camera, sh_degree=active, collect_statistics=True).rgb.sum().backward()
+            optimizer.step(RATES, active_sh_degree=active)
+        statistics = model.statistics()
+        optimizer.reset_moments("opacity_logits")
+        model.write("opacity_logits", model.opacities() - 1)
+        masks = torch.rand(3, count, generator=generator) < torch.tensor([[0.5], [0.5], [0.3]])
+        masks[2, 0] = False
+        apply_edit(model, optimizer, Edit(*masks), generator)
+        model.render(camera, opacity_scale=torch.ones(model.count)).depth.sum().backward()
+        optimizer.step(RATES, active_sh_degree=degree)
+        state = optimizer.state()
+        after = [model.read(name).clone() for name in ("means", "log_scales", "sh")]
+        return [*after, statistics, state["first_moments"], state["second_moments"]]
+
+    same_inside_zones(device, work)

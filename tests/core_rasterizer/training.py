@@ -1,0 +1,66 @@
+"""A short optimization with everything in it, for tests of what must not change its result."""
+
+from __future__ import annotations
+
+import hashlib
+
+import torch
+
+from core_rasterizer import Adam, Device, Edit, GaussianModel, apply_edit, photometric_loss
+from core_rasterizer.optimizer import PARAMETER_GROUPS
+from tests.core_rasterizer.scenes import random_camera
+from tests.core_rasterizer.test_model import parameters
+
+RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
+
+
+def short_training(
+    device: Device, count: int = 300, width: int = 120, height: int = 90, steps: int = 12
+) -> str:
+    """Fit Gaussians to two pictures, with topology edits and resets; a digest of all that came of it."""
+    generator = torch.Generator().manual_seed(0)
+    cameras = [random_camera(generator, width, height) for _ in range(2)]
+    targets = [torch.rand(height, width, 3, generator=generator) for _ in cameras]
+    model = GaussianModel(parameters(count), device)
+    optimizer = Adam(model)
+    losses = []
+    for step in range(steps):
+        model.zero_gradients()
+        factors = torch.rand(model.count, generator=generator) if step % 3 == 2 else None
+        rendering = model.render(
+            cameras[step % 2],
+            background=(0.1, 0.2, 0.3),
+            sh_degree=min(3, step // 2),
+            opacity_scale=factors,
+            collect_statistics=True,
+        )
+        loss = photometric_loss(rendering.rgb, targets[step % 2], device=device)
+        (loss + 0.01 * rendering.depth.mean() + 0.1 * rendering.alpha.mean()).backward()
+        optimizer.step(RATES, active_sh_degree=min(3, step // 2))
+        losses.append(float(loss))
+        if step % 5 == 4:
+            busy = model.screen_gradient() > model.screen_gradient().median()
+            large = model.scales().amax(dim=1) > 0.2
+            faint = model.opacities() < 0.1
+            apply_edit(model, optimizer, Edit(busy & ~large, busy & large, faint), generator)
+            model.write("opacity_logits", model.read("opacity_logits") - 0.1)
+            optimizer.reset_moments("opacity_logits")
+    digest = hashlib.sha256(repr(losses).encode())
+    digest.update(model.digest().encode())
+    for moments in optimizer.state().values():
+        digest.update(moments.contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def main() -> None:
+    """Print the digest of the first device's CPU and GPU kernels, for a process of its own."""
+    from core_rasterizer import list_devices
+
+    for device in list_devices():
+        for variant in ("cpu", "gpu"):
+            engine = device.as_variant(variant)
+            print(engine.compute_units, *(short_training(engine) for _ in range(1)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Discovery sees nothing that happens to be installed; a test installs what it asks for."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from core_rasterizer import Device, open_device
+from registry.plugins import GROUP, SELECTION, Plugins
+
+TOY = EntryPoint("toy", "tests.registry.toy_plugin", GROUP)
+
+Install = Callable[..., Path]
+
+
+@pytest.fixture(autouse=True)
+def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SELECTION, "")
+
+
+@pytest.fixture
+def toys() -> Plugins:
+    """The toy components alone."""
+    return Plugins([TOY])
+
+
+@pytest.fixture(scope="session")
+def device() -> Device:
+    """The device that a run would choose."""
+    return open_device()
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Install packages for one test: real modules with real entry-point metadata.
+
+    `install("acme", "1.2", {"entry": "module"}, module="source text")`
+    """
+    chosen: list[str] = []
+    written: list[str] = []
+
+    def install(package: str, version: str, entries: dict[str, str], **modules: str) -> Path:
+        site = tmp_path / f"site-{package}"
+        metadata = site / f"{package}-{version}.dist-info"
+        metadata.mkdir(parents=True)
+        (metadata / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n"
+        )
+        lines = [f"{name} = {module}" for name, module in entries.items()]
+        (metadata / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines, ""]))
+        for name, source in modules.items():
+            (site / f"{name}.py").write_text(source)
+        monkeypatch.syspath_prepend(site)
+        written.extend(modules)
+        chosen.extend(entries)
+        monkeypatch.setenv(SELECTION, ",".join(chosen))
+        return site
+
+    yield install
+    for name in written:
+        sys.modules.pop(name, None)

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from registry import PointCloud, SceneError
+from registry.initial_model import initial_gaussians, mean_squared_distances
+from registry.training_settings import TrainingSettings
+
+SETTINGS = TrainingSettings(sh_degree=2)
+
+
+def cloud(count: int) -> PointCloud:
+    generator = torch.Generator().manual_seed(count)
+    return PointCloud(
+        torch.randn(count, 3, generator=generator), torch.rand(count, 3, generator=generator)
+    )
+
+
+def test_size_is_the_distance_to_three_neighbours() -> None:
+    positions = cloud(40).positions.double()
+    squared = (positions[:, None] - positions[None]).square().sum(-1)
+    expected = squared.sort(dim=1).values[:, 1:4].mean(dim=1)
+    torch.testing.assert_close(mean_squared_distances(positions), expected)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_few_points(count: int) -> None:
+    gaussians = initial_gaussians(cloud(count), SETTINGS).check_finite()
+    assert len(gaussians) == count
+    assert gaussians.sh.shape == (count, 9, 3)
+    if count == 1:
+        assert float(gaussians.log_scales[0, 0]) == pytest.approx(math.log(math.sqrt(1e-7)))
+
+
+def test_duplicates_get_a_size() -> None:
+    positions = torch.ones(6, 3)
+    gaussians = initial_gaussians(PointCloud(positions, torch.rand(6, 3)), SETTINGS)
+    gaussians.check_finite()
+    assert (gaussians.log_scales.exp() > 1e-4).all()
+
+
+def test_what_the_points_say_is_kept() -> None:
+    points = PointCloud(
+        torch.zeros(1, 3),
+        torch.tensor([[0.2, 0.5, 0.9]]),
+        scales=torch.tensor([0.25]),
+        opacities=torch.tensor([0.7]),
+    )
+    gaussians = initial_gaussians(points, SETTINGS)
+    torch.testing.assert_close(gaussians.log_scales.exp(), torch.full((1, 3), 0.25))
+    torch.testing.assert_close(gaussians.opacity_logits.sigmoid(), torch.tensor([0.7]))
+    torch.testing.assert_close(
+        gaussians.sh[:, 0] * 0.28209479177387814 + 0.5, torch.tensor([[0.2, 0.5, 0.9]])
+    )
+    default = initial_gaussians(cloud(5), SETTINGS)
+    torch.testing.assert_close(default.opacity_logits.sigmoid(), torch.full((5,), 0.1))
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), "no points"),
+        (PointCloud(torch.full((1, 3), math.nan), torch.zeros(1, 3)), r"positions\[0\]"),
+        (PointCloud(torch.zeros(2, 3), torch.zeros(1, 3)), "colors has the shape"),
+        (PointCloud(torch.zeros(2, 2), torch.zeros(2, 3)), "positions has the shape"),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), scales=torch.tensor([1.0, 0.0])),
+            r"scales\[1\]",
+        ),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), opacities=torch.tensor([1.0, 0.5])),
+            r"opacities\[0\]",
+        ),
+    ],
+)
+def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        initial_gaussians(points, SETTINGS)

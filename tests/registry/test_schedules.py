@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from registry.learning_rates import learning_rates
+from registry.schedule import Schedule, active_sh_degree
+from registry.seeding import derived_seed
+from registry.training_settings import LearningRates, TrainingSettings
+from registry.view_order import ViewOrder
+
+
+def due(schedule: Schedule, last: int) -> list[int]:
+    return [iteration for iteration in range(1, last + 1) if schedule.due(iteration)]
+
+
+def test_due_from_start_to_stop_in_multiples() -> None:
+    assert due(Schedule(), 3) == [1, 2, 3]
+    assert due(Schedule(start=500, stop=800, every=100), 2000) == [500, 600, 700, 800]
+    assert due(Schedule(start=550, stop=799, every=100), 2000) == [600, 700]
+    assert due(Schedule(every=3000), 7000) == [3000, 6000]
+    assert due(Schedule(start=3), 5) == [3, 4, 5]
+
+
+def test_over_means_never_again() -> None:
+    schedule = Schedule(stop=10, every=4)
+    assert not schedule.over(10)
+    assert schedule.over(11)
+    assert not Schedule().over(10**9)
+
+
+def test_bands_come_one_by_one() -> None:
+    steps = {1: 0, 999: 0, 1000: 1, 2999: 2, 3000: 3, 30_000: 3}
+    assert {i: active_sh_degree(i, 3, 1000) for i in steps} == steps
+    assert active_sh_degree(30_000, 1, 1000) == 1
+
+
+def test_position_rate_falls_log_linearly() -> None:
+    settings = TrainingSettings(iterations=1000)
+    assert learning_rates(1000, settings, 2.0)["means"] == pytest.approx(2 * 1.6e-6)
+    assert learning_rates(500, settings, 1.0)["means"] == pytest.approx(1.6e-5)
+    short = TrainingSettings(iterations=1000, learning_rates=LearningRates(position_steps=100))
+    assert learning_rates(100, short, 1.0)["means"] == pytest.approx(1.6e-6)
+    assert learning_rates(900, short, 1.0)["means"] == pytest.approx(1.6e-6)
+
+
+def test_rates_of_zero_are_possible() -> None:
+    rates = LearningRates(position_final=0)
+    settings = TrainingSettings(iterations=100, learning_rates=rates)
+    assert learning_rates(100, settings, 1.0)["means"] == 0
+    assert learning_rates(50, settings, 1.0)["means"] == pytest.approx(0.8e-4)
+
+
+def test_seeds_are_the_same_on_every_machine() -> None:
+    assert derived_seed(0, "views") == 4875131893980719605
+    assert derived_seed(1, "views") != derived_seed(0, "views")
+    assert derived_seed(0, "regularizers.a") != derived_seed(0, "regularizers.b")
+
+
+@given(st.integers(0, 2**64), st.text(st.sampled_from("abc._é"), max_size=8))
+def test_seeds_fit_torch(seed: int, name: str) -> None:
+    assert 0 <= derived_seed(seed, name) < 2**63
+
+
+def test_views_come_without_replacement() -> None:
+    order = ViewOrder(5, seed=3)
+    rounds = [[order.next() for _ in range(5)] for _ in range(20)]
+    assert all(sorted(views) == [0, 1, 2, 3, 4] for views in rounds)
+    assert len({tuple(views) for views in rounds}) > 10
+
+
+def test_view_order_goes_on_after_a_restore() -> None:
+    order = ViewOrder(5, seed=3)
+    for _ in range(7):
+        order.next()
+    state = order.state()
+    expected = [order.next() for _ in range(11)]
+    other = ViewOrder(5, seed=99)
+    other.restore(state)
+    assert [other.next() for _ in range(11)] == expected

@@ -1,0 +1,39 @@
+"""Schedules written as a share of the run."""
+
+from __future__ import annotations
+
+import pytest
+
+from registry import PipelineError
+from registry.pipeline import Pipeline, parse_pipeline
+from registry.plugins import Plugins
+
+TEXT = """\
+name: shares
+scene: toy_scene
+initializer: toy_points
+densification: {use: toy_growth, start: 10%, stop: 49.9%, every: 100}
+training: {iterations: 30000}
+"""
+
+
+def parse(plugins: Plugins, *overrides: str) -> Pipeline:
+    return parse_pipeline(TEXT, plugins, overrides=overrides)
+
+
+def test_a_share_follows_the_number_of_iterations(toys: Plugins) -> None:
+    (item,) = parse(toys).items["densification"]
+    assert (item.schedule.start, item.schedule.stop) == (3000, 14970)
+    (item,) = parse(toys, "training.iterations=50").items["densification"]
+    assert (item.schedule.start, item.schedule.stop) == (5, 24)
+
+
+def test_the_resolved_pipeline_holds_plain_iterations(toys: Plugins) -> None:
+    pipeline = parse(toys)
+    assert "%" not in pipeline.to_yaml()
+    assert parse_pipeline(pipeline.to_yaml(), toys) == pipeline
+
+
+def test_what_is_no_share_is_refused(toys: Plugins) -> None:
+    with pytest.raises(PipelineError, match="must be a whole number"):
+        parse(toys, "densification.stop=half")

@@ -1,0 +1,265 @@
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+import torch
+
+from core_rasterizer import Device, Edit, ExplainedError, GaussianModel, Gaussians
+from registry import PluginError, RunError
+from registry.initial_model import initial_gaussians
+from registry.parts import Parts
+from registry.pipeline import parse_pipeline
+from registry.plugins import Plugins
+from registry.testing import tiny_scene
+from registry.topology_rules import limited, not_finite
+from registry.trainer import Iteration, Trainer
+
+BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
+
+
+@pytest.fixture
+def make(toys: Plugins, device: Device) -> Any:
+    def make(text: str, *overrides: str) -> Trainer:
+        settings = ["training.iterations=12", "training.sh_degree=1", *overrides]
+        pipeline = parse_pipeline(BASE + text, toys, source="p.yaml", overrides=settings)
+        scene = tiny_scene()
+        assert scene.points is not None
+        model = GaussianModel(initial_gaussians(scene.points, pipeline.training), device)
+        return Trainer(pipeline.training, Parts(pipeline), scene, model)
+
+    return make
+
+
+def poison(trainer: Trainer, rows: slice, columns: slice | list[int], value: float) -> None:
+    """Put a value into parameters past the checks of `GaussianModel.write`."""
+    parameters = trainer.model.parameters.read().clone()
+    parameters[rows, columns] = value
+    trainer.model.adopt(parameters, trainer.model.count)
+
+
+def train(trainer: Trainer) -> list[Iteration]:
+    return list(trainer.run())
+
+
+def test_the_loss_falls_and_every_iteration_is_told(make: Any) -> None:
+    trainer = make("", "training.iterations=60")
+    before = trainer.model.digest()
+    done = train(trainer)
+    assert [d.number for d in done] == list(range(1, 61))
+    early, late = (sum(d.loss for d in part) for part in (done[:10], done[-10:]))
+    assert late < 0.7 * early
+    assert trainer.model.digest() != before
+
+
+def test_the_last_iteration_is_stepped(make: Any) -> None:
+    trainer = make("", "training.iterations=1")
+    before = trainer.model.digest()
+    train(trainer)
+    assert trainer.optimizer.steps == 1
+    assert trainer.model.digest() != before
+
+
+FULL = """\
+regularizers: [toy_term]
+modifiers: [toy_dropout]
+densification: {use: toy_growth, every: 4}
+opacity: {use: toy_fade, every: 3}
+"""
+
+
+def test_one_seed_one_result(make: Any) -> None:
+    trainers = [make(FULL), make(FULL), make(FULL, "training.seed=1")]
+    for trainer in trainers:
+        train(trainer)
+    digests = [trainer.model.digest() for trainer in trainers]
+    assert digests[0] == digests[1]
+    assert digests[0] != digests[2]
+
+
+def test_a_component_never_shifts_anothers_random_numbers(make: Any) -> None:
+    alone = make("modifiers: [toy_dropout]\n")
+    beside = make("modifiers: [toy_dropout]\nregularizers: [{use: toy_term, weight: 1}]\n")
+    draws = [
+        torch.rand(4, generator=t.parts["modifiers"][0].component.generator)
+        for t in (alone, beside)
+    ]
+    assert torch.equal(*draws)
+    twins = make("regularizers: [toy_term, {use: toy_term, name: b}]\n").parts["regularizers"]
+    first, second = (torch.rand(4, generator=part.component.generator) for part in twins)
+    assert not torch.equal(first, second)
+
+
+def test_schedules_and_weights_decide_who_is_called(make: Any) -> None:
+    text = "regularizers: [{use: toy_term, start: 4, stop: 9, every: 2}]\n"
+    calls = {d.number for d in train(make(text)) if "regularizers.toy_term" in d.logged}
+    assert calls == {4, 6, 8}
+    silent = train(make("regularizers: [{use: toy_term, weight: 0}]\n"))
+    assert not any("regularizers.toy_term" in d.logged for d in silent)
+
+
+def test_the_weight_multiplies_the_term(make: Any) -> None:
+    (done,) = train(make("regularizers: [{use: toy_term, weight: 3}]\n", "training.iterations=1"))
+    logged = done.logged
+    expected = logged["photometric"] + 3 * logged["regularizers.toy_term"]
+    assert done.loss == pytest.approx(expected, rel=1e-6)
+
+
+def test_components_follow_changes_of_topology(make: Any) -> None:
+    trainer = make(
+        "regularizers: [toy_term]\ndensification: {use: toy_growth, start: 5, stop: 5}\n"
+    )
+    train(trainer)
+    calls = trainer.parts["regularizers"][0].component.calls
+    assert len(calls) == trainer.model.count
+    # Survivors were there in all 12 iterations, clones and children in the last seven.
+    assert set(calls.tolist()) == {7.0, 12.0}
+
+
+def test_no_step_is_taken_with_gradients_from_before_an_edit(make: Any) -> None:
+    trainer = make("densification: {use: toy_growth, every: 12}\n")
+    train(trainer)
+    assert trainer.optimizer.steps == 11
+
+
+def test_an_empty_edit_costs_no_step(make: Any) -> None:
+    trainer = make("densification: {use: toy_growth, empty: true, every: 12}\n")
+    train(trainer)
+    assert trainer.optimizer.steps == 12
+
+
+def test_opacities_are_kept_from_0_and_1(make: Any) -> None:
+    trainer = make(
+        "opacity: {use: toy_fade, value: 1.0}\n",
+        "training.iterations=1",
+        "training.learning_rates.opacity=0",
+    )
+    train(trainer)
+    logits = trainer.model.read("opacity_logits")
+    assert torch.isfinite(logits).all()
+    torch.testing.assert_close(logits.sigmoid(), torch.full_like(logits, 1 - 1e-6))
+
+
+def test_opacities_that_were_reset_take_no_step_from_before(make: Any) -> None:
+    trainer = make("opacity: {use: toy_fade, value: 0.01, reset: true}\n", "training.iterations=1")
+    train(trainer)
+    torch.testing.assert_close(
+        trainer.model.opacities(), torch.full((trainer.model.count,), 0.01), rtol=1e-5, atol=0
+    )
+    row = trainer.optimizer.state()["second_moments"][10]
+    assert not row.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "where"),
+    [
+        ("regularizers: [{use: toy_term, fault: nan}]", "the loss is not finite", "p.yaml:4"),
+        ("regularizers: [{use: toy_term, fault: shape}]", "expected one floating", "p.yaml:4"),
+        ("regularizers: [{use: toy_term, fault: crash}]", "ZeroDivisionError", "p.yaml:4"),
+        ("regularizers: [{use: toy_term, fault: gradient}]", "gradient of the loss", "image"),
+        ("regularizers: [{use: toy_term, fault: backward}]", "no way back", "iteration 3"),
+        ("densification: {use: toy_growth, wrong: true}", "'clone'", "p.yaml:4"),
+        ("opacity: {use: toy_fade, value: 1.5}", "outside [0, 1]", "p.yaml:4"),
+        ("opacity: {use: toy_fade, value: .nan}", "not finite", "p.yaml:4"),
+    ],
+)
+def test_a_bad_answer_is_refused_before_the_step(
+    make: Any, text: str, message: str, where: str
+) -> None:
+    trainer = make(text.replace("}", ", start: 3}") + "\n")
+    iterations = trainer.run()
+    next(iterations)
+    next(iterations)
+    before = trainer.model.digest()
+    with pytest.raises(PluginError) as caught:
+        next(iterations)
+    assert message in caught.value.what
+    assert where in caught.value.where
+    assert "iteration 3" in caught.value.where
+    assert trainer.model.digest() == before
+    assert trainer.iteration == 2
+
+
+def test_a_loss_that_overflows_stops_the_run(make: Any) -> None:
+    trainer = make("")
+    poison(trainer, slice(11, 14), slice(None), 1e30)
+    with pytest.raises(RunError, match="the loss overflows") as caught:
+        train(trainer)
+    assert "iteration 1" in caught.value.where
+
+
+def test_an_edit_that_leaves_nothing_is_named(make: Any) -> None:
+    trainer = make("densification: {use: toy_growth, every: 2}\n")
+    poison(trainer, slice(0, 3), slice(None), float("nan"))
+    with pytest.raises(ExplainedError, match="all 60 Gaussians") as caught:
+        train(trainer)
+    assert "densification 'toy_growth'" in caught.value.where
+
+
+def test_gaussians_that_are_not_finite_are_removed_and_counted(
+    make: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    trainer = make("densification: {use: toy_growth, empty: true, every: 2}\n")
+    poison(trainer, slice(3, 6), [3, 7], float("nan"))
+    assert not_finite(trainer.model).nonzero()[:, 0].tolist() == [3, 7]
+    with caplog.at_level(logging.WARNING):
+        done = train(trainer)
+    assert done[1].logged["removed_not_finite"] == 2
+    assert trainer.model.count == 58
+    assert "removing 2 Gaussians" in caplog.text
+
+
+def test_max_gaussians_holds_and_is_told_once(make: Any, caplog: pytest.LogCaptureFixture) -> None:
+    trainer = make("densification: {use: toy_growth, prune: false}\n", "training.max_gaussians=100")
+    with caplog.at_level(logging.WARNING):
+        counts = [done.gaussians for done in train(trainer)]
+    assert max(counts) == counts[-1] == 100
+    assert caplog.text.count("max_gaussians") == 1
+
+
+def test_growth_is_cut_by_rank_then_index() -> None:
+    rank = torch.tensor([1.0, 5.0, 5.0, 3.0, 9.0])
+    true = torch.ones(5, dtype=torch.bool)
+    prune = torch.tensor([False, False, False, False, True])
+    edit, dropped = limited(Edit(clone=true, prune=prune), 6, rank)
+    assert edit.clone is not None
+    assert edit.clone.tolist() == [False, True, True, False, False]
+    assert dropped == 2
+    untouched = Edit(split=true)
+    assert limited(untouched, 10, rank) == (untouched, 0)
+    full, dropped = limited(Edit(split=true), 3, rank)
+    assert full.split is not None
+    assert not full.split.any()
+    assert dropped == 5
+
+
+def test_state_restored_goes_on_to_the_same_bits(make: Any, device: Device) -> None:
+    whole = make(FULL)
+    train(whole)
+    first = make(FULL)
+    iterations = first.run()
+    for _ in range(5):
+        next(iterations)
+    state = {name: value.clone() for name, value in first.state().items()}
+
+    def part(prefix: str) -> dict[str, torch.Tensor]:
+        start = f"{prefix}/"
+        return {k.removeprefix(start): v for k, v in state.items() if k.startswith(start)}
+
+    second = make(FULL)
+    second = Trainer(
+        second.settings,
+        second.parts,
+        second.scene,
+        GaussianModel(Gaussians(**part("model")), device),
+    )
+    second.restore(5, part)
+    train(second)
+    assert second.model.digest() == whole.model.digest()
+
+
+def test_a_checkpoint_of_other_components_is_refused(make: Any) -> None:
+    state = make("").parts.state(0)
+    with pytest.raises(RunError, match=r"modifiers\.toy_dropout"):
+        make("modifiers: [toy_dropout]\n").parts.restore(state)

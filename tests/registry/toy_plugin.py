@@ -1,0 +1,235 @@
+"""Small components of every kind, for tests of the host."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+import registry as r
+from core_rasterizer import Edit, GaussianModel
+from registry.testing import tiny_scene
+
+
+class ToySceneSettings(r.Settings):
+    path: Path = Path("nowhere")
+    """Not read."""
+    test_views: int = 1
+    colors: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mode: Literal["good", "missing", "crash"] = "good"
+    strict: bool = False
+    nested: r.Settings = r.Settings()
+
+
+class ToyScene(r.SceneLoader[ToySceneSettings]):
+    """Two training views and one test view."""
+
+    Settings = ToySceneSettings
+
+    def load(self) -> r.Scene:
+        if self.settings.mode == "missing":
+            raise r.SceneError("no photographs", where="folder/x", fix="add some")
+        if self.settings.mode == "crash":
+            raise ZeroDivisionError("boom")
+        scene = tiny_scene()
+        return replace(scene, test=scene.test[: self.settings.test_views])
+
+
+class ToyPointsSettings(r.Settings):
+    count: int | None = None
+
+
+class ToyPoints(r.Initializer[ToyPointsSettings]):
+    Settings = ToyPointsSettings
+
+    def initialize(self, scene: r.Scene, priors: Mapping[str, Any]) -> r.PointCloud:
+        points = scene.points
+        assert points is not None
+        end = self.settings.count
+        return r.PointCloud(points.positions[:end], points.colors[:end])
+
+
+class ToyPrior(r.Prior[r.Settings]):
+    capability = "monocular_depth"
+
+
+class ToyTermSettings(r.Settings):
+    target: float = 0.5
+    fault: Literal["none", "nan", "shape", "gradient", "crash", "backward"] = "none"
+
+
+class _Refuse(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, value: Tensor) -> Tensor:
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> Any:
+        raise ValueError("no way back")
+
+
+class ToyTerm(r.Regularizer[ToyTermSettings]):
+    """Pulls alpha towards a target; counts calls for each Gaussian."""
+
+    Settings = ToyTermSettings
+
+    def __init__(self, settings: ToyTermSettings, context: r.Context) -> None:
+        super().__init__(settings, context)
+        self.calls = torch.zeros(0)
+
+    def loss(self, step: r.Step) -> Tensor:
+        assert step.rendering is not None
+        if not len(self.calls):
+            self.calls = torch.zeros(step.model.count)
+        self.calls += 1
+        step.log("calls", float(self.calls.max()))
+        alpha = step.rendering.alpha
+        noise = torch.rand((), generator=self.generator)
+        loss = (alpha - self.settings.target * noise).square().mean()
+        fault = self.settings.fault
+        if fault == "crash":
+            raise ZeroDivisionError("boom")
+        if fault == "nan":
+            return loss * float("nan")
+        if fault == "shape":
+            return alpha
+        if fault == "gradient":
+            return (alpha * 0).sum().sqrt()
+        if fault == "backward":
+            return _Refuse.apply(loss)  # type: ignore[no-untyped-call, no-any-return]
+        return loss
+
+    def state(self) -> dict[str, Tensor]:
+        return {"calls": self.calls}
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        self.calls = state["calls"].clone()
+
+    def carry(self, source: Tensor, fresh: Tensor) -> None:
+        if len(self.calls):
+            self.calls = torch.where(fresh, torch.zeros(()), self.calls[source])
+
+
+class ToyDropout(r.Modifier[r.Settings]):
+    def opacity_scale(self, step: r.Step) -> Tensor:
+        assert step.rendering is None
+        return (torch.rand(step.model.count, generator=self.generator) > 0.1).float()
+
+
+class ToyGrowthSettings(r.Settings):
+    prune: bool = True
+    empty: bool = False
+    wrong: bool = False
+
+
+class ToyGrowth(r.Densification[ToyGrowthSettings]):
+    """Clones, splits and prunes at random."""
+
+    Settings = ToyGrowthSettings
+
+    def refine(self, step: r.Step) -> Edit | None:
+        count = step.model.count
+        if self.settings.empty:
+            return None
+        if self.settings.wrong:
+            return Edit(clone=torch.ones(count + 1, dtype=torch.bool))
+        draw = torch.rand(count, generator=self.generator)
+        return (
+            Edit(clone=draw < 0.1, split=draw > 0.9, prune=(draw > 0.45) & (draw < 0.5))
+            if self.settings.prune
+            else Edit(clone=draw < 0.5)
+        )
+
+
+class ToyFadeSettings(r.Settings):
+    factor: float = 0.9
+    value: float | None = None
+    reset: bool = False
+
+
+class ToyFade(r.OpacityPolicy[ToyFadeSettings]):
+    Settings = ToyFadeSettings
+
+    def update(self, step: r.Step) -> r.OpacityUpdate | None:
+        opacities = step.model.opacities() * self.settings.factor
+        if self.settings.value is not None:
+            opacities = torch.full_like(opacities, self.settings.value)
+        return r.OpacityUpdate(opacities, self.settings.reset)
+
+
+class ToyPsnr(r.Metric[r.Settings]):
+    unit = "dB"
+
+    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
+        error = (rendered - photograph).square()
+        if mask is not None:
+            error = error[mask]
+        return float(-10 * torch.log10(error.mean()))
+
+
+class ToyExporter(r.Exporter[r.Settings]):
+    def export(self, model: GaussianModel, scene: r.Scene, folder: Path) -> list[Path]:
+        file = folder / "count.txt"
+        file.write_text(str(model.count), "utf-8")
+        return [file]
+
+
+class ToyReport(r.Report[r.Settings]):
+    def write(self, folder: Path, scene: r.Scene) -> list[Path]:
+        file = folder / "report.txt"
+        file.write_text((folder / "results.json").read_text("utf-8")[:20], "utf-8")
+        return [file]
+
+
+@r.hookimpl
+def stereogs_register_scenes(register: r.Register[ToyScene]) -> None:
+    register("toy_scene", ToyScene)
+
+
+@r.hookimpl
+def stereogs_register_initializers(register: r.Register[ToyPoints]) -> None:
+    register("toy_points", ToyPoints)
+
+
+@r.hookimpl
+def stereogs_register_priors(register: r.Register[ToyPrior]) -> None:
+    register("toy_prior", ToyPrior)
+
+
+@r.hookimpl
+def stereogs_register_regularizers(register: r.Register[ToyTerm]) -> None:
+    register("toy_term", ToyTerm)
+
+
+@r.hookimpl
+def stereogs_register_modifiers(register: r.Register[ToyDropout]) -> None:
+    register("toy_dropout", ToyDropout)
+
+
+@r.hookimpl
+def stereogs_register_densifications(register: r.Register[ToyGrowth]) -> None:
+    register("toy_growth", ToyGrowth)
+
+
+@r.hookimpl
+def stereogs_register_opacity_policies(register: r.Register[ToyFade]) -> None:
+    register("toy_fade", ToyFade)
+
+
+@r.hookimpl
+def stereogs_register_metrics(register: r.Register[ToyPsnr]) -> None:
+    register("psnr", ToyPsnr)
+
+
+@r.hookimpl
+def stereogs_register_exporters(register: r.Register[ToyExporter]) -> None:
+    register("toy_files", ToyExporter)
+
+
+@r.hookimpl
+def stereogs_register_reports(register: r.Register[ToyReport]) -> None:
+    register("toy_report", ToyReport)

@@ -1,0 +1,75 @@
+"""What the documentation says works: its Python runs, its commands parse, its links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from registry.cli import build_parser
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def commands(page: Path) -> list[str]:
+    lines = (line for block in blocks(page, "sh") for line in block.splitlines())
+    return [line.strip() for line in lines if line.strip().startswith("stereogs ")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
+        if not target.startswith(("http://", "https://")):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_are_understood(page: Path) -> None:
+    for command in commands(page):
+        build_parser().parse_args(shlex.split(command, comments=True)[1:])
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])
+def test_python_examples_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for source in blocks(page, "python"):
+        exec(compile(source, str(page), "exec"), {"__name__": "example"})
+    assert capsys.readouterr().out
+
+
+def test_the_tutorial_shows_commands() -> None:
+    assert len(commands(ROOT / "docs" / "tutorial.md")) >= 5
+
+
+def test_fitting_one_picture_gets_better(tmp_path: Path) -> None:
+    from PIL import Image
+    from skimage import data
+
+    picture = tmp_path / "small.png"
+    Image.fromarray(data.coffee()).resize((60, 40)).save(picture)
+    script = ROOT / "docs" / "examples" / "fit_one_picture.py"
+    output = subprocess.run(
+        [sys.executable, str(script), str(picture), "200"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "HOME": str(Path.home())},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    first, last = (float(value) for value in re.findall(r"PSNR ([\d.]+)", output))
+    assert last > first > 20
+    assert (tmp_path / "fitted.png").is_file()
+
+
+def test_the_list_of_components_is_up_to_date() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
+    assert script["PAGE"].read_text("utf-8") == script["page"](), "run `make docs`"
