@@ -44,10 +44,10 @@ def test_agrees_with_the_oracle(device: Device, seed: int) -> None:
     rendering = rasterize(*leaves, camera, background, device=device)
     weighted_loss(rendering, seed).backward()
     for name in ("rgb", "depth", "alpha"):
-        assert relative_error(getattr(rendering, name), getattr(truth, name)) < 1.5e-6, name
+        assert relative_error(getattr(rendering, name), getattr(truth, name)) < 1e-6, name
     for name, leaf, truth_leaf in zip(NAMES, leaves, truth_leaves, strict=True):
         if truth_leaf.grad.abs().max() > 0:
-            assert relative_error(leaf.grad, truth_leaf.grad) < 3e-5, name
+            assert relative_error(leaf.grad, truth_leaf.grad) < 2e-5, name
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -59,27 +59,6 @@ def test_agrees_with_the_oracle_to_rounding_in_double(device: Device, seed: int)
     weighted_loss(rasterize(*leaves, camera, device=device), seed).backward()
     for name, leaf, truth_leaf in zip(NAMES, leaves, truth_leaves, strict=True):
         assert relative_error(leaf.grad, truth_leaf.grad) < 1e-9, name
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_gradients_pass_gradcheck_of_the_kernels_themselves(device: Device, seed: int) -> None:
-    """Finite differences of the double-precision kernels, with off-centre camera and background.
-
-    Alpha's cut-off makes the image jump by up to 1/255 where an ellipse ends, which finite differences
-    would take for slope. So the Gaussians are wide and opaque enough to cover the small image.
-    """
-    generator = torch.Generator().manual_seed(200 + seed)
-    camera = random_camera(generator, 9, 7)
-    scene = random_scene(generator, 4, sh_degree=seed % 4, spread=0.5)
-    scene.scales = 3.0 + 2.0 * torch.rand(4, 3, generator=generator, dtype=torch.float64)
-    scene.opacities = 0.2 + 0.3 * torch.rand(4, generator=generator, dtype=torch.float64)
-    scene.sh[:, 0] += 2.0  # away from the clamp of negative colours
-
-    def images(*leaves: Tensor) -> tuple[Tensor, ...]:
-        rendering = rasterize(*leaves, camera, (0.3, 0.1, 0.6), device=device)
-        return rendering.rgb, rendering.depth, rendering.alpha
-
-    assert torch.autograd.gradcheck(images, scene.tensors(), eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["surf_3000", "garden_3000"])

@@ -6,7 +6,15 @@ import hashlib
 
 import torch
 
-from core_rasterizer import Adam, Device, Edit, GaussianModel, apply_edit, photometric_loss
+from core_rasterizer import (
+    Adam,
+    Device,
+    Edit,
+    GaussianModel,
+    apply_edit,
+    list_devices,
+    photometric_loss,
+)
 from core_rasterizer.optimizer import PARAMETER_GROUPS
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
@@ -37,7 +45,7 @@ def short_training(
         loss = photometric_loss(rendering.rgb, targets[step % 2], device=device)
         (loss + 0.01 * rendering.depth.mean() + 0.1 * rendering.alpha.mean()).backward()
         optimizer.step(RATES, active_sh_degree=min(3, step // 2))
-        losses.append(float(loss))
+        losses.append(loss.item())
         if step % 5 == 4:
             busy = model.screen_gradient() > model.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
@@ -53,13 +61,11 @@ def short_training(
 
 
 def main() -> None:
-    """Print the digest of the first device's CPU and GPU kernels, for a process of its own."""
-    from core_rasterizer import list_devices
-
+    """Print the compute units, the raster variant and the digest of every device found."""
     for device in list_devices():
         for variant in ("cpu", "gpu"):
             engine = device.as_variant(variant)
-            print(engine.compute_units, *(short_training(engine) for _ in range(1)))
+            print(engine.compute_units, variant, short_training(engine), sep="\t")
 
 
 if __name__ == "__main__":

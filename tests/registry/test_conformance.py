@@ -1,0 +1,89 @@
+"""The conformance suite passes good components and catches each kind of bad one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import registry as r
+from core_rasterizer import ExplainedError
+from registry.testing import check
+
+from . import toy_plugin as toys
+
+
+@pytest.mark.parametrize(
+    "component",
+    [
+        toys.ToyScene,
+        toys.ToyPoints,
+        toys.ToyPrior,
+        toys.ToyTerm,
+        toys.ToyDropout,
+        toys.ToyGrowth,
+        toys.ToyFade,
+        toys.ToyExporter,
+        toys.ToyReport,
+        toys.ToyPsnr,
+    ],
+)
+def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
+    check(component)
+
+
+class Forgetful(toys.ToyTerm):
+    def restore(self, state: Any) -> None:
+        pass
+
+
+class Unseeded(toys.ToyDropout):
+    def opacity_scale(self, step: r.Step) -> torch.Tensor:
+        return torch.rand(step.model.count)
+
+
+class Meddler(toys.ToyFade):
+    def update(self, step: r.Step) -> r.OpacityUpdate | None:
+        step.model.write("opacity_logits", torch.zeros(step.model.count))
+        return None
+
+
+class Upside(toys.ToyPsnr):
+    higher_is_better = False
+
+
+class Liar(toys.ToyExporter):
+    def export(self, model: Any, scene: r.Scene, folder: Path) -> list[Path]:
+        return [folder / "not-written"]
+
+
+class Plain:
+    """No component at all."""
+
+
+class Negative(toys.ToyDropout):
+    def opacity_scale(self, step: r.Step) -> torch.Tensor:
+        return -torch.ones(step.model.count)
+
+
+@pytest.mark.parametrize(
+    ("component", "settings", "message"),
+    [
+        (Forgetful, {}, "restore"),
+        (Unseeded, {}, "different answers"),
+        (Meddler, {}, "changed the Gaussians"),
+        (Upside, {}, "score better"),
+        (Liar, {}, "was not written"),
+        (Plain, {}, "derives from none"),
+        (Negative, {}, "negative"),
+        (toys.ToyTerm, {"fault": "shape"}, "expected one floating-point"),
+        (toys.ToyTerm, {"fault": "gradient"}, "undefined gradient"),
+        (toys.ToyGrowth, {"wrong": True}, "'clone'"),
+        (toys.ToyFade, {"value": 2.0}, "outside"),
+    ],
+)
+def test_faults_are_found(component: Any, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises((AssertionError, ExplainedError), match=message):
+        check(component, **settings)

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from core_rasterizer import Rendering
+from registry import RunError
+from registry.camera_path import smooth_path
+from registry.pictures import depth_picture, save_png, side_by_side
+from registry.testing import tiny_scene
+from registry.video import write_video
+
+
+def test_png_is_rounded_and_clamped(tmp_path: Path) -> None:
+    image = torch.tensor([[[-1.0, 0.5, 2.0], [0.1, 0.2, 0.3]]])
+    save_png(image, tmp_path / "a.png")
+    pixels = np.asarray(Image.open(tmp_path / "a.png"))
+    assert pixels.tolist() == [[[0, 128, 255], [26, 51, 76]]]
+
+
+def test_near_is_lighter_than_far_and_nothing_is_black() -> None:
+    alpha = torch.tensor([[1.0, 0.8, 0.9, 0.1]])
+    depth = alpha * torch.tensor([[1.0, 2.0, 4.0, 3.0]])
+    picture = depth_picture(Rendering(torch.zeros(1, 4, 3), depth, alpha))
+    light = picture.mean(dim=2)[0].tolist()
+    assert light[0] > light[1] > light[2] > light[3] == 0
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0])
+def test_flat_depth_is_a_picture_too(alpha: float) -> None:
+    maps = torch.full((3, 5), alpha)
+    picture = depth_picture(Rendering(torch.zeros(3, 5, 3), maps, maps))
+    assert picture.shape == (3, 5, 3)
+    assert torch.isfinite(picture).all()
+
+
+def test_side_by_side() -> None:
+    row = side_by_side(torch.zeros(2, 3, 3), torch.full((2, 5, 3), 0.5))
+    assert row.shape == (2, 3 + 4 + 5, 3)
+    assert row[0, :, 0].tolist() == [0.0] * 3 + [1.0] * 4 + [0.5] * 5
+
+
+def test_the_path_visits_every_camera() -> None:
+    cameras = [view.camera for view in (*tiny_scene().train, *tiny_scene().test)]
+    path = smooth_path(cameras, 3 * 8)
+    assert len(path) == 24
+    for index, camera in enumerate(cameras):
+        torch.testing.assert_close(path[8 * index].world_to_camera, camera.world_to_camera)
+        assert path[8 * index].fx == pytest.approx(camera.fx)
+    steps = [
+        float((a.center - b.center).norm()) for a, b in zip(path, [*path[1:], path[0]], strict=True)
+    ]
+    assert max(steps) < 0.15
+
+
+def test_a_path_needs_two_cameras() -> None:
+    camera = tiny_scene().train[0].camera
+    with pytest.raises(RunError, match="no path"):
+        smooth_path([camera], 10)
+    with pytest.raises(RunError, match="no path"):
+        smooth_path([camera, camera], 1)
+
+
+def test_without_an_encoder_there_are_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    written, note = write_video([torch.rand(5, 7, 3)] * 3, tmp_path / "path")
+    assert sorted(file.name for file in written.iterdir()) == ["0000.png", "0001.png", "0002.png"]
+    assert "pip install" in note
+
+
+def test_with_an_encoder_there_is_a_video(tmp_path: Path) -> None:
+    encoder = pytest.importorskip("imageio_ffmpeg")
+    frames = [torch.full((33, 47, 3), shade) for shade in (0.0, 0.5, 1.0, 0.5)]
+    written, note = write_video(frames, tmp_path / "path")
+    assert note == "video"
+    assert [file.name for file in tmp_path.iterdir()] == ["path.mp4"]
+    reader = encoder.read_frames(str(written))
+    assert next(reader)["size"] == (46, 32)
+    assert len(list(reader)) == 4
