@@ -13,7 +13,7 @@ import pyopencl as cl
 import torch
 from torch import Tensor
 
-from .errors import DeviceError
+from .errors import DeviceError, MemoryBudgetError
 from .unknown_cpu import teach_processor_name
 
 Kind = Literal["cpu", "gpu", "accelerator"]
@@ -94,13 +94,24 @@ class Device:
 
         Returns:
             A buffer of so many elements, and where memory is shared the flat tensor that it is.
+
+        Raises:
+            MemoryBudgetError: the driver or the host refused so much.
         """
-        flags = cl.mem_flags.READ_WRITE
-        if not self.shares_memory:
-            return cl.Buffer(self.context, flags, size=elements * dtype.itemsize), None
-        host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
-        flags |= cl.mem_flags.USE_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
+        flags: int = cl.mem_flags.READ_WRITE
+        size = elements * dtype.itemsize
+        try:
+            if not self.shares_memory:
+                return cl.Buffer(self.context, flags, size=size), None
+            host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
+            flags |= cl.mem_flags.USE_HOST_PTR
+            return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
+        except (cl.Error, RuntimeError) as error:
+            raise MemoryBudgetError(
+                f"the device {self.name!r} did not give {size / 2**20:,.0f} MB: {error}",
+                where=f"its memory is {self.memory_bytes / 2**20:,.0f} MB in all",
+                fix="use fewer Gaussians or pixels, or free the device's memory",
+            ) from error
 
     def program(self, *sources: str, dtype: torch.dtype, **defines: int) -> Program:
         """Build the named kernel files together, once for each combination of settings.
@@ -192,42 +203,57 @@ class DeviceArray:
         if self._host is None:
             self.fill(0)
 
+    def __del__(self) -> None:
+        # A kernel under way may still use the host's memory, which OpenCL does not keep alive.
+        if getattr(self, "_host", None) is not None:
+            self.device.finish()
+
     @property
     def nbytes(self) -> int:
         """Bytes that the array's elements take."""
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
-    def read(self) -> Tensor:
-        """Wait for the device and return the contents.
+    def read(self, first: int = 0, last: int | None = None) -> Tensor:
+        """Wait for the device and return rows `[first, last)` of the contents; by default all.
 
         Where memory is shared this is a view that later kernels will change; elsewhere a copy.
         """
+        shape, begin, end = self._rows(first, last)
         if self._host is not None:
             self._map(self._host, cl.map_flags.READ)
-            return self._host[: int(np.prod(self.shape, dtype=np.int64))].reshape(self.shape)
-        result = torch.empty(self.shape, dtype=self.dtype)
+            return self._host[begin:end].reshape(shape)
+        result = torch.empty(shape, dtype=self.dtype)
         if result.numel():
-            cl.enqueue_copy(self.device.queue, result.numpy(), self.buffer)
-            self.device.bytes_moved += self.nbytes
+            offset = begin * self.dtype.itemsize
+            cl.enqueue_copy(self.device.queue, result.numpy(), self.buffer, src_offset=offset)
+            self.device.bytes_moved += result.nbytes
         return result
 
-    def write(self, values: Tensor) -> None:
-        """Replace the contents; `values` has the array's shape and is converted to its type."""
-        values = values.detach().to("cpu", self.dtype).reshape(self.shape).contiguous()
+    def write(self, values: Tensor, first: int = 0, last: int | None = None) -> None:
+        """Replace rows `[first, last)`; `values` has their shape and is converted to the array's type."""
+        shape, begin, end = self._rows(first, last)
+        values = values.detach().to("cpu", self.dtype).reshape(shape).contiguous()
         if not values.numel():
             return
         if self._host is not None:
             self._map(self._host, cl.map_flags.WRITE)
-            self._host[: values.numel()].copy_(values.reshape(-1))
+            self._host[begin:end].copy_(values.reshape(-1))
         else:
-            cl.enqueue_copy(self.device.queue, self.buffer, values.numpy())
-            self.device.bytes_moved += self.nbytes
+            offset = begin * self.dtype.itemsize
+            cl.enqueue_copy(self.device.queue, self.buffer, values.numpy(), dst_offset=offset)
+            self.device.bytes_moved += values.nbytes
 
     def fill(self, value: int) -> None:
         """Set every element to `value`."""
         pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
         size = max(1, int(np.prod(self.shape, dtype=np.int64))) * self.dtype.itemsize
         cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, 0, size)
+
+    def _rows(self, first: int, last: int | None) -> tuple[tuple[int, ...], int, int]:
+        """Shape of a range of rows, and where its elements begin and end."""
+        last = self.shape[0] if last is None else last
+        row = int(np.prod(self.shape[1:], dtype=np.int64))
+        return (last - first, *self.shape[1:]), first * row, last * row
 
     def _map(self, host: Tensor, flags: Any) -> None:
         """Make the host's view current; only mapping promises that, though it copies nothing."""

@@ -73,7 +73,7 @@ class Gaussians:
             GaussianError: naming the first field and index that are not.
         """
         for field in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
-            finite = torch.isfinite(getattr(self, field)).reshape(len(self), -1).all(dim=1)
+            finite = torch.isfinite(getattr(self, field))[:, None].flatten(1).all(dim=1)
             if not finite.all():
                 index = int((~finite).nonzero()[0])
                 raise GaussianError("a value is not finite", field=field, index=index)

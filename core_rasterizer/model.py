@@ -88,29 +88,33 @@ class GaussianModel:
             name: "means" `[N, 3]`, "log_scales" `[N, 3]`, "quaternions" `[N, 4]`, "opacity_logits"
                 `[N]` or "sh" `[N, K, 3]`.
         """
-        return self._unpack(self.parameters.read(), name)
+        return self._unpack(self.parameters.read(*self._rows_of(name)), name)
 
     def write(self, name: str, values: Tensor) -> None:
         """Replace one parameter; `values` has the shape that `read` returns.
 
         Raises:
-            GaussianError: the shape differs.
+            GaussianError: the shape differs, or a value is not finite.
         """
-        current = self.parameters.read()
-        expected = tuple(self._unpack(current, name).shape)
+        first, last = self._rows_of(name)
+        expected = tuple(self._unpack(torch.empty(last - first, self.count), name).shape)
         if tuple(values.shape) != expected:
             raise GaussianError(
                 f"the shape is {tuple(values.shape)}, expected {expected}", field=name
             )
-        updated = current.clone()
-        first, last = self._rows_of(name)
-        updated[first:last, : self.count] = values.to(self.dtype).reshape(self.count, -1).T
-        self.parameters.write(updated)
+        values = values.to(self.dtype).reshape(self.count, last - first)
+        finite = torch.isfinite(values).all(dim=1)
+        if not finite.all():
+            index = int((~finite).nonzero()[0])
+            raise GaussianError("a value is not finite", field=name, index=index)
+        updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
+        updated[:, : self.count] = values.T
+        self.parameters.write(updated, first, last)
 
     def gradient(self, name: str) -> Tensor:
         """The gradient of one parameter, summed over the renders since `zero_gradients`."""
         self.settle_gradients()
-        return self._unpack(self.gradients.read(), name)
+        return self._unpack(self.gradients.read(*self._rows_of(name)), name)
 
     def settle_gradients(self) -> None:
         """Write the zeros that `zero_gradients` promised, if no backward pass has overwritten them."""
@@ -185,9 +189,21 @@ class GaussianModel:
             sh_degree: bands to use, 0 to the stored degree; None uses all.
             opacity_scale: `[N]` factors >= 0 of the activated opacities. No gradient flows to them.
             collect_statistics: let the backward pass of this render count for `screen_gradient`.
-            near: z-depth below which Gaussians are culled, world units.
+            near: z-depth below which Gaussians are culled, world units, > 0.
+
+        Raises:
+            GaussianError: opacity factors, a background or a degree that do not fit.
+            CameraError: the image is too large to address, or `near` is not positive.
+            MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
+        if degree < 0:
+            raise GaussianError(f"the SH degree is {degree}", field="sh_degree", fix="use 0 to 3")
+        if opacity_scale is not None and tuple(opacity_scale.shape) != (self.count,):
+            raise GaussianError(
+                f"the shape is {tuple(opacity_scale.shape)}, expected ({self.count},)",
+                field="opacity_scale",
+            )
         view = View(camera, tuple(background), degree, near, opacity_scale)
         rgb, depth, alpha = _Render.apply(self._anchor, self, view, collect_statistics)
         return Rendering(rgb, depth, alpha)
@@ -228,8 +244,8 @@ class GaussianModel:
         return _ROWS[name]
 
     def _unpack(self, rows: Tensor, name: str) -> Tensor:
-        first, last = self._rows_of(name)
-        values = rows[first:last, : self.count]
+        """The rows of one parameter, in the shape that it has for the user."""
+        values = rows[:, : self.count]
         if name == "opacity_logits":
             return values[0]
         if name == "sh":

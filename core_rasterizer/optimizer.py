@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -63,7 +64,8 @@ class Adam:
                 a gradient, because their moments are then zero.
 
         Raises:
-            ExplainedError: a group without a learning rate, or a rate for an unknown group.
+            ExplainedError: a group without a learning rate, a rate for an unknown group, or one that is
+                not finite.
         """
         if set(learning_rates) != set(PARAMETER_GROUPS):
             wrong = sorted(set(learning_rates) ^ set(PARAMETER_GROUPS))
@@ -72,6 +74,11 @@ class Adam:
                 where="Adam.step",
                 fix=f"give one for each of {', '.join(PARAMETER_GROUPS)}",
             )
+        for name, rate in learning_rates.items():
+            if not math.isfinite(rate):
+                raise ExplainedError(
+                    f"the learning rate of {name} is {rate}", where=f"Adam.step: {name}"
+                )
         model = self._model
         model.settle_gradients()
         self.steps += 1

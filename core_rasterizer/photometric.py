@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -120,6 +121,8 @@ class _Workspace:
             self._run("gradient", 1, image, reference, self._maps, result, scalars=scales)
         l1, dissimilarity = (self._sums.read().double().sum(dim=0) / values).tolist()
         loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
+        if not math.isfinite(loss):
+            raise _undefined(rgb, target)
         return loss, result.read() if with_gradient else None
 
     def _bind(self, rgb: Tensor, target: Tensor) -> list[DeviceArray]:
@@ -141,6 +144,23 @@ class _Workspace:
     ) -> None:
         global_size = (self._items, -(-self._shape[0] // rows))
         self._program.run(kernel, global_size, (self._items, 1), *arrays, *self._size, *scalars)
+
+
+def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
+    """What made the loss a value that is not finite."""
+    for name, image in (("rgb", rgb), ("target", target)):
+        bad = (~torch.isfinite(image)).nonzero()
+        if len(bad):
+            y, x, channel = bad[0].tolist()
+            return ExplainedError(
+                f"{len(bad)} values of the image {name!r} are not finite",
+                where=f"photometric_loss: {name}[{y}, {x}, {channel}]",
+            )
+    return ExplainedError(
+        f"the loss overflows: the images reach {max(rgb.abs().max(), target.abs().max()):g}",
+        where="photometric_loss",
+        fix="give images with values near [0, 1]",
+    )
 
 
 @lru_cache(maxsize=_WORKSPACES)

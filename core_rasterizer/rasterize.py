@@ -46,15 +46,16 @@ def rasterize(
             at 0 below.
         camera: what to look through.
         background: three numbers, the colour behind the scene; None is black. No gradient flows to it.
-        near: z-depth below which Gaussians are culled, world units.
+        near: z-depth below which Gaussians are culled, world units, > 0.
         device: the OpenCL device; None chooses (`open_device`).
 
     Returns:
         `rgb [H, W, 3]`, `depth [H, W]` (sum of z alpha T, not divided by alpha) and `alpha [H, W]`.
 
     Raises:
-        GaussianError: shapes or types that do not fit together.
-        MemoryBudgetError: the Gaussians cover too many tiles.
+        GaussianError: shapes or types that do not fit together, a background that is not finite.
+        CameraError: the image is too large to address, or `near` is not positive.
+        MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
     """
     _check(
         {
@@ -66,8 +67,6 @@ def rasterize(
         }
     )
     color = (0.0, 0.0, 0.0) if background is None else tuple(float(value) for value in background)
-    if len(color) != 3:
-        raise GaussianError(f"{len(color)} numbers given, expected 3", field="background")
     rasterizer = _rasterizer(device or open_device(), means.dtype)
     outputs = _Rasterize.apply(
         means, scales, quaternions, opacities, sh, rasterizer, camera, color, near
@@ -91,7 +90,7 @@ class _Rasterize(torch.autograd.Function):
         sh: Tensor,
         rasterizer: Rasterizer,
         camera: Camera,
-        background: tuple[float, float, float],
+        background: tuple[float, ...],
         near: float,
     ) -> tuple[Tensor, Tensor, Tensor]:
         gaussians = Gaussians(means, scales, quaternions, opacities, sh)

@@ -6,6 +6,7 @@ This module knows buffers and kernels. Autograd lives in `model.py` (device-resi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from .camera import Camera
 from .device import Device, DeviceArray
-from .errors import CameraError, GaussianError, MemoryBudgetError
+from .errors import CameraError, ExplainedError, GaussianError, MemoryBudgetError
 
 ROWS_BEFORE_SH = 11
 """Parameter rows in front of the SH coefficients: mean 3, scale 3, quaternion 4, opacity 1."""
@@ -24,6 +25,8 @@ NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
+PAIRS_AT_FIRST = 1 << 14
+"""Room for (tile, Gaussian) pairs before a render has shown how many there are."""
 
 _LARGEST = 1e37
 """REAL_LARGEST of the kernels: what reaches it is not shown."""
@@ -132,7 +135,7 @@ class Rasterizer:
         )
         self._scratch: dict[str, DeviceArray] = {}
         self._frames: list[Frame] = []
-        self._pair_capacity = 1 << 14
+        self._pair_capacity = PAIRS_AT_FIRST
 
     def forward(self, block: Block, view: View) -> tuple[Tensor, Tensor, Tensor, Lease]:
         """Render.
@@ -182,6 +185,9 @@ class Rasterizer:
             accumulate: add to what `gradients` holds instead of replacing it.
             statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
                 screen-space mean gradient, row 1 gains one for it.
+
+        Raises:
+            ExplainedError: a gradient of an image is not finite.
         """
         arrays, camera = frame.arrays, frame.view.camera
         pixels = camera.width * camera.height
@@ -210,6 +216,7 @@ class Rasterizer:
             d_alpha,
             sums,
             np.int32(frame.tiles[0]),
+            np.int32(image_gradients[1] is not None),
         )
         modified = frame.view.modifiers is not None
         self._run_blocks(
@@ -267,9 +274,9 @@ class Rasterizer:
         frame.arrays["camera"].write(_camera_block(view))
         if view.modifiers is not None:
             self._fit(frame, "modifiers", self.dtype, capacity)
-            factors = torch.zeros(frame.arrays["modifiers"].shape, dtype=self.dtype)
+            factors = torch.zeros(capacity, dtype=self.dtype)
             factors[: block.count] = view.modifiers
-            frame.arrays["modifiers"].write(factors)
+            frame.arrays["modifiers"].write(factors, 0, capacity)
 
     def _project(self, frame: Frame, block: Block, view: View) -> None:
         arrays = frame.arrays
@@ -392,7 +399,6 @@ class Rasterizer:
 
     def _grow_pairs(self, frame: Frame, block: Block) -> None:
         if frame.pairs > frame.pair_limit:
-            self._scratch["chunk_pairs"].fill(0)  # where the kernels note that they were refused
             needed = frame.pair_limit * self._bytes_of_pair / 2**20
             raise self._over_budget(
                 frame,
@@ -419,7 +425,7 @@ class Rasterizer:
         )
 
     def _capacity_of(self, frame: Frame) -> int:
-        return frame.arrays["pairs"].shape[0] // 2
+        return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
 
     def _image(self, shape: tuple[int, ...]) -> DeviceArray:
         if self.device.shares_memory:
@@ -432,12 +438,13 @@ class Rasterizer:
         if gradient is None:
             return self._reserve(f"no_{name}", self.dtype, size)
         gradient = gradient.to(self.dtype).contiguous()
+        # One pass tells whether all is well; only a sum that is not finite is worth a closer look.
+        if not math.isfinite(gradient.sum()):
+            _refuse_undefined(gradient, name)
         if self.device.shares_memory:
             return DeviceArray(self.device, (size,), self.dtype, over=gradient)
         array = self._reserve(f"d_{name}", self.dtype, size)
-        padded_gradient = torch.zeros(array.shape, dtype=self.dtype)
-        padded_gradient[:size] = gradient.reshape(-1)
-        array.write(padded_gradient)
+        array.write(gradient, 0, size)
         return array
 
     def _fit(self, frame: Frame, name: str, dtype: torch.dtype, elements: int) -> None:
@@ -506,6 +513,18 @@ def _check_view(view: View) -> None:
     for index, value in enumerate(view.background):
         if not abs(value) < _LARGEST:
             raise GaussianError(f"the value is {value}", field="background", index=index)
+
+
+def _refuse_undefined(gradient: Tensor, name: str) -> None:
+    """Refuse the gradient of an image that holds a NaN or an infinity."""
+    undefined = (~torch.isfinite(gradient)).nonzero()
+    if len(undefined):
+        place = ", ".join(str(index) for index in undefined[0].tolist())
+        raise ExplainedError(
+            f"the loss has an undefined gradient in {len(undefined)} values of the image {name!r}",
+            where=f"backward of a render: {name}[{place}]",
+            fix="look for a division by zero or a square root of zero in the loss",
+        )
 
 
 def _camera_block(view: View) -> Tensor:

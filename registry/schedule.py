@@ -59,14 +59,23 @@ class HostSettings(Schedule):
 
 
 def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
-    """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down."""
+    """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down.
+
+    In a run so short that a share ends before the start, the component is never due: it is disabled.
+    """
     result = dict(settings)
+    shares: list[Node] = []
     for name in ("start", "stop"):
         node = settings.get(name)
         share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
         if node and share:
             moment = math.floor(float(share[1]) / 100 * iterations)
             result[name] = Node(max(1, moment), node.place)
+            shares.append(result[name])
+    start, stop = (result[name].content if name in result else None for name in ("start", "stop"))
+    if shares and isinstance(start, int) and isinstance(stop, int) and stop < start:
+        del result["start"], result["stop"]
+        result["enabled"] = Node(False, shares[0].place)
     return result
 
 

@@ -52,7 +52,7 @@ def check(
 
     Raises:
         AssertionError: the component breaks the contract.
-        PluginError: the host would refuse the class or an answer.
+        ExplainedError: the host or the engine would refuse the class or an answer.
     """
     point = next((p for p in HOOK_POINTS if issubclass(component, p.base)), None)
     _require(point is not None, f"{component.__name__} derives from none of the component bases")
@@ -98,7 +98,7 @@ class Bench:
             model=model,
             extent=scene.extent,
             priors=self.priors,
-            render=StepRenderer(model, scene, 1, 10),
+            render=StepRenderer(model, scene, 1),
             log=_log,
         )
 
@@ -184,8 +184,6 @@ def _ask_regularizer(bench: Bench, built: Any) -> Any:
     if loss.requires_grad:
         loss.backward()
     gradients = [step.model.gradient(name).clone() for name in ("means", "opacity_logits", "sh")]
-    for gradient in gradients:
-        _require(bool(torch.isfinite(gradient).all()), "the loss has a gradient that is not finite")
     _require(step.model.digest() == before, "the regularizer changed the Gaussians")
     return [loss.detach(), *gradients]
 

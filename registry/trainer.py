@@ -30,7 +30,7 @@ from .parts import Parts
 from .scene import Scene
 from .schedule import active_sh_degree
 from .seeding import derived_seed
-from .step_rendering import StepRenderer, backward, watch_gradients
+from .step_rendering import StepRenderer, backward
 from .topology_rules import limited, not_finite
 from .training_settings import TrainingSettings
 from .view_order import ViewOrder
@@ -110,7 +110,7 @@ class Trainer:
             model=self.model,
             extent=self._extent,
             priors=self.parts.priors,
-            render=StepRenderer(self.model, self.scene, degree, iteration),
+            render=StepRenderer(self.model, self.scene, degree),
             log=self._log_number,
         )
         self.model.zero_gradients()
@@ -163,7 +163,6 @@ class Trainer:
                 fix="lower the learning rates; the last checkpoint, if any, is whole",
             ) from error
         self._log_number("photometric", float(loss.detach()))
-        watch_gradients(step.rendering, step.iteration)
         for part in self.parts.due("regularizers", step.iteration):
             with blame(part.item, step.iteration):
                 term = check_loss(part.component.loss(step))

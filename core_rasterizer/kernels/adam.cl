@@ -14,7 +14,7 @@
 #define SHARE2 ((real)0.001)
 #define EPSILON ((real)1e-15)
 /* The square of a gradient beyond this is no number; such a gradient, or an undefined one, counts as 0. */
-#define LARGEST_GRADIENT ((real)(REAL_IS_DOUBLE ? 1e150 : 1e18))
+#define LARGEST_GRADIENT ((real)1e18)
 
 __kernel void adam(
     __global real *restrict parameters, __global const real *restrict gradients,
@@ -32,7 +32,8 @@ __kernel void adam(
     /* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. */
     for (size_t at = first + begin; at < first + end; at++) {
         const real given = gradients[at];
-        const real gradient = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT) ? given : 0;
+        const int defined = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT);
+        const real gradient = defined ? given : 0;
         const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
         const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
         first_moments[at] = m;

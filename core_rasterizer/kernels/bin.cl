@@ -4,6 +4,8 @@
  * need no sort of their own. Each (tile, Gaussian) pair also gets a slot; the slots of one Gaussian
  * are neighbours, so that its gradient is a sum over contiguous memory in a fixed order. */
 
+#define LOT (1u << 20)
+
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void count_tiles(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
@@ -15,19 +17,20 @@ void count_tiles(
     for (uint tile = 0; tile < tiles; tile++)
         mine[tile] = 0;
     const size_t visible = counters[COUNT_VISIBLE], end = visible * (chunk + 1) / chunks;
-    /* Set by a chunk that alone has too many pairs: the render is refused, and all stop counting. */
-    volatile __global uint *refused = chunk_pairs + chunks;
-    ulong pairs = 0;
-    for (size_t r = visible * chunk / chunks; r < end && *refused <= pair_limit; r++) {
+    /* Chunks add up the lots that they have counted: beyond the limit the render will be refused, and
+     * all can stop. The total is then that of a part, but beyond the limit too. */
+    volatile __global uint *lots = chunk_pairs + chunks;
+    ulong pairs = 0, reported = 0;
+    for (size_t r = visible * chunk / chunks; r < end && *lots <= pair_limit / LOT; r++) {
         const uint4 cover = covers[order[r]];
         FOR_EACH_TILE(cover, records + (size_t)order[r] * RECORD, {
             mine[tile]++;
             pairs++;
         })
-        if (pairs > pair_limit)
-            *refused = 0xFFFFFFFFu;
+        for (; pairs - reported >= LOT; reported += LOT)
+            atomic_inc(lots);
     }
-    chunk_pairs[chunk] = (uint)pairs; /* at most pair_limit and one Gaussian's tiles: below 2^32 */
+    chunk_pairs[chunk] = (uint)pairs; /* hardly more than the limit, which is well below 2^32 */
 }
 
 /* One entry of a tile's list: which Gaussian, and where its partial gradient goes. */
@@ -35,13 +38,15 @@ __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void fill_tiles(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global uint *counts, __global const uint *tile_starts,
-    __global const uint *chunk_starts, __global uint2 *pairs, __global uint *slot_start,
+    __global uint *chunk_starts, __global uint2 *pairs, __global uint *slot_start,
     __global uint *slot_count, __global const ulong *counters, uint tiles, int tiles_x,
     uint pair_capacity)
 {
+    const size_t chunks = get_global_size(0), chunk = get_global_id(0);
+    if (chunk == 0)
+        chunk_starts[chunks] = 0; /* the lots of the next count */
     if (counters[COUNT_PAIRS] > pair_capacity)
         return;
-    const size_t chunks = get_global_size(0), chunk = get_global_id(0);
     __global uint *mine = counts + chunk * tiles;
     for (uint tile = 0; tile < tiles; tile++)
         mine[tile] += tile_starts[tile];

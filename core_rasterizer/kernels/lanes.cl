@@ -88,9 +88,13 @@ typedef GLUE(WIDE_NAME, LANES) wide_lane;
 
 static inline lane lane_sqrt(lane x)
 {
+#if defined(__AVX__) && LANES == 8 && !REAL_IS_DOUBLE
+    return __builtin_ia32_sqrtps256(x);
+#else
     for (int i = 0; i < LANES; i++)
         LANE_AT(x, i) = SCALAR_SQRT(LANE_AT(x, i));
     return x;
+#endif
 }
 
 /* e^x, to about one unit in the last place; x is clamped so that the result stays finite. The order of

@@ -23,7 +23,7 @@ static inline void shade(
         lane sum = (lane)0.5;
         for (int k = 0; k < (degree + 1) * (degree + 1); k++)
             sum += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
-        color[c] = sum < (lane)0 ? (lane)0 : sum; /* NaN stays, and makes the Gaussian invisible */
+        color[c] = sum;
     }
 }
 
@@ -76,8 +76,10 @@ void project(
 
     lane field[RECORD], color[3];
     shade(color, parameters, capacity, i, camera, degree);
-    for (int channel = 0; channel < 3; channel++)
-        visible &= color[channel] < (lane)big;
+    for (int channel = 0; channel < 3; channel++) {
+        visible &= LANE_ABS(color[channel]) < (lane)big;
+        color[channel] = LANE_MAX(color[channel], (lane)0);
+    }
     for (int l = 0; l < LANES; l++)
         clamped[i + l] = (LANE_AT(color[0], l) <= 0) | (LANE_AT(color[1], l) <= 0) << 1
             | (LANE_AT(color[2], l) <= 0) << 2;

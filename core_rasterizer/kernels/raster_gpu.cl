@@ -122,7 +122,8 @@ void raster_backward(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
-    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums, int tiles_x)
+    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums,
+    int tiles_x, int with_depth)
 {
     __local real staged[BATCH * RECORD];
     __local real scratch[(PAIR_TOUCHED + 1) * GROUP];
@@ -138,7 +139,7 @@ void raster_backward(
         red = d_rgb[3 * pixel];
         green = d_rgb[3 * pixel + 1];
         blue = d_rgb[3 * pixel + 2];
-        z = d_depth[pixel];
+        z = with_depth ? d_depth[pixel] : (real)0;
         rest = rgb[3 * pixel] * red + rgb[3 * pixel + 1] * green + rgb[3 * pixel + 2] * blue
             + depth[pixel] * z - final_transmittance[pixel] * d_alpha[pixel];
     }

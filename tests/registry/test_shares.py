@@ -37,3 +37,11 @@ def test_the_resolved_pipeline_holds_plain_iterations(toys: Plugins) -> None:
 def test_what_is_no_share_is_refused(toys: Plugins) -> None:
     with pytest.raises(PipelineError, match="must be a whole number"):
         parse(toys, "densification.stop=half")
+
+
+def test_a_run_too_short_for_a_share_does_without_the_component(toys: Plugins) -> None:
+    text = TEXT.replace("start: 10%", "start: 600")
+    short = parse_pipeline(text, toys, overrides=["training.iterations=1000"])
+    assert short.items["densification"] == ()
+    long = parse_pipeline(text, toys, overrides=["training.iterations=2000"])
+    assert long.items["densification"][0].schedule.stop == 998
