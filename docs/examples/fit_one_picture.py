@@ -1,9 +1,4 @@
-"""Fit Gaussians to one picture with the rasterizer alone: no pipeline, no plugins.
-
-    python docs/examples/fit_one_picture.py [PICTURE] [ITERATIONS]
-
-Writes fitted.png, the picture and its fit side by side.
-"""
+"""Fits Gaussians to a picture with the rasterizer alone: python fit_one_picture.py [PICTURE] [ITERATIONS]"""
 
 import sys
 
@@ -14,13 +9,12 @@ from skimage import data
 
 from core_rasterizer import Camera, photometric_loss, rasterize
 
-picture = Image.open(sys.argv[1]).convert("RGB") if len(sys.argv) > 1 else Image.fromarray(data.coffee())
+picture = Image.open(sys.argv[1]).convert("RGB") if sys.argv[1:] else Image.fromarray(data.coffee())
 picture.thumbnail((300, 300))
-iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 300
 target = torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)
 height, width, _ = target.shape
 
-# Looking along +z from the origin: at depth 1 an image pixel is 1 / focal world units wide.
+# Seen from the origin along +z, a pixel at depth 1 is 1 / focal world units wide.
 focal, count = float(width), 3000
 camera = Camera(torch.eye(4), focal, focal, width / 2, height / 2, width, height)
 torch.manual_seed(0)
@@ -33,15 +27,13 @@ sh = torch.zeros(count, 1, 3).requires_grad_()
 rates = {means: 2e-3, log_scales: 2e-2, quaternions: 2e-2, logits: 5e-2, sh: 2e-2}
 optimizer = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in rates.items()])
 
-for iteration in range(iterations):
+for iteration in range(1, 1 + (int(sys.argv[2]) if sys.argv[2:] else 300)):
     optimizer.zero_grad()
     image = rasterize(means, quaternions, log_scales.exp(), logits.sigmoid(), sh, camera).rgb
-    loss = photometric_loss(image, target)
-    loss.backward()
+    photometric_loss(image, target).backward()
     optimizer.step()
-    if (iteration + 1) % 100 == 0:
+    if iteration % 100 == 0:
         psnr = -10 * torch.log10((image.detach().clamp(0, 1) - target).square().mean())
-        print(f"iteration {iteration + 1}: loss {loss.item():.4f}, PSNR {psnr:.2f} dB")
-
-both = torch.cat([target, image.detach().clamp(0, 1)], dim=1)
-Image.fromarray((both * 255).round().byte().numpy()).save("fitted.png")
+        print(f"iteration {iteration}: PSNR {psnr:.2f} dB")
+side_by_side = torch.cat([target, image.detach().clamp(0, 1)], dim=1)
+Image.fromarray((side_by_side * 255).round().byte().numpy()).save("fitted.png")

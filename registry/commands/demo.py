@@ -20,13 +20,15 @@ from .output import Verbs, add_device, add_verb, console
 from .train import conclude
 
 DATA = "STEREOGS_DATA"
-PHOTOGRAPHS = "llff_fern"
-"""The data set that the demo prefers to its own room."""
+FAVOURITE = "llff_fern"
+"""The scene that the demo prefers where there are several."""
+POSES = "poses_bounds.npy"
+"""What makes a folder an LLFF scene."""
 
 _EPILOG = """\
 examples:
   stereogs demo
-  STEREOGS_DATA=/data stereogs demo     three photographs of /data/llff_fern instead of a drawn room
+  STEREOGS_DATA=/data stereogs demo     three photographs of an LLFF scene in /data, not a drawn room
 
 It trains for two minutes or so on two processor cores, scores views that it has not seen, and writes
 demo.png into the run folder: truth, render and depth of such a view, side by side.
@@ -63,10 +65,26 @@ def run(arguments: argparse.Namespace) -> int:
     return status
 
 
+def photographs() -> str | None:
+    """Where STEREOGS_DATA has an LLFF scene, as a pipeline writes it; None where it has none.
+
+    The variable names either a scene's own folder or one that holds scenes, of which the demo
+    prefers `llff_fern`.
+    """
+    root = os.environ.get(DATA)
+    if not root:
+        return None
+    if Path(root, POSES).is_file():
+        return f"${{{DATA}}}"
+    names = sorted(path.parent.name for path in Path(root).glob(f"*/{POSES}"))
+    # Without a folder of eighth-size images the demo would not end in minutes.
+    small = [name for name in names if Path(root, name, "images_8").is_dir()]
+    if not small:
+        return None
+    return f"${{{DATA}}}/{FAVOURITE if FAVOURITE in small else small[0]}"
+
+
 def _scene() -> list[str]:
     """The override that puts photographs in place of the drawn room, if there are any."""
-    root = os.environ.get(DATA)
-    if not root or not Path(root, PHOTOGRAPHS).is_dir():
-        return []
-    path = f"${{{DATA}}}/{PHOTOGRAPHS}"
-    return [f'scene={{use: llff, path: "{path}", train_views: 3}}']
+    path = photographs()
+    return [] if path is None else [f'scene={{use: llff, path: "{path}", train_views: 3}}']
