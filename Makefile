@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test lint types docs bench-engine check clean help
+.PHONY: demo test stress lint types docs bench-engine check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -19,6 +19,9 @@ demo: $(VENV)/.runtime ## three photographs to a scored scene, in minutes
 
 test: $(VENV)/.dev ## the test suite
 	$(BIN)/python -m pytest
+
+stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
+	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

@@ -18,7 +18,7 @@ from .gaussians import Gaussians
 from .model import GaussianModel
 from .optimizer import Adam
 from .photometric import photometric_loss
-from .ply import load_ply, save_ply
+from .ply import load_ply, load_points, save_ply
 from .rasterize import rasterize
 from .rendering import Rendering
 from .topology import Carried, Edit, apply_edit
@@ -41,6 +41,7 @@ __all__ = [
     "apply_edit",
     "list_devices",
     "load_ply",
+    "load_points",
     "open_device",
     "photometric_loss",
     "rasterize",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, Literal
@@ -113,13 +113,13 @@ class Device:
                 fix="use fewer Gaussians or pixels, or free the device's memory",
             ) from error
 
-    def program(self, *sources: str, dtype: torch.dtype, **defines: int) -> Program:
+    def program(self, *sources: str, dtype: torch.dtype, **defines: float) -> Program:
         """Build the named kernel files together, once for each combination of settings.
 
         Args:
             sources: names of files in `kernels/` without their ending; `lanes` is put in front.
             dtype: torch.float32 or torch.float64; decides what `real` is.
-            defines: integer macros.
+            defines: macros and their values.
 
         Raises:
             DeviceError: the device has no double precision, or its compiler refused the source.
@@ -148,7 +148,7 @@ class Device:
 class Program:
     """Kernels built from one set of sources; each `cl.Kernel` is made once and kept."""
 
-    def __init__(self, device: Device, sources: Sequence[str], macros: dict[str, int]) -> None:
+    def __init__(self, device: Device, sources: Sequence[str], macros: Mapping[str, float]) -> None:
         text = "\n".join(_source(name) for name in ("lanes", *sources))
         options = [*_BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         try:

@@ -21,13 +21,14 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from .errors import PlyError
-from .gaussians import Gaussians
+from .gaussians import SH_C0, Gaussians
 
 _COMMENT = "SplatRenderMode: default"
 """How viewers are told that no anti-aliasing filter was part of training."""
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
+_COLOR = ("red", "green", "blue")
 _CONSTANT_BAND = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
@@ -95,6 +96,55 @@ def load_ply(path: str | Path) -> Gaussians:
             is not finite; the message names the property and the row.
     """
     path = Path(path)
+    vertex = _read_vertices(path)
+    available = {p.name for p in vertex.properties}
+    rest = _rest_names(available, path)
+    missing = [name for name in _REQUIRED if name not in available]
+    if missing:
+        raise PlyError(
+            f"the vertices have no {_listed(missing)}",
+            where=str(path),
+            fix="give a Gaussian scene; a point cloud or a mesh is not one",
+        )
+    columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
+    return _gaussians_from(columns, rest)
+
+
+def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
+    """Read coloured points from a PLY file: a point cloud, or the centres of a Gaussian scene.
+
+    Returns:
+        Positions `[P, 3]` in the file's units, and colours `[P, 3]` in [0, 1]; P may be 0. Colours are
+        red, green, blue where the file has them (whole numbers up to 255, or floats up to 1), else the
+        constant SH band.
+
+    Raises:
+        PlyError: the file is missing, cut off, not a PLY, has no positions or colours, or a value
+            that is not finite.
+    """
+    path = Path(path)
+    vertex = _read_vertices(path)
+    available = {p.name for p in vertex.properties}
+    constant_band = set(_CONSTANT_BAND) <= available
+    color_names = _CONSTANT_BAND if constant_band else _COLOR
+    missing = [name for name in (*_POSITION, *color_names) if name not in available]
+    if missing:
+        raise PlyError(
+            f"the vertices have no {_listed(missing)}",
+            where=str(path),
+            fix="give a point cloud with x y z and red green blue",
+        )
+    positions = torch.stack([_column(vertex, name, path) for name in _POSITION], dim=1)
+    colors = torch.stack([_column(vertex, name, path) for name in color_names], dim=1)
+    if constant_band:
+        colors = colors * SH_C0 + 0.5
+    elif np.issubdtype(vertex["red"].dtype, np.integer):
+        colors = colors / 255
+    return positions, colors.clamp(0, 1)
+
+
+def _read_vertices(path: Path) -> PlyElement:
+    """The `vertex` element of a PLY file whose header keeps its promises."""
     _check_header(path)
     try:
         with path.open("rb") as file:
@@ -109,20 +159,9 @@ def load_ply(path: str | Path) -> Gaussians:
         raise PlyError(
             f"the PLY file has no 'vertex' element (it has: {_listed(e.name for e in data)})",
             where=str(path),
-            fix="give a file that a Gaussian splatting program exported",
+            fix="give a point cloud, or what a Gaussian splatting program exported",
         )
-    vertex = data["vertex"]
-    available = {p.name for p in vertex.properties}
-    rest = _rest_names(available, path)
-    missing = [name for name in _REQUIRED if name not in available]
-    if missing:
-        raise PlyError(
-            f"the vertices have no {_listed(missing)}",
-            where=str(path),
-            fix="give a Gaussian scene; a point cloud or a mesh is not one",
-        )
-    columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
-    return _gaussians_from(columns, rest)
+    return data["vertex"]
 
 
 def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:

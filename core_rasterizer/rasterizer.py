@@ -7,7 +7,7 @@ This module knows buffers and kernels. Autograd lives in `model.py` (device-resi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,18 @@ CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
+
+OVERRIDES = frozenset(
+    (
+        "ALPHA_CUT_INVERSE",
+        "EARLY_STOP",
+        "EXACT_TILE_TEST",
+        "EXP2_DEGREE",
+        "TILE_HEIGHT",
+        "TILE_WIDTH",
+    )
+)
+"""Macros of the kernels that a `Rasterizer` may be built with instead of their defaults."""
 
 _LARGEST = 1e37
 """REAL_LARGEST of the kernels: what reaches it is not shown."""
@@ -99,21 +111,39 @@ class Rasterizer:
         dtype: torch.float32, or torch.float64 where the device supports it.
         memory_budget: bytes that one render and its backward pass may take; None is half of the device's
             memory.
+        overrides: values of macros in `OVERRIDES`, for benchmarks and tests that measure what the
+            kernels' approximations cost and save.
+
+    Raises:
+        ExplainedError: an override that no kernel knows.
     """
 
     def __init__(
-        self, device: Device, dtype: torch.dtype = torch.float32, memory_budget: int | None = None
+        self,
+        device: Device,
+        dtype: torch.dtype = torch.float32,
+        memory_budget: int | None = None,
+        *,
+        overrides: Mapping[str, float] | None = None,
     ) -> None:
+        overrides = overrides or {}
+        if unknown := sorted(set(overrides) - OVERRIDES):
+            raise ExplainedError(
+                f"no kernel has the setting {', '.join(unknown)}",
+                where="Rasterizer: overrides",
+                fix=f"use {', '.join(sorted(OVERRIDES))}",
+            )
         self.device = device
         self.dtype = dtype
         self.memory_budget = memory_budget or device.memory_bytes // 2
         self.on_cpu = device.variant == "cpu"
         # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
         few_cores = self.on_cpu and device.compute_units <= 4
-        self.tile = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
+        width, height = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
+        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, **overrides}
+        self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self.chunks = min(16, 2 * device.compute_units) if self.on_cpu else 64
         self.group = 16 if self.on_cpu else 64
-        width, height = self.tile
         self.program = device.program(
             "scene",
             "harmonics",
@@ -127,11 +157,10 @@ class Rasterizer:
             "raster_cpu" if self.on_cpu else "raster_gpu",
             "project_backward",
             dtype=dtype,
-            TILE_WIDTH=width,
-            TILE_HEIGHT=height,
             DIGIT_BITS=_DIGIT_BITS,
             PROJECT_GROUP=self.group,
             SCAN_GROUP=self.group,
+            **macros,
         )
         self._scratch: dict[str, DeviceArray] = {}
         self._frames: list[Frame] = []

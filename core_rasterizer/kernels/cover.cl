@@ -15,6 +15,11 @@ static inline tile_box tiles_of(__global const real *record)
     return box;
 }
 
+/* Without it a Gaussian enters every tile that its box touches: the same image, with more pairs. */
+#ifndef EXACT_TILE_TEST
+#define EXACT_TILE_TEST 1
+#endif
+
 /* Does the ellipse where alpha >= 1/255 reach a pixel centre of the tile? The exponent is a concave
  * quadratic with its maximum at the mean: if the mean is outside, the maximum over the tile lies on an
  * edge that faces it. */
@@ -24,7 +29,7 @@ static inline int reaches(__global const real *record, real floor_of_alpha, int 
     const real low_y = tile_y * TILE_HEIGHT + (real)0.5 - record[REC_Y];
     const real high_x = low_x + (TILE_WIDTH - 1), high_y = low_y + (TILE_HEIGHT - 1);
     const int inside_x = low_x <= 0 && high_x >= 0, inside_y = low_y <= 0 && high_y >= 0;
-    if (inside_x && inside_y)
+    if (!EXACT_TILE_TEST || (inside_x && inside_y))
         return 1;
     const real a = record[REC_A], b = record[REC_B], c = record[REC_C];
     real best = -REAL_LARGEST;
@@ -72,7 +77,8 @@ static inline uint4 cover_of(__global const real *record, real floor_of_alpha)
         const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                      \
         const int width = cover.y & 0xFFFF, height = cover.y >> 16;                               \
         const int large = width * height > BOX_BITS;                                              \
-        const real floor_of_alpha = large ? -log2(255 * (record)[REC_OPACITY]) : (real)0;         \
+        const real floor_of_alpha                                                                 \
+            = large ? -log2((real)ALPHA_CUT_INVERSE * (record)[REC_OPACITY]) : (real)0;           \
         ulong mask = cover.z | (ulong)cover.w << 32;                                              \
         for (int y = y0; y < y0 + height; y++)                                                    \
             for (int x = x0; x < x0 + width; x++) {                                               \

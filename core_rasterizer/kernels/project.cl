@@ -54,7 +54,7 @@ void project(
     const lane mean_x = g.mean_x, mean_y = g.mean_y;
 
     /* alpha >= 1/255 inside the ellipse whose exponent is ln(1 / (255 o)): the opacity-aware extent. */
-    const lane ratio = 255 * g.opacity;
+    const lane ratio = (real)ALPHA_CUT_INVERSE * g.opacity;
     const lane level = lane_log(ratio > (lane)1 ? LANE_MIN(ratio, (lane)REAL_LARGEST) : (lane)1);
     /* A hair more than exact, since the per-pixel test decides. */
     const lane reach_x = lane_sqrt(2 * level * g.covariance_xx) * (real)1.00001 + (real)1e-3;

@@ -58,9 +58,18 @@
 #define COUNT_VISIBLE 0
 #define COUNT_PAIRS 1
 
-#define ALPHA_CUT ((real)(1.0 / 255.0))
+/* What the blending leaves out. A build may ask for other values, so that benchmarks can measure what
+ * each choice costs and saves. */
+#ifndef ALPHA_CUT_INVERSE
+#define ALPHA_CUT_INVERSE 255
+#endif
+#ifndef EARLY_STOP
+#define EARLY_STOP 1e-4
+#endif
+
+#define ALPHA_CUT ((real)(1.0 / ALPHA_CUT_INVERSE))
 #define ALPHA_MAX ((real)0.99)
-#define TRANSMITTANCE_STOP ((real)1e-4)
+#define TRANSMITTANCE_STOP ((real)EARLY_STOP)
 #define DILATION ((real)0.3)
 #define LOG2_E ((real)1.4426950408889634)
 #define LN_2 ((real)0.6931471805599453)

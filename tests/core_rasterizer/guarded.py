@@ -38,9 +38,7 @@ class GuardedDevice(Device):
         inside = whole[ZONE : ZONE + size].view(dtype)
         inside.copy_(torch.zeros(elements, dtype=dtype) if over is None else over.reshape(-1))
         flags = cl.mem_flags.READ_WRITE
-        flags |= (
-            cl.mem_flags.USE_HOST_PTR if self.shares_memory else cl.mem_flags.COPY_HOST_PTR
-        )
+        flags |= cl.mem_flags.USE_HOST_PTR if self.shares_memory else cl.mem_flags.COPY_HOST_PTR
         buffer = cl.Buffer(self.context, flags, hostbuf=whole.numpy())
         part = buffer.get_sub_region(ZONE, size)
         self._parts.append((buffer, part))

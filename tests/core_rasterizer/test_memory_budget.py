@@ -52,7 +52,7 @@ def test_too_many_pairs_are_refused_and_the_next_render_is_whole(device: Device)
     small = block_of(device, 50)
     before = rasterizer.forward(small, view)[0].clone()
     for _ in range(2):
-        with pytest.raises(MemoryBudgetError, match="more than .* pairs"):
+        with pytest.raises(MemoryBudgetError, match=r"more than .* pairs"):
             rasterizer.forward(large, view)
         assert torch.equal(rasterizer.forward(small, view)[0], before)
 
@@ -80,7 +80,7 @@ def test_more_than_four_thousand_million_pairs_are_refused_soon(device: Device) 
     count = int(1.1 * 2**32 / tiles)
     block = block_of(device, count, log_scale=12.0)
     started = time.perf_counter()
-    with pytest.raises(MemoryBudgetError, match="more than .* pairs") as error:
+    with pytest.raises(MemoryBudgetError, match=r"more than .* pairs") as error:
         rasterizer.forward(block, view_of(4096, 4096))
     assert time.perf_counter() - started < 20
     assert f"{count:,} Gaussians" in error.value.where

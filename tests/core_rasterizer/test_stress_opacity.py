@@ -111,7 +111,7 @@ def test_support_collapse(device: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    ("layers", "opacity"), [(10_000, 0.98), (10_000, 0.5), (10_000, 0.005), (1_000, 1 / 254.9)]
+    ("layers", "opacity"), [(10_000, 0.98), (3_000, 0.5), (3_000, 0.005), (1_000, 1 / 254.9)]
 )
 def test_ten_thousand_layers_in_a_pixel(device: Device, layers: int, opacity: float) -> None:
     """Case 24: transmittance runs out at once, soon, late, or never quite; forward and backward."""
@@ -124,7 +124,8 @@ def test_ten_thousand_layers_in_a_pixel(device: Device, layers: int, opacity: fl
         opacities=torch.full((layers,), opacity, dtype=torch.float64),
         sh=torch.randn(layers, 1, 3, generator=generator, dtype=torch.float64),
     )
-    scene.means[:, 2] = torch.linspace(2.0, 4.0, layers)[torch.randperm(layers, generator=generator)]
+    mixed = torch.randperm(layers, generator=generator)
+    scene.means[:, 2] = torch.linspace(2.0, 4.0, layers)[mixed]
     rendering, _ = there_and_back(scene, camera, device)
     assert rendering.alpha.max() <= 1
     assert_agrees_with_oracle(

@@ -1,0 +1,48 @@
+"""A real scene for measurements: the points of Mip-NeRF 360's garden, made into Gaussians."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from core_rasterizer import Camera, Gaussians
+
+OPACITY = 0.8
+VIEW_DEPENDENCE = 0.03
+"""Standard deviation of the SH bands above the constant one, which points do not have."""
+
+
+def garden() -> tuple[Gaussians, list[Camera]] | None:
+    """138,766 points with their colours, and three cameras of 648x420 pixels.
+
+    A Gaussian's standard deviation is the root of the mean squared distance to its three nearest
+    neighbours (3DGS). None if STEREOGS_DATA does not name a folder that holds the points.
+    """
+    root = os.environ.get("STEREOGS_DATA")
+    file = Path(root, "mip360_garden_points", "test_garden.npz") if root else None
+    if file is None or not file.is_file():
+        return None
+    with np.load(file) as data:
+        points = data["means3d"].astype(np.float64)
+        colors = torch.from_numpy(data["colors"] / 255.0)
+        width, height = int(data["width"]), int(data["height"])
+        cameras = [
+            Camera(pose, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
+            for pose, k in zip(data["viewmats"], data["Ks"], strict=True)
+        ]
+    distances, _ = cKDTree(points).query(points, k=4)
+    scales = np.sqrt((distances[:, 1:] ** 2).mean(axis=1)).clip(min=1e-6)
+    gaussians = Gaussians.from_points(
+        torch.from_numpy(points),
+        colors,
+        torch.from_numpy(scales),
+        torch.full((len(points),), OPACITY),
+        sh_degree=3,
+    )
+    generator = torch.Generator().manual_seed(0)
+    gaussians.sh[:, 1:] = VIEW_DEPENDENCE * torch.randn(len(points), 15, 3, generator=generator)
+    return gaussians, cameras
