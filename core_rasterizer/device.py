@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
@@ -152,7 +153,10 @@ class Program:
         text = "\n".join(_source(name) for name in ("lanes", *sources))
         options = [*_BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         try:
-            program = cl.Program(device.context, text).build(options=options)
+            with warnings.catch_warnings():
+                # Some compilers report every build, successful ones too; errors are raised below.
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                program = cl.Program(device.context, text).build(options=options)
         except cl.Error as error:
             raise DeviceError(
                 f"the OpenCL compiler of {device.name!r} refused the kernels {', '.join(sources)}",

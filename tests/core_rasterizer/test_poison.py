@@ -65,6 +65,7 @@ camera_slots = st.tuples(
     st.sampled_from(("fx", "fy", "cx", "cy", "x", "y", "z", "pose", "near", "red", "blue")),
     st.sampled_from(POISONS + BEYOND_FLOAT),
 )
+loss_scales = st.sampled_from([1.0, 1.0, 1.0, 1e-30, 1e10, 1e30, 1e37])
 sizes = st.sampled_from([(1, 1), (16, 16), (17, 5), (65, 33)])
 
 
@@ -117,11 +118,17 @@ stress = settings(
 
 
 @stress
-@given(scene=poisoned_scenes(), view=poisoned_views(), double=st.sampled_from([False] * 7 + [True]))
+@given(
+    scene=poisoned_scenes(),
+    view=poisoned_views(),
+    loss_scale=loss_scales,
+    double=st.sampled_from([False] * 7 + [True]),
+)
 def test_the_function(
     device: Device,
     scene: Scene,
     view: tuple[dict[str, float], tuple[int, int]],
+    loss_scale: float,
     double: bool,
 ) -> None:
     """`rasterize`: scales and opacities are given as such."""
@@ -143,16 +150,21 @@ def test_the_function(
         assert refusal.where
         event(f"refused: {refusal.where}")
         return
-    weighted_loss(rendering, 0).backward()
+    (loss_scale * weighted_loss(rendering, 0)).backward()
     event("something seen" if rendering.alpha.any() else "nothing seen")
     gradients = {f"gradient of {name}": t.grad for name, t in zip(NAMES, leaves, strict=True)}
     assert_finite(**images_of(rendering), **gradients)
 
 
 @stress
-@given(scene=poisoned_scenes(), size=sizes, factor=st.sampled_from([1.0, 1.0, *POISONS]))
+@given(
+    scene=poisoned_scenes(),
+    size=sizes,
+    factor=st.sampled_from([1.0, 1.0, *POISONS]),
+    loss_scale=loss_scales,
+)
 def test_the_model_and_a_step_of_training(
-    device: Device, scene: Scene, size: tuple[int, int], factor: float
+    device: Device, scene: Scene, size: tuple[int, int], factor: float, loss_scale: float
 ) -> None:
     """The resident model, whose scales and opacities are logarithms and logits, with loss and Adam.
 
@@ -188,7 +200,7 @@ def test_the_model_and_a_step_of_training(
         collect_statistics=True,
     )
     assert_finite(**images_of(rendering))
-    loss = weighted_loss(rendering, 0)
+    loss = loss_scale * weighted_loss(rendering, 0)
     refusal = ""
     try:
         loss = loss + photometric_loss(rendering.rgb, torch.rand(*size[::-1], 3), device=device)

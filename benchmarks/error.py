@@ -1,0 +1,212 @@
+"""Run time against error: `python -m benchmarks.error`, which `make bench-error` runs.
+
+Every approximation and every skip is switched alone: what it saves stands beside what it gets wrong.
+Prints tables and writes `benchmarks/out/error.json`; with `--write-docs` also the page and the picture
+in `docs/`. The default and the variant take turns, so that a busy machine slows both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from benchmarks.error_report import print_tables, write_docs
+from benchmarks.garden import garden
+from benchmarks.sparse_adam import measure_sparse_adam
+from benchmarks.surfaces import surfaces
+from benchmarks.switches import EXACT, Overrides, Setting, Switch, build, switches
+from core_rasterizer import Camera, Device, GaussianModel, open_device
+from core_rasterizer.model import PARAMETERS
+
+OUT = Path(__file__).parent / "out" / "error.json"
+SECONDS_A_SETTING = 2.0
+LAPS = (3, 25)
+"""Fewest and most laps of a comparison."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a setting computes: the colour image and the gradients of a fixed loss, in double."""
+
+    rgb: Tensor
+    gradients: Mapping[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting: time, and errors relative to the switch's baseline."""
+
+    switch: str
+    setting: str
+    default: bool
+    forward_ms: float
+    backward_ms: float
+    time_ratio: float
+    """Forward and backward together, over the default's."""
+    image_max: float
+    """Largest error of a colour, over the largest colour."""
+    image_999: float
+    """The same for the 99.9th percentile of the errors."""
+    image_psnr: float
+    gradient: float
+    """|error| / |gradient| (L2), of the parameter that fares worst."""
+    total_psnr: float
+    """The image against the truth: double, with nothing left out."""
+
+
+class Subject:
+    """Gaussians and a camera with one setting."""
+
+    def __init__(self, model: GaussianModel, camera: Camera, setting: Setting) -> None:
+        self.model = build(model, setting)
+        self.camera = camera
+        self.setting = setting
+        size = (camera.height, camera.width)
+        generator = torch.Generator().manual_seed(1)
+        weights = torch.randn(*size, 3, generator=generator, dtype=torch.float64)
+        self.weights = weights.to(setting.dtype)
+        self.no_depth = torch.zeros(size, dtype=setting.dtype)
+
+    def lap(self) -> tuple[float, float]:
+        """Seconds of a forward and of a backward pass, until the device is done."""
+        self.model.zero_gradients()
+        begin = time.perf_counter()
+        rendering = self.model.render(self.camera, sh_degree=self.setting.sh_degree)
+        middle = time.perf_counter()
+        images, gradients = [rendering.rgb], [self.weights]
+        if self.setting.depth_gradient:
+            images.append(rendering.depth)
+            gradients.append(self.no_depth)
+        torch.autograd.backward(images, gradients)
+        self.rgb = rendering.rgb.detach()
+        return middle - begin, time.perf_counter() - middle
+
+    def outcome(self) -> Outcome:
+        self.lap()
+        return Outcome(
+            self.rgb.double(), {name: self.model.gradient(name).double() for name in PARAMETERS}
+        )
+
+
+def race(default: Subject, other: Subject) -> tuple[float, float, float]:
+    """Median milliseconds of the other's forward and backward pass, and the median ratio of both."""
+    default.lap(), other.lap()
+    laps: list[tuple[tuple[float, float], tuple[float, float]]] = []
+    end = time.perf_counter() + SECONDS_A_SETTING
+    while len(laps) < LAPS[0] or (len(laps) < LAPS[1] and time.perf_counter() < end):
+        laps.append((default.lap(), other.lap()))
+    forward, backward = (1e3 * median(lap[1][part] for lap in laps) for part in (0, 1))
+    return forward, backward, median(sum(lap[1]) / sum(lap[0]) for lap in laps)
+
+
+def psnr(image: Tensor, truth: Tensor) -> float:
+    """In dB, white being 1; infinite for equal images."""
+    return float(-10 * torch.log10((image - truth).square().mean()))
+
+
+def relative(values: Tensor, truth: Tensor) -> float:
+    """|values - truth| / |truth|; zero for equal ones."""
+    return float((values - truth).norm() / truth.norm().clamp(min=1e-300))
+
+
+def compare(outcome: Outcome, baseline: Outcome, truth: Outcome) -> dict[str, float]:
+    """The errors of a row."""
+    errors = (outcome.rgb - baseline.rgb).abs().flatten() / baseline.rgb.abs().max()
+    return {
+        "image_max": float(errors.max()),
+        "image_999": float(errors.sort().values[int(0.999 * len(errors))]),
+        "image_psnr": psnr(outcome.rgb, baseline.rgb),
+        "gradient": max(
+            relative(outcome.gradients[name], baseline.gradients[name]) for name in PARAMETERS
+        ),
+        "total_psnr": psnr(outcome.rgb, truth.rgb),
+    }
+
+
+class SceneBenchmark:
+    """All switches on one scene."""
+
+    def __init__(self, model: GaussianModel, camera: Camera) -> None:
+        self.model, self.camera = model, camera
+        self.default = Subject(model, camera, Setting("default"))
+        self.default_outcome = self.default.outcome()
+        self._double: dict[tuple[tuple[str, float], ...], Outcome] = {}
+        self.truth = self.double(EXACT)
+
+    def double(self, overrides: Overrides) -> Outcome:
+        """What double-precision kernels compute."""
+        key = tuple(sorted(overrides.items()))
+        if key not in self._double:
+            setting = Setting("double", overrides, dtype=torch.float64)
+            self._double[key] = Subject(self.model, self.camera, setting).outcome()
+        return self._double[key]
+
+    def row(self, switch: Switch, setting: Setting) -> Row:
+        """Measure one setting."""
+        subject = Subject(self.model, self.camera, setting)
+        outcome = subject.outcome()
+        baseline = (
+            self.default_outcome if switch.baseline == "default" else self.double(switch.exact)
+        )
+        forward, backward, ratio = race(self.default, subject)
+        errors = compare(outcome, baseline, self.truth)
+        return Row(
+            switch.name, setting.label, setting.default, forward, backward, ratio, **errors
+        )
+
+
+def measure(device: Device) -> dict[str, Any]:
+    """All figures, in the layout of `error.json`."""
+    console = Console(stderr=True)
+    disks, camera = surfaces(50_000)
+    scenes = {"surfaces": (disks, [replace(camera), camera.shifted_right(1.0)])}
+    if (real := garden()) is not None:
+        scenes["garden"] = real
+    result: dict[str, Any] = {
+        "device": f"{device.name} ({device.platform}, {device.compute_units} compute units)",
+        "scenes": {},
+    }
+    for name, (gaussians, cameras) in scenes.items():
+        model = GaussianModel(gaussians, device)
+        benchmark = SceneBenchmark(model, cameras[0])
+        rows = []
+        for switch in switches(device):
+            console.print(f"{name}: {switch.name}", style="dim")
+            rows += [asdict(benchmark.row(switch, setting)) for setting in switch.settings]
+        console.print(f"{name}: sparse Adam", style="dim")
+        result["scenes"][name] = {
+            "gaussians": len(gaussians),
+            "size": [cameras[0].width, cameras[0].height],
+            "rows": rows,
+            "sparse_adam": measure_sparse_adam(model, cameras),
+        }
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", help="part of a device's name")
+    parser.add_argument("--write-docs", action="store_true", help="rewrite the page in docs/")
+    arguments = parser.parse_args()
+    result = measure(open_device(arguments.device))
+    print_tables(result)
+    OUT.parent.mkdir(parents=True, exist_ok=True)
+    OUT.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    Console().print(f"written to {OUT}")
+    if arguments.write_docs:
+        for path in write_docs(result):
+            Console().print(f"written to {path}")
+
+
+if __name__ == "__main__":
+    main()

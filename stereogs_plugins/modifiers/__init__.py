@@ -1,0 +1,1 @@
+"""Modifiers: what a training render leaves out."""

@@ -1,0 +1,41 @@
+"""`dropout`: in each training render some Gaussians are missing (DropGaussian, 2025; StereoGS).
+
+What remains must explain the photograph alone, so that none hides behind another. The starred rows
+of StereoGS use a fixed rate of 0.3; DropGaussian lets it grow to 0.2 over the run.
+"""
+
+from __future__ import annotations
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from registry import Modifier, Register, Settings, Step, hookimpl
+
+
+class DropoutSettings(Settings):
+    rate: float = Field(0.3, ge=0, lt=1)
+    """Share of Gaussians that a training render leaves out."""
+    ramp: bool = False
+    """Let the rate grow from 0 to `rate` over the run, in proportion to the iteration."""
+    compensate: bool = True
+    """Multiply the opacities of those that stay by 1 / (1 - rate)."""
+
+
+class Dropout(Modifier[DropoutSettings]):
+    """Opacity factors of 0 for a random share, 1 or 1 / (1 - rate) for the rest."""
+
+    Settings = DropoutSettings
+
+    def opacity_scale(self, step: Step) -> Tensor:
+        """Return `[N]` factors."""
+        rate = self.settings.rate
+        if self.settings.ramp:
+            rate *= step.iteration / step.iterations
+        keep = torch.rand(step.model.count, generator=self.generator) >= rate
+        return keep.float() / (1 - rate) if self.settings.compensate else keep.float()
+
+
+@hookimpl
+def stereogs_register_modifiers(register: Register[Dropout]) -> None:
+    register("dropout", Dropout)
