@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 from core_rasterizer import Camera, Gaussians
 
 OPACITY = 0.8
+SHAPE = (0.5, 1.5)
+"""Range of the factors on a Gaussian's three axes: the rotation of a ball would have no gradient."""
 VIEW_DEPENDENCE = 0.03
 """Standard deviation of the SH bands above the constant one, which points do not have."""
 
@@ -19,8 +21,8 @@ VIEW_DEPENDENCE = 0.03
 def garden() -> tuple[Gaussians, list[Camera]] | None:
     """138,766 points with their colours, and three cameras of 648x420 pixels.
 
-    A Gaussian's standard deviation is the root of the mean squared distance to its three nearest
-    neighbours (3DGS). None if STEREOGS_DATA does not name a folder that holds the points.
+    A Gaussian's size is the root of the mean squared distance to its three nearest neighbours (3DGS);
+    its shape and its rotation are random. None if STEREOGS_DATA does not name a folder that holds the points.
     """
     root = os.environ.get("STEREOGS_DATA")
     file = Path(root, "mip360_garden_points", "test_garden.npz") if root else None
@@ -44,5 +46,8 @@ def garden() -> tuple[Gaussians, list[Camera]] | None:
         sh_degree=3,
     )
     generator = torch.Generator().manual_seed(0)
+    factors = torch.empty(len(points), 3).uniform_(*SHAPE, generator=generator)
+    gaussians.log_scales.add_(factors.log())
+    gaussians.quaternions.normal_(generator=generator)
     gaussians.sh[:, 1:] = VIEW_DEPENDENCE * torch.randn(len(points), 15, 3, generator=generator)
     return gaussians, cameras
