@@ -33,6 +33,9 @@ SECONDS_A_SETTING = 2.5
 LAPS = (3, 25)
 """Fewest and most laps of a comparison."""
 
+Lap = tuple[float, float]
+"""Seconds of a forward and of a backward pass."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -44,13 +47,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Row:
-    """One setting: time, and errors relative to the switch's baseline."""
+    """One setting: time beside the default's, and errors relative to the switch's baseline."""
 
     switch: str
     setting: str
     default: bool
-    forward_ms: float
-    backward_ms: float
+    forward_ratio: float
+    backward_ratio: float
     time_ratio: float
     """Forward and backward together, over the default's."""
     image_max: float
@@ -77,8 +80,8 @@ class Subject:
         self.weights = weights.to(setting.dtype)
         self.no_depth = torch.zeros(size, dtype=setting.dtype)
 
-    def lap(self) -> tuple[float, float]:
-        """Seconds of a forward and of a backward pass, until the device is done."""
+    def lap(self) -> Lap:
+        """One forward and one backward pass, until the device is done."""
         self.model.zero_gradients()
         begin = time.perf_counter()
         rendering = self.model.render(self.camera, sh_degree=self.setting.sh_degree)
@@ -96,18 +99,6 @@ class Subject:
         return Outcome(
             self.rgb.double(), {name: self.model.gradient(name).double() for name in PARAMETERS}
         )
-
-
-def race(default: Subject, other: Subject) -> tuple[float, float, float]:
-    """Median milliseconds of the other's forward and backward pass, and the median ratio of both."""
-    default.lap()
-    other.lap()
-    laps: list[tuple[tuple[float, float], tuple[float, float]]] = []
-    end = time.perf_counter() + SECONDS_A_SETTING
-    while len(laps) < LAPS[0] or (len(laps) < LAPS[1] and time.perf_counter() < end):
-        laps.append((default.lap(), other.lap()))
-    forward, backward = (1e3 * median(lap[1][part] for lap in laps) for part in (0, 1))
-    return forward, backward, median(sum(lap[1]) / sum(lap[0]) for lap in laps)
 
 
 def psnr(image: Tensor, truth: Tensor) -> float:
@@ -135,19 +126,15 @@ def compare(outcome: Outcome, baseline: Outcome, truth: Outcome) -> dict[str, fl
 
 
 class SceneBenchmark:
-    """All switches on one scene.
-
-    `own_ratio` is the time ratio of the default to a second build of itself: what a ratio is good for.
-    """
+    """All switches on one scene."""
 
     def __init__(self, model: GaussianModel, camera: Camera) -> None:
         self.model, self.camera = model, camera
         self.default = Subject(model, camera, Setting("default"))
         self.default_outcome = self.default.outcome()
+        self.default_laps: list[Lap] = []
         self._double: dict[tuple[tuple[str, float], ...], Outcome] = {}
         self.truth = self.double(EXACT)
-        forward, backward, self.own_ratio = race(self.default, Subject(model, camera, Setting("again")))
-        self.times = (forward, backward, 1.0)
 
     def double(self, overrides: Overrides) -> Outcome:
         """What double-precision kernels compute."""
@@ -157,23 +144,53 @@ class SceneBenchmark:
             self._double[key] = Subject(self.model, self.camera, setting).outcome()
         return self._double[key]
 
+    def race(self, other: Subject) -> tuple[float, float, float]:
+        """Median ratios to the default's time: forward, backward, both together."""
+        self.default.lap()
+        other.lap()
+        laps: list[tuple[Lap, Lap]] = []
+        end = time.perf_counter() + SECONDS_A_SETTING
+        while len(laps) < LAPS[0] or (len(laps) < LAPS[1] and time.perf_counter() < end):
+            laps.append((self.default.lap(), other.lap()))
+        self.default_laps += [ours for ours, _ in laps]
+        return (
+            median(theirs[0] / ours[0] for ours, theirs in laps),
+            median(theirs[1] / ours[1] for ours, theirs in laps),
+            median(sum(theirs) / sum(ours) for ours, theirs in laps),
+        )
+
     def row(self, switch: Switch, setting: Setting) -> Row:
-        """Measure one setting."""
+        """Measure one setting; the default is not raced against itself."""
         subject = Subject(self.model, self.camera, setting)
         outcome = subject.outcome()
         baseline = (
             self.default_outcome if switch.baseline == "default" else self.double(switch.exact)
         )
-        times = self.times if setting.default else race(self.default, subject)
+        times = (1.0, 1.0, 1.0) if setting.default else self.race(subject)
         errors = compare(outcome, baseline, self.truth)
         return Row(switch.name, setting.label, setting.default, *times, **errors)
+
+    def measure(self) -> dict[str, Any]:
+        """Rows of all settings, the default's milliseconds, and what a ratio is good for."""
+        rows = []
+        for switch in switches(self.model.device):
+            Console(stderr=True).print(f"  {switch.name}", style="dim")
+            rows += [asdict(self.row(switch, setting)) for setting in switch.settings]
+        twin = Subject(self.model, self.camera, Setting("default"))
+        return {
+            "gaussians": self.model.count,
+            "size": [self.camera.width, self.camera.height],
+            "ratio_to_itself": self.race(twin)[2],
+            "default_forward_ms": 1e3 * median(lap[0] for lap in self.default_laps),
+            "default_backward_ms": 1e3 * median(lap[1] for lap in self.default_laps),
+            "rows": rows,
+        }
 
 
 def measure(device: Device) -> dict[str, Any]:
     """All figures, in the layout of `error.json`."""
-    console = Console(stderr=True)
-    disks, camera = surfaces(50_000)
-    scenes = {"surfaces": (disks, [camera, camera.shifted_right(1.0)])}
+    discs, camera = surfaces(50_000)
+    scenes = {"surfaces": (discs, [camera, camera.shifted_right(1.0)])}
     if (real := garden()) is not None:
         scenes["garden"] = real
     result: dict[str, Any] = {
@@ -181,20 +198,10 @@ def measure(device: Device) -> dict[str, Any]:
         "scenes": {},
     }
     for name, (gaussians, cameras) in scenes.items():
+        Console(stderr=True).print(name, style="dim")
         model = GaussianModel(gaussians, device)
-        benchmark = SceneBenchmark(model, cameras[0])
-        rows = []
-        for switch in switches(device):
-            console.print(f"{name}: {switch.name}", style="dim")
-            rows += [asdict(benchmark.row(switch, setting)) for setting in switch.settings]
-        console.print(f"{name}: sparse Adam", style="dim")
-        result["scenes"][name] = {
-            "gaussians": len(gaussians),
-            "size": [cameras[0].width, cameras[0].height],
-            "own_ratio": benchmark.own_ratio,
-            "rows": rows,
-            "sparse_adam": measure_sparse_adam(model, cameras),
-        }
+        scene = SceneBenchmark(model, cameras[0]).measure()
+        result["scenes"][name] = scene | {"sparse_adam": measure_sparse_adam(model, cameras)}
     return result
 
 

@@ -218,9 +218,7 @@ class GaussianModel:
         degree = frame.view.sh_degree
         if self._forgotten and degree < self._written_degree:
             self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
-        self._written_degree = (
-            degree if self._forgotten else max(degree, self._written_degree)
-        )
+        self._written_degree = degree if self._forgotten else max(degree, self._written_degree)
         # Adding needs every row to hold something; a higher band than before holds zeros already.
         self.rasterizer.backward(
             frame,

@@ -161,7 +161,8 @@ def _read_vertices(path: Path) -> PlyElement:
             where=str(path),
             fix="give a point cloud, or what a Gaussian splatting program exported",
         )
-    return data["vertex"]
+    vertex: PlyElement = data["vertex"]
+    return vertex
 
 
 def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:

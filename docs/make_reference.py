@@ -23,8 +23,8 @@ _HEAD = """\
 
 <!-- Written by docs/make_reference.py from the code (`make docs`). Do not edit. -->
 
-What a pipeline can name, section by section, as installed with this project. `stereogs plugins` lists what *your*
-installation has, third parties' plugins included.
+What a pipeline can name, section by section, as installed with this project. `stereogs plugins` lists what
+*your* installation has, third parties' plugins included.
 """
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
@@ -37,6 +37,9 @@ from .view_order import ViewOrder
 
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""
+
+HEALTH_CHECK_EVERY = 100
+"""Iterations between two looks for Gaussians that are not finite."""
 
 _log = logging.getLogger(__name__)
 
@@ -124,7 +127,7 @@ class Trainer:
         loss = self._loss(step)
         backward(loss, iteration)
         reset = self._update_opacities(step)
-        edited = self._refine(step)
+        edited = self._refine(step) | self._remove_broken(iteration)
         rates = learning_rates(iteration, self.settings, self._extent)
         if reset:
             # As in 3DGS, opacities that were reset take no step from the gradient before the reset.
@@ -188,35 +191,54 @@ class Trainer:
         for part in self.parts.due("densification", step.iteration):
             with blame(part.item, step.iteration):
                 wanted = check_edit(part.component.refine(step), self.model.count)
-                edit = self._with_host_rules(wanted or Edit(), step)
-                if not any(m is not None and m.any() for m in (edit.clone, edit.split, edit.prune)):
-                    if wanted is not None:
-                        self.model.reset_statistics()
+                if wanted is None:
                     continue
-                carried = apply_edit(self.model, self.optimizer, edit, self._topology)
-            self.parts.carry(carried.source, carried.fresh, step.iteration)
+                edit = self._within_limit(wanted, step.iteration)
+                if not any(m is not None and m.any() for m in (edit.clone, edit.split, edit.prune)):
+                    self.model.reset_statistics()
+                    continue
+                self._apply(edit, step.iteration)
             edited = True
         return edited
 
-    def _with_host_rules(self, edit: Edit, step: Step) -> Edit:
-        broken = not_finite(self.model)
-        if broken.any():
-            number = int(broken.sum())
+    def _within_limit(self, edit: Edit, iteration: int) -> Edit:
+        if self.settings.max_gaussians is None:
+            return edit
+        edit, dropped = limited(edit, self.settings.max_gaussians, self.model.screen_gradient())
+        if dropped and not self._told_of_limit:
+            self._told_of_limit = True
             _log.warning(
-                "iteration %d: removing %d Gaussians that are not finite", step.iteration, number
+                "iteration %d: max_gaussians (%d) is reached; growth is cut from here on",
+                iteration,
+                self.settings.max_gaussians,
             )
-            self._log_number("removed_not_finite", number)
-            edit = replace(edit, prune=broken if edit.prune is None else edit.prune | broken)
-        if self.settings.max_gaussians is not None:
-            edit, dropped = limited(edit, self.settings.max_gaussians, self.model.screen_gradient())
-            if dropped and not self._told_of_limit:
-                self._told_of_limit = True
-                _log.warning(
-                    "iteration %d: max_gaussians (%d) is reached; growth is cut from here on",
-                    step.iteration,
-                    self.settings.max_gaussians,
-                )
         return edit
+
+    def _remove_broken(self, iteration: int) -> bool:
+        """Now and then, remove Gaussians that are not finite; whether there were any.
+
+        The engine draws none of them, so nothing hurries.
+        """
+        if iteration % HEALTH_CHECK_EVERY and iteration < self.settings.iterations:
+            return False
+        broken = not_finite(self.model)
+        number = int(broken.sum())
+        if not number:
+            return False
+        if number == self.model.count:
+            raise RunError(
+                f"all {number} Gaussians have become something that is not finite",
+                where=f"iteration {iteration}",
+                fix="lower the learning rates; the last checkpoint, if any, is whole",
+            )
+        _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
+        self._log_number("removed_not_finite", number)
+        self._apply(Edit(prune=broken), iteration)
+        return True
+
+    def _apply(self, edit: Edit, iteration: int) -> None:
+        carried = apply_edit(self.model, self.optimizer, edit, self._topology)
+        self.parts.carry(carried.source, carried.fresh, iteration)
 
     def _log_number(self, name: str, value: float) -> None:
         self._logged[name] = float(value)

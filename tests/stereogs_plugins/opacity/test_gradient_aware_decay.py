@@ -51,7 +51,7 @@ def test_the_activated_gradient_is_that_of_the_opacity_itself() -> None:
         changed.opacity_logits[1] = math.log(opacity / (1 - opacity))
         other = step_with(changed)
         assert other.rendering is not None
-        return float(((other.rendering.rgb - other.view.image).double() ** 2).mean())
+        return float(((other.rendering.rgb.detach() - other.view.image).double() ** 2).mean())
 
     slope = (loss(0.81) - loss(0.79)) / 0.02
     assert float(chain) == pytest.approx(slope, rel=2e-2)

@@ -1,0 +1,93 @@
+"""Time against error as a picture: one point a setting, one colour a switch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("agg")
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+
+NO_ERROR = 5e-9
+"""Where a point without any error is drawn."""
+CROWD = 1.5
+"""Points up to this time ratio stand close together; their labels get a column of their own."""
+LABEL_COLUMN = 0.72
+"""Time ratio at which that column ends."""
+LINE_HEIGHT = 2.1
+"""Factor of error between two labels."""
+
+Point = tuple[float, float, str, str]
+"""Time ratio, error, label, colour."""
+
+
+def draw(scene: dict[str, Any], title: str, path: Path) -> None:
+    """Write the picture of one scene's rows."""
+    figure, axes = pyplot.subplots(figsize=(9, 6.5), dpi=120, layout="constrained")
+    axes.set(xscale="log", yscale="log", xlim=(0.28, 40), ylim=(NO_ERROR / 2.5, 0.5))
+    axes.axvline(1, color="0.75", linewidth=1, zorder=0)
+    axes.set_xticks([0.5, 1, 2, 4, 8, 16], ["0.5", "1", "2", "4", "8", "16"])
+    axes.minorticks_off()
+    axes.set_yticks(
+        [NO_ERROR, *(10.0**power for power in range(-8, 0))],
+        ["none", *(f"$10^{{{power}}}$" for power in range(-8, 0))],
+    )
+    axes.grid(alpha=0.25)
+    axes.set_xlabel("time of forward and backward pass, over the default's")
+    axes.set_ylabel("error of the image: 99.9th percentile over the largest colour")
+    axes.set_title(title, fontsize=9)
+    points = _points(scene, axes)
+    _label_crowd(axes, [point for point in points if point[0] <= CROWD])
+    for time, error, label, color in points:
+        if time > CROWD:
+            axes.annotate(
+                label, (time, error), (0, 8), textcoords="offset points", ha="center", color=color
+            )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    pyplot.close(figure)
+
+
+def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
+    """Draws each switch as a line with its settings on it; returns what wants a label."""
+    points: list[Point] = []
+    names = list(dict.fromkeys(row["switch"] for row in scene["rows"]))
+    for number, name in enumerate(names):
+        color = f"C{number}"
+        rows = [row for row in scene["rows"] if row["switch"] == name]
+        times = [row["time_ratio"] for row in rows]
+        errors = [max(row["image_999"], NO_ERROR) for row in rows]
+        axes.plot(times, errors, color=color, alpha=0.5, linewidth=1)
+        # The default deserves a point where another setting is more exact.
+        improvable = min(row["image_999"] for row in rows)
+        for row, time, error in zip(rows, times, errors, strict=True):
+            if row["default"] and row["image_999"] <= 1.5 * improvable:
+                continue
+            face = "white" if row["default"] else color
+            axes.plot(time, error, "o", color=color, markerfacecolor=face, markersize=6)
+            suffix = " (default)" if row["default"] else ""
+            points.append((time, error, f"{name} {row['setting']}{suffix}", color))
+    adam = scene["sparse_adam"]
+    axes.plot(adam["time_ratio"], adam["image_999"], "s", color="black", markersize=6)
+    label = f"sparse Adam, {adam['steps']} steps"
+    return [*points, (adam["time_ratio"], adam["image_999"], label, "black")]
+
+
+def _label_crowd(axes: Axes, points: list[Point]) -> None:
+    """Labels in a column on the left, in the order of errors and apart, each with a thin line."""
+    height = float("inf")
+    for time, error, label, color in sorted(points, key=lambda point: (-point[1], point[0])):
+        height = min(height / LINE_HEIGHT, error * LINE_HEIGHT)
+        axes.annotate(
+            label,
+            (time, error),
+            (LABEL_COLUMN, height),
+            ha="right",
+            va="center",
+            fontsize=9,
+            color=color,
+            arrowprops={"arrowstyle": "-", "color": color, "alpha": 0.4, "linewidth": 0.7},
+        )
