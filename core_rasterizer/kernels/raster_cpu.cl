@@ -5,7 +5,7 @@
 
 #define STRIDE (TILE_WIDTH + LANES) /* a vector that starts inside the tile may end beyond it */
 #define PIXELS (TILE_HEIGHT * STRIDE)
-#define CHECK_EVERY 32 /* Gaussians between two looks at which rows are finished */
+#define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
 
 typedef struct {
     int x, y, width, height; /* pixels of the image that the tile covers */
@@ -21,6 +21,21 @@ static inline tile_area area_of(uint tile, int tiles_x, __global const wide *cam
     return area;
 }
 
+/* A Gaussian's box within the tile, in tile coordinates. */
+typedef struct {
+    int x0, x1, y0, y1;
+} pixel_box;
+
+static inline pixel_box box_in(__global const real *record, tile_area area)
+{
+    pixel_box box;
+    box.x0 = max((int)record[REC_X0] - area.x, 0);
+    box.x1 = min((int)record[REC_X1] - area.x, area.width);
+    box.y0 = max((int)record[REC_Y0] - area.y, 0);
+    box.y1 = min((int)record[REC_Y1] - area.y, area.height);
+    return box;
+}
+
 /* Pixels outside the image start finished, so that no other code knows of the image's edge. */
 static inline void open_pixels(real *transmittance, tile_area area)
 {
@@ -29,44 +44,17 @@ static inline void open_pixels(real *transmittance, tile_area area)
             transmittance[y * STRIDE + x] = y < area.height && x < area.width ? (real)1 : (real)-1;
 }
 
-/* The rows [first, last) outside which every pixel is finished; empty when the whole tile is. */
-typedef struct {
-    int first, last;
-} row_range;
-
-static inline row_range open_rows(const real *transmittance, row_range rows)
+static inline int all_finished(const real *transmittance)
 {
-    row_range open = {TILE_HEIGHT, 0};
-    for (int y = rows.first; y < rows.last; y++) {
-        lane largest = (lane)-1;
-        for (int x = 0; x < STRIDE; x += LANES) {
-            const lane here = LOAD(transmittance + y * STRIDE + x);
-            largest = LANE_MAX(largest, here);
-        }
-        int any = 0;
-        for (int l = 0; l < LANES; l++)
-            any |= LANE_AT(largest, l) > 0;
-        if (any) {
-            open.first = min(open.first, y);
-            open.last = y + 1;
-        }
+    lane largest = (lane)-1;
+    for (int i = 0; i < PIXELS; i += LANES) {
+        const lane here = LOAD(transmittance + i);
+        largest = LANE_MAX(largest, here);
     }
-    return open;
-}
-
-/* A Gaussian's box within the tile, in tile coordinates. */
-typedef struct {
-    int x0, x1, y0, y1;
-} pixel_box;
-
-static inline pixel_box box_in(__global const real *record, tile_area area, row_range rows)
-{
-    pixel_box box;
-    box.x0 = max((int)record[REC_X0] - area.x, 0);
-    box.x1 = min((int)record[REC_X1] - area.x, area.width);
-    box.y0 = max((int)record[REC_Y0] - area.y, rows.first);
-    box.y1 = min((int)record[REC_Y1] - area.y, rows.last);
-    return box;
+    for (int l = 0; l < LANES; l++)
+        if (LANE_AT(largest, l) > 0)
+            return 0;
+    return 1;
 }
 
 /* Horizontal distances from the mean to the pixel centres x, x + 1, ... */
@@ -91,18 +79,14 @@ void raster(
     for (int i = 0; i < PIXELS; i++)
         red[i] = green[i] = blue[i] = z[i] = 0;
 
-    row_range rows = {0, area.height};
     const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
     for (uint p = begin; p < end; p++) {
-        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1) {
-            rows = open_rows(t, rows);
-            if (rows.first >= rows.last)
-                break;
-        }
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
         __global const real *g = records + (size_t)pairs[p].x * RECORD;
         if (p + 2 < end)
             __builtin_prefetch((const void *)(size_t)(records + (size_t)pairs[p + 2].x * RECORD));
-        const pixel_box box = box_in(g, area, rows);
+        const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
         const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
@@ -186,19 +170,15 @@ static inline __attribute__((always_inline)) void walk_back(
     load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
         d_alpha, red, green, blue, z, rest);
 
-    row_range rows = {0, area.height};
     const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
     uint p = begin;
     for (; p < end; p++) {
-        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1) {
-            rows = open_rows(t, rows);
-            if (rows.first >= rows.last)
-                break;
-        }
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
         __global const real *g = records + (size_t)pairs[p].x * RECORD;
         if (p + 2 < end)
             __builtin_prefetch((const void *)(size_t)(records + (size_t)pairs[p + 2].x * RECORD));
-        const pixel_box box = box_in(g, area, rows);
+        const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
         const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
