@@ -13,8 +13,9 @@ from torch.autograd.function import once_differentiable
 from .camera import Camera
 from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
+from .frames import NEAR_PLANE, ROWS_BEFORE_SH, Block, View, padded
 from .gaussians import Gaussians, sh_coefficients
-from .rasterizer import NEAR_PLANE, ROWS_BEFORE_SH, Block, Rasterizer, View, padded
+from .rasterizer import Rasterizer
 from .rendering import Rendering
 
 PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")

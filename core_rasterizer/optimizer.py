@@ -13,8 +13,8 @@ from torch import Tensor
 
 from .device import DeviceArray
 from .errors import ExplainedError
+from .frames import ROWS_BEFORE_SH, padded
 from .gaussians import sh_coefficients
-from .rasterizer import ROWS_BEFORE_SH, padded
 
 if TYPE_CHECKING:
     from .model import GaussianModel

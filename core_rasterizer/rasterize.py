@@ -13,9 +13,10 @@ from torch.autograd.function import once_differentiable
 from .camera import Camera
 from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
+from .frames import NEAR_PLANE, Block, View, padded
 from .gaussians import Gaussians
 from .model import rows_from
-from .rasterizer import NEAR_PLANE, Block, Rasterizer, View, padded
+from .rasterizer import Rasterizer
 from .rendering import Rendering
 
 

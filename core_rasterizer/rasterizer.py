@@ -7,24 +7,19 @@ This module knows buffers and kernels. Autograd lives in `model.py` (device-resi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from .budget import RECORD, Budget
 from .camera import Camera
 from .device import Device, DeviceArray
-from .errors import CameraError, ExplainedError, GaussianError, MemoryBudgetError
+from .errors import ExplainedError
+from .frames import Block, Frame, Lease, View, make_room
 
-ROWS_BEFORE_SH = 11
-"""Parameter rows in front of the SH coefficients: mean 3, scale 3, quaternion 4, opacity 1."""
-NEAR_PLANE = 0.2
-"""Gaussians nearer than this z-depth are culled (3DGS), world units."""
-CAPACITY_STEP = 16
-"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
 
@@ -40,67 +35,8 @@ OVERRIDES = frozenset(
 )
 """Macros of the kernels that a `Rasterizer` may be built with instead of their defaults."""
 
-_LARGEST = 1e37
-"""REAL_LARGEST of the kernels: what reaches it is not shown."""
-_RECORD = 16
 _DIGIT_BITS = 11
 _BUCKETS = 1 << _DIGIT_BITS
-_PAIR_LIMIT = 3 * 2**30
-"""Pairs that 32-bit indices can count, with room for the margin of growing arrays."""
-
-
-def padded(count: int) -> int:
-    """The capacity of parameter arrays that hold `count` Gaussians."""
-    return max(CAPACITY_STEP, -(-count // CAPACITY_STEP) * CAPACITY_STEP)
-
-
-@dataclass(frozen=True)
-class Block:
-    """Gaussian parameters on a device: `[rows, capacity]`, one row a scalar parameter."""
-
-    parameters: DeviceArray
-    count: int
-    activated: bool
-    """Scales and opacities are stored as such, not as logarithms and logits."""
-
-    @property
-    def capacity(self) -> int:
-        return self.parameters.shape[1]
-
-
-@dataclass(frozen=True)
-class View:
-    """What is to be rendered: camera, background, SH degree, opacity factors."""
-
-    camera: Camera
-    background: Sequence[float]
-    sh_degree: int
-    near: float = NEAR_PLANE
-    modifiers: Tensor | None = None
-    """`[N]` factors of the activated opacities, or None."""
-
-
-class Frame:
-    """What the backward pass needs of one render; its arrays are reused by later renders."""
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, DeviceArray] = {}
-        self.view: View
-        self.tiles = (0, 0)
-        self.pair_limit = 0
-        self.visible = 0
-        self.pairs = 0
-
-
-class Lease:
-    """Holds a frame and hands it back to the pool when nobody needs the render any more."""
-
-    def __init__(self, pool: list[Frame]) -> None:
-        self._pool = pool
-        self.frame = pool.pop() if pool else Frame()
-
-    def __del__(self) -> None:
-        self._pool.append(self.frame)
 
 
 class Rasterizer:
@@ -135,7 +71,6 @@ class Rasterizer:
             )
         self.device = device
         self.dtype = dtype
-        self.memory_budget = memory_budget or device.memory_bytes // 2
         self.on_cpu = device.variant == "cpu"
         # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
         few_cores = self.on_cpu and device.compute_units <= 4
@@ -144,6 +79,9 @@ class Rasterizer:
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self.chunks = min(16, 2 * device.compute_units) if self.on_cpu else 64
         self.group = 16 if self.on_cpu else 64
+        self.budget = Budget(
+            memory_budget or device.memory_bytes // 2, dtype, _BUCKETS, self.chunks
+        )
         self.program = device.program(
             "scene",
             "harmonics",
@@ -192,7 +130,8 @@ class Rasterizer:
             frame.visible, frame.pairs = int(counters[0]), int(counters[1])
             if frame.pairs <= self._capacity_of(frame):
                 break
-            self._grow_pairs(frame, block)
+            self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
+            self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
         rgb, depth, alpha = (image.read() for image in images)
         return rgb, depth, alpha, lease
 
@@ -220,7 +159,7 @@ class Rasterizer:
         """
         arrays, camera = frame.arrays, frame.view.camera
         pixels = camera.width * camera.height
-        sums = self._reserve("pair_sums", self.dtype, self._capacity_of(frame) * _RECORD)
+        sums = self._reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         d_rgb, d_depth, d_alpha = (
             self._image_gradient(gradient, size, name)
             for gradient, size, name in zip(
@@ -273,20 +212,14 @@ class Rasterizer:
     def _prepare(self, frame: Frame, block: Block, view: View) -> None:
         """Make room, and send the camera and the opacity factors."""
         camera = view.camera
-        if camera.width * camera.height >= 2**28 or max(camera.width, camera.height) > 65535:
-            raise CameraError(
-                f"an image of {camera.width}x{camera.height} pixels is too large to rasterize",
-                where="camera",
-                fix="render it in parts, or at a lower resolution",
-            )
-        _check_view(view)
+        view.check()
         width, height = self.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
-        self._check_budget(frame, block)
+        frame.pair_limit = self.budget.pair_limit(frame, block)
         wide = torch.float64 if self.device.supports_double else self.dtype
         self._fit(frame, "camera", wide, 32)
-        self._fit(frame, "records", self.dtype, capacity * _RECORD)
+        self._fit(frame, "records", self.dtype, capacity * RECORD)
         self._fit(frame, "slot_start", torch.int32, capacity)
         self._fit(frame, "slot_count", torch.int32, capacity)
         self._fit(frame, "clamped", torch.uint8, capacity)
@@ -300,7 +233,7 @@ class Rasterizer:
         self._reserve("counts", torch.int32, self.chunks * max(_BUCKETS, tiles))
         self._reserve("totals", torch.int32, _BUCKETS + 1)
         self._reserve("chunk_pairs", torch.int32, self.chunks + 1)
-        frame.arrays["camera"].write(_camera_block(view))
+        frame.arrays["camera"].write(view.camera_block())
         if view.modifiers is not None:
             self._fit(frame, "modifiers", self.dtype, capacity)
             factors = torch.zeros(capacity, dtype=self.dtype)
@@ -411,48 +344,6 @@ class Rasterizer:
         )
         return rgb, depth, alpha
 
-    def _check_budget(self, frame: Frame, block: Block) -> None:
-        """Refuse a render whose image and Gaussians alone are too large; see how many pairs may join."""
-        camera, real = frame.view.camera, self.dtype.itemsize
-        # Three images, the transmittance, and five numbers a pixel of gradients.
-        pixels = camera.width * camera.height * 11 * real
-        # Record, cover, sort keys and orders, slots; the tables of counts, a row a chunk.
-        gaussians = block.capacity * (_RECORD * real + 16 + 5 * 4 + 2 * 4 + 1)
-        counts = 4 * self.chunks * max(_BUCKETS, frame.tiles[0] * frame.tiles[1])
-        needed = pixels + gaussians + counts
-        if needed > self.memory_budget:
-            raise self._over_budget(
-                frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"
-            )
-        frame.pair_limit = min(_PAIR_LIMIT, (self.memory_budget - needed) // self._bytes_of_pair)
-
-    def _grow_pairs(self, frame: Frame, block: Block) -> None:
-        if frame.pairs > frame.pair_limit:
-            needed = frame.pair_limit * self._bytes_of_pair / 2**20
-            raise self._over_budget(
-                frame,
-                block,
-                f"has more than {frame.pair_limit:,} (tile, Gaussian) pairs, which need {needed:,.0f} MB "
-                "beside the images",
-            )
-        wanted = min(frame.pairs + frame.pairs // 4, frame.pair_limit)
-        self._pair_capacity = max(self._pair_capacity, wanted)
-        self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
-
-    @property
-    def _bytes_of_pair(self) -> int:
-        """A pair takes 8 bytes in the list and a record of sums in the backward pass."""
-        return 8 + _RECORD * self.dtype.itemsize
-
-    def _over_budget(self, frame: Frame, block: Block, what: str) -> MemoryBudgetError:
-        camera = frame.view.camera
-        return MemoryBudgetError(
-            f"the render {what}; the budget is {self.memory_budget / 2**20:,.0f} MB",
-            where=f"{block.count:,} Gaussians in {camera.width}x{camera.height} pixels",
-            fix="lower the number or the size of the Gaussians, render fewer pixels, or raise the memory "
-            "budget",
-        )
-
     def _capacity_of(self, frame: Frame) -> int:
         return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
 
@@ -477,10 +368,10 @@ class Rasterizer:
         return array
 
     def _fit(self, frame: Frame, name: str, dtype: torch.dtype, elements: int) -> None:
-        _make_room(frame.arrays, self.device, name, dtype, elements)
+        make_room(frame.arrays, self.device, name, dtype, elements)
 
     def _reserve(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
-        return _make_room(self._scratch, self.device, name, dtype, elements)
+        return make_room(self._scratch, self.device, name, dtype, elements)
 
     def _scan(
         self,
@@ -518,32 +409,6 @@ class Rasterizer:
         self.program.run(kernel, (tiles * local,), (local,), *arguments)
 
 
-def _make_room(
-    arrays: dict[str, DeviceArray], device: Device, name: str, dtype: torch.dtype, elements: int
-) -> DeviceArray:
-    """An array of at least so many elements; grown with a margin, so that growth is rare."""
-    array = arrays.get(name)
-    if array is None or array.shape[0] < elements:
-        margin = elements // 8 if array is not None else 0
-        array = arrays[name] = DeviceArray(device, (elements + margin,), dtype)
-    return array
-
-
-def _check_view(view: View) -> None:
-    """Refuse a near plane or a background that would make the image undefined."""
-    if not 0 < view.near < _LARGEST:
-        raise CameraError(
-            f"the near plane is at {view.near}; it must be in front of the camera",
-            where="near",
-            fix=f"use a small positive depth, such as {NEAR_PLANE}",
-        )
-    if len(view.background) != 3:
-        raise GaussianError(f"{len(view.background)} numbers given, expected 3", field="background")
-    for index, value in enumerate(view.background):
-        if not abs(value) < _LARGEST:
-            raise GaussianError(f"the value is {value}", field="background", index=index)
-
-
 def _refuse_undefined(gradient: Tensor, name: str) -> None:
     """Refuse the gradient of an image that holds a NaN or an infinity."""
     undefined = (~torch.isfinite(gradient)).nonzero()
@@ -554,30 +419,3 @@ def _refuse_undefined(gradient: Tensor, name: str) -> None:
             where=f"backward of a render: {name}[{place}]",
             fix="look for a division by zero or a square root of zero in the loss",
         )
-
-
-def _camera_block(view: View) -> Tensor:
-    """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`."""
-    camera = view.camera
-    pose = camera.world_to_camera
-    # Ratios x/z and y/z are clamped a little outside the image, where the linearized projection of a
-    # wide Gaussian would explode (3DGS: 1.3 times the half field of view; here off-centre too).
-    margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
-    values = [
-        *pose[:3, :3].reshape(-1).tolist(),
-        *pose[:3, 3].tolist(),
-        *camera.center.tolist(),
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        -camera.cx / camera.fx - margin_x,
-        (camera.width - camera.cx) / camera.fx + margin_x,
-        -camera.cy / camera.fy - margin_y,
-        (camera.height - camera.cy) / camera.fy + margin_y,
-        camera.width,
-        camera.height,
-        view.near,
-        *view.background,
-    ]
-    return torch.tensor(values + [0.0] * (32 - len(values)), dtype=torch.float64)

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from .device import DeviceArray, Program
 from .errors import GaussianError
+from .frames import padded
 from .model import GaussianModel
 from .optimizer import Adam
-from .rasterizer import padded
 
 CHILDREN = 2
 """How many Gaussians a split one becomes (3DGS)."""

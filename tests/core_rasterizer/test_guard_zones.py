@@ -22,8 +22,9 @@ from core_rasterizer import (
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
+from core_rasterizer.frames import View
 from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import PAIRS_AT_FIRST, Rasterizer, View
+from core_rasterizer.rasterizer import PAIRS_AT_FIRST, Rasterizer
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.scenes import random_camera, random_scene
 from tests.core_rasterizer.test_model import parameters

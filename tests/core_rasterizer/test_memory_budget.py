@@ -10,8 +10,9 @@ import torch
 
 from core_rasterizer import Camera, CameraError, Device, MemoryBudgetError
 from core_rasterizer.device import DeviceArray
+from core_rasterizer.frames import Block, View, padded
 from core_rasterizer.model import rows_from
-from core_rasterizer.rasterizer import Block, Rasterizer, View, padded
+from core_rasterizer.rasterizer import Rasterizer
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 

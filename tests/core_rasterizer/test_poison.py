@@ -28,9 +28,9 @@ from core_rasterizer import (
     photometric_loss,
     rasterize,
 )
+from core_rasterizer.frames import NEAR_PLANE, padded
 from core_rasterizer.model import PARAMETERS, rows_from
 from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import NEAR_PLANE, padded
 from tests.core_rasterizer.scenes import Scene, random_scene
 from tests.core_rasterizer.test_rasterize import NAMES, weighted_loss
 

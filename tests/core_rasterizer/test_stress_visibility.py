@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, Gaussians
+from core_rasterizer.frames import NEAR_PLANE, padded
 from core_rasterizer.model import rows_from
 from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import NEAR_PLANE, padded
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,

@@ -1,0 +1,143 @@
+"""What a render takes and what it leaves for the backward pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .device import Device, DeviceArray
+from .errors import CameraError, GaussianError
+
+ROWS_BEFORE_SH = 11
+"""Parameter rows in front of the SH coefficients: mean 3, scale 3, quaternion 4, opacity 1."""
+NEAR_PLANE = 0.2
+"""Gaussians nearer than this z-depth are culled (3DGS), world units."""
+CAPACITY_STEP = 16
+"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
+
+_LARGEST = 1e37
+"""REAL_LARGEST of the kernels: what reaches it is not shown."""
+
+
+def padded(count: int) -> int:
+    """The capacity of parameter arrays that hold `count` Gaussians."""
+    return max(CAPACITY_STEP, -(-count // CAPACITY_STEP) * CAPACITY_STEP)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Gaussian parameters on a device: `[rows, capacity]`, one row a scalar parameter."""
+
+    parameters: DeviceArray
+    count: int
+    activated: bool
+    """Scales and opacities are stored as such, not as logarithms and logits."""
+
+    @property
+    def capacity(self) -> int:
+        return self.parameters.shape[1]
+
+
+@dataclass(frozen=True)
+class View:
+    """What is to be rendered: camera, background, SH degree, opacity factors."""
+
+    camera: Camera
+    background: Sequence[float]
+    sh_degree: int
+    near: float = NEAR_PLANE
+    modifiers: Tensor | None = None
+    """`[N]` factors of the activated opacities, or None."""
+
+    def check(self) -> None:
+        """Refuse a view that no image can be made of.
+
+        Raises:
+            CameraError: the image is larger than a device index can address, or the near plane is not
+                in front of the camera.
+            GaussianError: the background is not three finite numbers.
+        """
+        camera = self.camera
+        if camera.width * camera.height >= 2**28 or max(camera.width, camera.height) > 65535:
+            raise CameraError(
+                f"an image of {camera.width}x{camera.height} pixels is too large to rasterize",
+                where="camera",
+                fix="render it in parts, or at a lower resolution",
+            )
+        if not 0 < self.near < _LARGEST:
+            raise CameraError(
+                f"the near plane is at {self.near}; it must be in front of the camera",
+                where="near",
+                fix=f"use a small positive depth, such as {NEAR_PLANE}",
+            )
+        if len(self.background) != 3:
+            raise GaussianError(
+                f"{len(self.background)} numbers given, expected 3", field="background"
+            )
+        for index, value in enumerate(self.background):
+            if not abs(value) < _LARGEST:
+                raise GaussianError(f"the value is {value}", field="background", index=index)
+
+    def camera_block(self) -> Tensor:
+        """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`."""
+        camera = self.camera
+        pose = camera.world_to_camera
+        # Ratios x/z and y/z are clamped a little outside the image, where the linearized projection of a
+        # wide Gaussian would explode (3DGS: 1.3 times the half field of view; here off-centre too).
+        margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+        values = [
+            *pose[:3, :3].reshape(-1).tolist(),
+            *pose[:3, 3].tolist(),
+            *camera.center.tolist(),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            -camera.cx / camera.fx - margin_x,
+            (camera.width - camera.cx) / camera.fx + margin_x,
+            -camera.cy / camera.fy - margin_y,
+            (camera.height - camera.cy) / camera.fy + margin_y,
+            camera.width,
+            camera.height,
+            self.near,
+            *self.background,
+        ]
+        return torch.tensor(values + [0.0] * (32 - len(values)), dtype=torch.float64)
+
+
+class Frame:
+    """What the backward pass needs of one render; its arrays are reused by later renders."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, DeviceArray] = {}
+        self.view: View
+        self.tiles = (0, 0)
+        self.pair_limit = 0
+        self.visible = 0
+        self.pairs = 0
+
+
+class Lease:
+    """Holds a frame and hands it back to the pool when nobody needs the render any more."""
+
+    def __init__(self, pool: list[Frame]) -> None:
+        self._pool = pool
+        self.frame = pool.pop() if pool else Frame()
+
+    def __del__(self) -> None:
+        self._pool.append(self.frame)
+
+
+def make_room(
+    arrays: dict[str, DeviceArray], device: Device, name: str, dtype: torch.dtype, elements: int
+) -> DeviceArray:
+    """An array of at least so many elements; grown with a margin, so that growth is rare."""
+    array = arrays.get(name)
+    if array is None or array.shape[0] < elements:
+        margin = elements // 8 if array is not None else 0
+        array = arrays[name] = DeviceArray(device, (elements + margin,), dtype)
+    return array
