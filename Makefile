@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress lint types docs bench-engine check clean help
+.PHONY: demo test stress lint types docs bench-engine bench-error check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -36,6 +36,9 @@ docs: $(VENV)/.dev ## docs/components.md, written from the code
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine
 
+bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
+	$(BIN)/python -m benchmarks.error --write-docs
+
 check: test lint types ## everything that must hold
 
 clean: ## remove the environment and what was built
@@ -49,5 +52,5 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,video]'
+	$(PIP) --editable '.[dev,plot,video]'
 	@touch $@

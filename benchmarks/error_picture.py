@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("agg")
-from matplotlib import pyplot
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 NO_ERROR = 5e-9
 """Where a point without any error is drawn."""
@@ -17,6 +16,8 @@ CROWD = 1.5
 """Points up to this time ratio stand close together; their labels get a column of their own."""
 LABEL_COLUMN = 0.72
 """Time ratio at which that column ends."""
+LINEAR = 0.15
+"""Logarithm of the ratio at which the time axis turns from linear to logarithmic."""
 LINE_HEIGHT = 2.1
 """Factor of error between two labels."""
 
@@ -26,10 +27,13 @@ Point = tuple[float, float, str, str]
 
 def draw(scene: dict[str, Any], title: str, path: Path) -> None:
     """Write the picture of one scene's rows."""
-    figure, axes = pyplot.subplots(figsize=(9, 6.5), dpi=120, layout="constrained")
-    axes.set(xscale="log", yscale="log", xlim=(0.28, 40), ylim=(NO_ERROR / 2.5, 0.5))
+    figure = Figure(figsize=(9, 6.2), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    axes.set_xscale("function", functions=(_spread, _gather))
+    axes.set(yscale="log", xlim=(_gather(np.array(-4.1)), 40), ylim=(NO_ERROR / 2.5, 0.5))
     axes.axvline(1, color="0.75", linewidth=1, zorder=0)
-    axes.set_xticks([0.5, 1, 2, 4, 8, 16], ["0.5", "1", "2", "4", "8", "16"])
+    ticks = (0.8, 0.9, 1, 1.1, 1.25, 1.5, 2, 4, 8, 16)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set_yticks(
         [NO_ERROR, *(10.0**power for power in range(-8, 0))],
@@ -38,17 +42,32 @@ def draw(scene: dict[str, Any], title: str, path: Path) -> None:
     axes.grid(alpha=0.25)
     axes.set_xlabel("time of forward and backward pass, over the default's")
     axes.set_ylabel("error of the image: 99.9th percentile over the largest colour")
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title)
     points = _points(scene, axes)
     _label_crowd(axes, [point for point in points if point[0] <= CROWD])
-    for time, error, label, color in points:
-        if time > CROWD:
-            axes.annotate(
-                label, (time, error), (0, 8), textcoords="offset points", ha="center", color=color
-            )
+    roomy = sorted(point for point in points if point[0] > CROWD)
+    for number, (time, error, label, color) in enumerate(roomy):
+        axes.annotate(
+            label,
+            (time, error),
+            (8, -16 if number % 2 else 8),  # above and below in turns
+            textcoords="offset points",
+            fontsize=9,
+            ha="right",
+            color=color,
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
-    pyplot.close(figure)
+
+
+def _spread(ratios: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The time axis: stretched around 1, where most settings are, and logarithmic far away."""
+    return np.arcsinh(np.log(np.maximum(ratios, 1e-6)) / LINEAR)
+
+
+def _gather(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of `_spread`."""
+    return np.exp(LINEAR * np.sinh(positions))
 
 
 def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
@@ -69,7 +88,7 @@ def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
             face = "white" if row["default"] else color
             axes.plot(time, error, "o", color=color, markerfacecolor=face, markersize=6)
             suffix = " (default)" if row["default"] else ""
-            points.append((time, error, f"{name} {row['setting']}{suffix}", color))
+            points.append((time, error, f"{name}: {row['setting']}{suffix}", color))
     adam = scene["sparse_adam"]
     axes.plot(adam["time_ratio"], adam["image_999"], "s", color="black", markersize=6)
     label = f"sparse Adam, {adam['steps']} steps"

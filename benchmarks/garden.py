@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from core_rasterizer import Camera, Gaussians
 
@@ -36,7 +36,7 @@ def garden() -> tuple[Gaussians, list[Camera]] | None:
             Camera(pose, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
             for pose, k in zip(data["viewmats"], data["Ks"], strict=True)
         ]
-    distances, _ = cKDTree(points).query(points, k=4)
+    distances, _ = KDTree(points).query(points, k=4)
     scales = np.sqrt((distances[:, 1:] ** 2).mean(axis=1)).clip(min=1e-6)
     gaussians = Gaussians.from_points(
         torch.from_numpy(points),
