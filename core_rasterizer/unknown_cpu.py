@@ -34,12 +34,15 @@ def teach_processor_name(device: cl.Device) -> bool:
     name = _closest_known_processor()
     if name is None:
         return False
-    with FileIO(_MEMORY, "r+b") as memory:
-        addresses = _strings_reachable_from(memory, device.int_ptr)
-        if len(addresses) != 1:
-            return False
-        memory.seek(addresses[0])
-        memory.write(name)
+    try:
+        with FileIO(_MEMORY, "r+b") as memory:
+            addresses = strings_reachable_from(memory, device.int_ptr)
+            if len(addresses) != 1:
+                return False
+            memory.seek(addresses[0])
+            memory.write(name)
+    except OSError:  # the system does not allow it; building will say what is wrong
+        return False
     return True
 
 
@@ -57,7 +60,7 @@ def _closest_known_processor() -> bytes | None:
     return None
 
 
-def _strings_reachable_from(memory: FileIO, handle: int) -> list[int]:
+def strings_reachable_from(memory: FileIO, handle: int) -> list[int]:
     """Addresses of the string "generic" that the structure at `handle` points to."""
     structure = _peek(memory, handle, _HANDLE_BYTES)
     pointers = {value for (value,) in struct.iter_unpack("<Q", structure)}
