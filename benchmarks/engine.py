@@ -64,7 +64,7 @@ class Workload:
         self.model.device.finish()
 
 
-def milliseconds(work: Callable[[], Any], repeats: int = 15) -> float:
+def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
     """Median of several runs after two that are not counted."""
     times = []
     for _ in range(repeats + 2):
