@@ -205,22 +205,3 @@ class Report(Component[SettingsType], ABC):
     @abstractmethod
     def write(self, folder: Path, scene: Scene) -> list[Path]:
         """Read the run folder's results and renders; write into it and return the files written."""
-
-
-__all__ = [
-    "Component",
-    "Context",
-    "Densification",
-    "Exporter",
-    "Initializer",
-    "Metric",
-    "Modifier",
-    "OpacityPolicy",
-    "OpacityUpdate",
-    "Prior",
-    "Regularizer",
-    "Report",
-    "SceneLoader",
-    "Settings",
-    "Step",
-]
