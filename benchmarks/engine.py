@@ -157,14 +157,12 @@ def ratios(device: Device) -> dict[str, float]:
 
 def peak_memory_mb(count: int) -> float:
     """Peak memory above that of an interpreter with torch and a device, in a process of its own."""
-    # The kernel's own high-water mark: resource.getrusage would start from the parent's.
     code = (
-        "import re, sys; from benchmarks.engine import Workload, open_device\n"
-        "status = lambda: open('/proc/self/status').read()\n"
-        "peak = lambda: int(re.search(r'VmHWM:\\s+(\\d+)', status())[1])\n"
+        "import sys; from benchmarks.engine import Workload, open_device\n"
+        "from registry.memory import peak_memory_mb as peak\n"
         "d = open_device(); Workload(16, d).iteration(); base = peak()\n"
         "w = Workload(int(sys.argv[1]), d); [w.iteration() for _ in range(3)]\n"
-        "print((peak() - base) / 1024)"
+        "print(peak() - base)"
     )
     output = subprocess.run(
         [sys.executable, "-c", code, str(count)], capture_output=True, text=True, check=True

@@ -1,0 +1,27 @@
+"""Peak memory is this process's own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import torch
+
+from registry import memory
+from registry.memory import peak_memory_mb
+
+BLOCK_MB = 400
+
+
+def test_grows_with_what_is_touched_and_is_not_inherited() -> None:
+    before = peak_memory_mb()
+    assert before is not None
+    block = torch.ones(BLOCK_MB * 1_000_000, dtype=torch.uint8)
+    after = peak_memory_mb()
+    assert after is not None
+    assert after >= BLOCK_MB
+    assert int(block[0]) == 1
+    # A child that loads nothing is small, however large its parent is.
+    code = f"import runpy; print(runpy.run_path({memory.__file__!r})['peak_memory_mb']())"
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(child.stdout) < BLOCK_MB / 4
