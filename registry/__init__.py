@@ -33,6 +33,14 @@ from .components import (
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
+from .priors import (
+    DepthMap,
+    Disparity,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    StereoPrior,
+    choose_prior,
+)
 from .scene import PointCloud, Scene, View, validate
 
 __all__ = [
@@ -40,10 +48,14 @@ __all__ = [
     "Component",
     "Context",
     "Densification",
+    "DepthMap",
+    "Disparity",
     "Exporter",
     "Initializer",
     "Metric",
     "Modifier",
+    "MonocularDepthPrior",
+    "MultiViewDepthPrior",
     "OpacityPolicy",
     "OpacityUpdate",
     "PipelineError",
@@ -59,7 +71,9 @@ __all__ = [
     "SceneLoader",
     "Settings",
     "Step",
+    "StereoPrior",
     "View",
+    "choose_prior",
     "hookimpl",
     "validate",
 ]

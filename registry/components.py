@@ -16,7 +16,7 @@ import pydantic
 import torch
 from torch import Tensor
 
-from core_rasterizer import Edit, GaussianModel, Rendering
+from core_rasterizer import Device, Edit, GaussianModel, Rendering
 
 from .scene import PointCloud, Scene, View
 
@@ -42,10 +42,12 @@ class Context:
         name: the component's name in the pipeline.
         seed: derived from the run's seed and the name, so that toggling one component never shifts
             another's random numbers.
+        device: the OpenCL device of the run.
     """
 
     name: str
     seed: int
+    device: Device
 
 
 class Component(Generic[SettingsType]):
@@ -117,8 +119,10 @@ class SceneLoader(Component[SettingsType], ABC):
 class Prior(Component[SettingsType], ABC):
     """A frozen model that estimates something from images.
 
-    `capability` says what: "stereo_disparity", "multi_view_depth", "monocular_depth",
-    "optical_flow" or "matching". A consumer asks for a capability, the pipeline names the prior.
+    `capability` says what. Three capabilities have a base class with a fixed question and checked
+    answers: `StereoPrior`, `MultiViewDepthPrior` and `MonocularDepthPrior`; any other text is free for
+    plugins that agree on it. A consumer asks for a capability (`choose_prior`), the pipeline names
+    the prior.
     """
 
     capability: ClassVar[str]

@@ -8,6 +8,8 @@ from typing import Any
 
 from torch import Tensor
 
+from core_rasterizer import Device
+
 from .blame import blame
 from .components import Component, Context, Prior
 from .errors import RunError
@@ -31,9 +33,9 @@ class Parts:
         PluginError: a component failed while it was built.
     """
 
-    def __init__(self, pipeline: Pipeline) -> None:
+    def __init__(self, pipeline: Pipeline, device: Device) -> None:
         self._parts = {
-            section: tuple(_build(item, pipeline.training.seed) for item in items)
+            section: tuple(_build(item, pipeline.training.seed, device) for item in items)
             for section, items in pipeline.items.items()
         }
 
@@ -102,8 +104,8 @@ class Parts:
                 part.component.restore(own)
 
 
-def _build(item: Item, seed: int) -> Part:
-    context = Context(item.name, derived_seed(seed, item.qualified_name))
+def _build(item: Item, seed: int, device: Device) -> Part:
+    context = Context(item.name, derived_seed(seed, item.qualified_name), device)
     with blame(item):
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)

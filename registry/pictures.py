@@ -61,18 +61,29 @@ def depth_picture(rendering: Rendering) -> Tensor:
     Colours are linear in inverse depth between its 2nd and 98th percentile in this picture.
     """
     alpha = rendering.alpha.detach()
-    hit = alpha > 0.5
-    if not hit.any():
-        return torch.zeros(*alpha.shape, 3)
-    inverse = torch.where(hit, alpha / rendering.depth.detach().clamp(min=1e-9), 0.0)
-    low, high = np.quantile(inverse[hit].numpy(), (0.02, 0.98))
-    nearness = ((inverse - low) / max(high - low, 1e-12)).clamp(0, 1)
-    position = nearness * (len(_RAMP) - 1)
+    inverse = alpha / rendering.depth.detach().clamp(min=1e-9)
+    return nearness_picture(inverse, alpha > 0.5)
+
+
+def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
+    """Inverse depth or disparity in colours, `[H, W, 3]`: large is light, unknown is black.
+
+    Colours are linear between the 2nd and 98th percentile of what is known.
+
+    Args:
+        nearness: `[H, W]`; values that are not known do not matter.
+        known: `[H, W]` bool.
+    """
+    if not known.any():
+        return torch.zeros(*known.shape, 3)
+    low, high = np.quantile(nearness[known].numpy(), (0.02, 0.98))
+    relative = torch.where(known, (nearness - low) / max(high - low, 1e-12), 0.0).clamp(0, 1)
+    position = relative * (len(_RAMP) - 1)
     index = position.long().clamp(max=len(_RAMP) - 2)
     ramp = torch.tensor(_RAMP)
     fraction = (position - index)[..., None]
     colors = ramp[index] * (1 - fraction) + ramp[index + 1] * fraction
-    return torch.where(hit[..., None], colors, 0.0)
+    return torch.where(known[..., None], colors, 0.0)
 
 
 def side_by_side(*images: Tensor) -> Tensor:

@@ -47,6 +47,7 @@ def finish(
         jsonable(
             {
                 **describe(pipeline, scene, model, iterations),
+                "initialization": run.initialization(),
                 "seconds": round(seconds, 3),
                 "iterations_per_second": round(iterations / max(seconds, 1e-9), 3),
                 "peak_memory_mb": peak_memory_mb(),

@@ -2,6 +2,7 @@
 
 pipeline.yaml     the pipeline with every default written out
 provenance.json   versions, device, platform, seed, command line
+initialization/   what the initializer reports: facts.json and pictures
 metrics.jsonl     one line every few iterations
 checkpoint/       to resume from (see checkpoint.py)
 renders/          the test views; exports/  what the exporters wrote
@@ -13,15 +14,19 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from .errors import RunError
 from .files import new_folder, write_json, write_text
+from .pictures import save_png
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
+INITIALIZATION = "initialization"
 METRICS = "metrics.jsonl"
 RESULTS = "results.json"
 
@@ -114,14 +119,22 @@ class RunFolder:
         Raises:
             RunError: it is not JSON.
         """
-        path = self.path / RESULTS
-        if not path.is_file():
-            return {}
-        try:
-            content: dict[str, Any] = json.loads(path.read_text("utf-8"))
-        except ValueError as error:
-            raise RunError(f"results.json is damaged: {error}", where=str(path)) from error
-        return content
+        return _read_json(self.path / RESULTS)
+
+    def write_initialization(self, facts: dict[str, Any], pictures: Mapping[str, Tensor]) -> None:
+        """Keep what the initializer reports.
+
+        Args:
+            pictures: `[H, W, 3]` in [0, 1] by file name without ending.
+        """
+        folder = self.folder(INITIALIZATION)
+        write_json(folder / "facts.json", facts)
+        for name, picture in pictures.items():
+            save_png(picture, folder / f"{name}.png")
+
+    def initialization(self) -> dict[str, Any]:
+        """The facts that `write_initialization` kept; empty if there are none."""
+        return _read_json(self.path / INITIALIZATION / "facts.json")
 
     def append_metrics(self, line: dict[str, Any]) -> None:
         """Add one line to metrics.jsonl."""
@@ -135,6 +148,17 @@ class RunFolder:
             return
         kept = [line for line in path.read_text("utf-8").splitlines() if _until(line, iteration)]
         write_text(path, "".join(f"{line}\n" for line in kept))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """The content of a JSON file; empty if there is none."""
+    if not path.is_file():
+        return {}
+    try:
+        content: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise RunError(f"{path.name} is damaged: {error}", where=str(path)) from error
+    return content
 
 
 def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Path:

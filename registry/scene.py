@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePath
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,12 +25,16 @@ class PointCloud:
         scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
             the distance to the three nearest neighbours.
         opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
+        facts: what the maker of the points wants people to know; goes into the results.
+        pictures: `[H, W, 3]` in [0, 1] by file name without ending; the run keeps them as PNG.
     """
 
     positions: Tensor
     colors: Tensor
     scales: Tensor | None = None
     opacities: Tensor | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.positions.shape[0])

@@ -13,8 +13,10 @@ component is *good* for, its author must test.
 from __future__ import annotations
 
 import json
+import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,13 +24,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Device, GaussianModel, Gaussians, photometric_loss
+from core_rasterizer import Camera, Device, GaussianModel, Gaussians, open_device, photometric_loss
 
 from .answers import check_edit, check_loss, check_opacity_scale, check_opacity_update
 from .components import Component, Context, Prior, Settings, Step
 from .hook_points import HOOK_POINTS
 from .initial_model import initial_gaussians
 from .plugins import check_offer
+from .prior_cache import VARIABLE
+from .priors import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 from .scene import PointCloud, Scene, View, validate
 from .step_rendering import StepRenderer
 from .training_settings import TrainingSettings
@@ -60,10 +64,10 @@ def check(
     check_offer(point, "conformance", component)
     chosen = component.Settings(**settings)
     _check_settings(chosen)
-    bench = Bench(device, priors or {})
+    bench = Bench(device or open_device(), priors or {})
     answers = []
     for _ in range(2):
-        built = component(chosen, Context("conformance", seed=7))
+        built = component(chosen, Context("conformance", 7, bench.device))
         answers.append(_ASK[point.section](bench, built))
         _check_state(component, chosen, built, bench)
     _require(
@@ -75,7 +79,7 @@ def check(
 class Bench:
     """A tiny scene and Gaussians that look at it, made anew for every question."""
 
-    device: Device | None
+    device: Device
     priors: dict[str, Prior[Any]]
 
     @property
@@ -154,7 +158,7 @@ def _check_state(
     state = built.state()
     for name, value in state.items():
         _require(isinstance(value, Tensor), f"state()[{name!r}] is not a tensor")
-    other = component(settings, Context("conformance", seed=7))
+    other = component(settings, Context("conformance", 7, bench.device))
     other.restore({name: value.clone() for name, value in state.items()})
     _require(_same(other.state(), state), "restore() does not bring back what state() returned")
 
@@ -174,7 +178,31 @@ def _ask_initializer(bench: Bench, built: Any) -> Any:
 def _ask_prior(bench: Bench, built: Any) -> Any:
     capability = getattr(built, "capability", None)
     _require(isinstance(capability, str), "a prior must have a class variable `capability`, a text")
+    first, second = bench.scene.train
+    with _without_cache():
+        if isinstance(built, StereoPrior):
+            answers = built.both(first.image, second.image)
+            return [tensor for a in answers for tensor in (a.values, a.valid)]
+        if isinstance(built, MultiViewDepthPrior):
+            maps = built.depths((first, second), bench.scene.bounds)
+            return [tensor for m in maps for tensor in (m.depth, m.valid, m.confidence)]
+        if isinstance(built, MonocularDepthPrior):
+            return built.inverse_depth(first.image)
     return capability
+
+
+@contextmanager
+def _without_cache() -> Iterator[None]:
+    """Have priors answer for themselves."""
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = ""
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[VARIABLE]
+        else:
+            os.environ[VARIABLE] = before
 
 
 def _ask_regularizer(bench: Bench, built: Any) -> Any:

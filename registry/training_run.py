@@ -67,16 +67,24 @@ def start(
     """
     if out is not None:
         RunFolder.check_vacant(out)
-    parts = Parts(pipeline)
+    parts = Parts(pipeline, device)
     scene = load_scene(parts)
     console.print(f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views")
     initializer = parts.one("initializer")
+    begin = time.monotonic()
     with blame(initializer.item):
         points = initializer.component.initialize(scene, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
     model = GaussianModel(gaussians, device)
     run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
     run.create(pipeline.to_yaml(), provenance(pipeline, device, list(command)))
+    facts = {
+        "initializer": initializer.item.name,
+        "points": len(points),
+        "seconds": round(time.monotonic() - begin, 3),
+        **points.facts,
+    }
+    run.write_initialization(facts, points.pictures)
     console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
     trainer = Trainer(pipeline.training, parts, scene, model)
     return run, _train_to_end(run, pipeline, trainer, 0.0, console)
@@ -111,7 +119,7 @@ def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:
     run = RunFolder.existing(path)
     pipeline = load_pipeline(run.pipeline, plugins)
     checkpoint = load_checkpoint(path / CHECKPOINT)
-    parts = Parts(pipeline)
+    parts = Parts(pipeline, device)
     scene = load_scene(parts)
     model = GaussianModel(Gaussians(**checkpoint.part("model")), device)
     return Opened(run, pipeline, parts, scene, model, checkpoint)

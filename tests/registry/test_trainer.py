@@ -27,7 +27,7 @@ def make(toys: Plugins, device: Device) -> Any:
         scene = tiny_scene()
         assert scene.points is not None
         model = GaussianModel(initial_gaussians(scene.points, pipeline.training), device)
-        return Trainer(pipeline.training, Parts(pipeline), scene, model)
+        return Trainer(pipeline.training, Parts(pipeline, model.device), scene, model)
 
     return make
 

@@ -15,7 +15,7 @@ ComponentType = TypeVar("ComponentType", bound=Component[Any])
 
 def build(component: type[ComponentType], *, seed: int = 0, **settings: object) -> ComponentType:
     """The component with these settings, validated."""
-    return component(component.Settings(**settings), Context("under test", seed))
+    return component(component.Settings(**settings), Context("under test", seed, open_device()))
 
 
 def offered(hook: Callable[..., None]) -> dict[str, type]:

@@ -1,0 +1,1 @@
+"""Prior models: frozen estimators of depth and disparity."""
