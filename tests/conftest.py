@@ -1,0 +1,9 @@
+"""What holds for all tests."""
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _priors_answer_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test reads or fills the user's cache of prior answers; one that wants a cache names its own."""
+    monkeypatch.setenv("STEREOGS_CACHE", "")
