@@ -20,10 +20,14 @@ SSIM_WEIGHT = 0.2
 _CHANNELS = 3
 _BORDER = 5 * _CHANNELS
 """Zeros before and after each row of a filtered map, as in the kernels."""
-_ROWS = 2
-"""Image rows that a work-item filters downwards, as in the kernels."""
-_GPU_GROUP = 64
+_SCRATCH_ROWS = 2 * 4 + 12 * 3
+"""Rows of scratch memory a band: lines and ring, as in the kernel."""
+_GPU_GROUP = 128
 """Work-items that share an image row on a GPU."""
+_GPU_BAND = 16
+"""Image rows a band on a GPU: enough bands for every unit, at the price of computing 26 rows for 16."""
+_BANDS_A_CORE = 2
+"""On a CPU: few, because each computes ten rows of its neighbours too; two even out a late start."""
 _WORKSPACES = 4
 """Image sizes whose scratch memory is kept."""
 
@@ -95,13 +99,16 @@ class _Workspace:
         row = _CHANNELS * width
         # An image narrower than a vector (one or two pixels) goes real by real.
         lanes = device.lanes if row >= device.lanes else 1
-        self._program = device.program("photometric", dtype=dtype, LANES=lanes)
-        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
         self._items = 1 if device.variant == "cpu" else _GPU_GROUP
+        self._program = device.program("photometric", dtype=dtype, LANES=lanes, GROUP=self._items)
+        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
+        band = _GPU_BAND
+        if device.variant == "cpu":
+            band = -(-height // (_BANDS_A_CORE * device.compute_units))
+        self._bands = -(-height // band)
         stride = row + 2 * _BORDER
-        self._size = (np.int32(height), np.int32(row), np.int32(stride))
-        self._maps = DeviceArray(device, (4, height, stride), dtype)
-        self._derivatives = DeviceArray(device, (3, height, stride), dtype)
+        self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
+        self._scratch = DeviceArray(device, (self._bands * _SCRATCH_ROWS, stride), dtype)
         self._sums = DeviceArray(device, (height * self._items, 2), dtype)
         if not device.shares_memory:
             self._images = [DeviceArray(device, self._shape, dtype) for _ in range(3)]
@@ -113,12 +120,20 @@ class _Workspace:
         image, reference, result = self._bind(rgb, target)
         values = int(np.prod(self._shape))
         real = np.float64 if self._dtype == torch.float64 else np.float32
-        scales = (real((1 - ssim_weight) / values), real(ssim_weight / values))
-        self._run("filter_columns", _ROWS, image, reference, self._maps)
-        self._run("dissimilarity", 1, image, reference, self._maps, self._derivatives, self._sums)
-        if with_gradient:
-            self._run("filter_derivatives", _ROWS, self._derivatives, self._maps)
-            self._run("gradient", 1, image, reference, self._maps, result, scalars=scales)
+        self._program.run(
+            "photometric",
+            (self._items, self._bands),
+            (self._items, 1),
+            image,
+            reference,
+            self._scratch,
+            self._sums,
+            result,
+            *self._size,
+            np.int32(with_gradient),
+            real((1 - ssim_weight) / values),
+            real(ssim_weight / values),
+        )
         l1, dissimilarity = (self._sums.read().double().sum(dim=0) / values).tolist()
         loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
         if not math.isfinite(loss):
@@ -134,16 +149,6 @@ class _Workspace:
         for array, image in zip(self._images, images, strict=False):
             array.write(image)
         return self._images
-
-    def _run(
-        self,
-        kernel: str,
-        rows: int,
-        *arrays: DeviceArray,
-        scalars: tuple[np.generic, ...] = (),
-    ) -> None:
-        global_size = (self._items, -(-self._shape[0] // rows))
-        self._program.run(kernel, global_size, (self._items, 1), *arrays, *self._size, *scalars)
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
