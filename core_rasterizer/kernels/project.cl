@@ -44,6 +44,7 @@ void project(
     if (i >= count)
         return;
 
+    prefetch_rows(parameters, capacity, i, ROW_SH + 3 * (degree + 1) * (degree + 1));
     projected g;
     const lane modifier = modified ? LOAD_GLOBAL(modifiers + i) : (lane)1;
     project_block(&g, parameters, capacity, i, camera, modifier, activated);

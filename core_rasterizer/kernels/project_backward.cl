@@ -141,6 +141,7 @@ void project_backward(
                 STORE_GLOBAL(gradients + row * stride + i, (lane)0);
         return;
     }
+    prefetch_rows(parameters, stride, i, rows);
     lane sums[PAIR_TOUCHED + 1];
     sum_pairs(sums, pair_sums, slot_start, slot_count, i);
     /* Sums are exactly zero where nothing was touched; selecting by them keeps whatever an unseen or
