@@ -29,10 +29,14 @@ from .components import (
     SceneLoader,
     Settings,
     Step,
+    Unavailable,
+    ViewMetric,
 )
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
+from .onnx_model import OnnxModel, OnnxTensor
+from .onnx_session import OnnxProvider
 from .priors import (
     DepthMap,
     Disparity,
@@ -56,6 +60,9 @@ __all__ = [
     "Modifier",
     "MonocularDepthPrior",
     "MultiViewDepthPrior",
+    "OnnxModel",
+    "OnnxProvider",
+    "OnnxTensor",
     "OpacityPolicy",
     "OpacityUpdate",
     "PipelineError",
@@ -72,7 +79,9 @@ __all__ = [
     "Settings",
     "Step",
     "StereoPrior",
+    "Unavailable",
     "View",
+    "ViewMetric",
     "choose_prior",
     "hookimpl",
     "validate",

@@ -1,0 +1,103 @@
+"""Images brought to a size that a network takes, and its answers brought back.
+
+Sizes are (height, width). A graph may leave a side open, for any multiple of a number, or freeze it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate, pad
+
+Size = tuple[int, int]
+FrozenSize = tuple[int | None, int | None]
+Padding = Literal["replicate", "black"]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One size's way to another: resized to `content`, then padded evenly on both sides to `target`.
+
+    Args:
+        image: the images' size.
+        content: what they are resized to.
+        target: what the network is given; on no side smaller than `content`.
+    """
+
+    image: Size
+    content: Size
+    target: Size
+
+    @property
+    def width_factor(self) -> float:
+        """What a distance along a row of the network's answer is multiplied with."""
+        return self.image[1] / self.content[1]
+
+    def apply(
+        self,
+        images: Tensor,
+        *,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        padding: Padding = "replicate",
+    ) -> Tensor:
+        """`[N, 3, *image]` as `[N, 3, *target]`; what shrinks is smoothed first."""
+        if self.content != self.image:
+            shrinks = self.content[0] < self.image[0] or self.content[1] < self.image[1]
+            images = interpolate(images, self.content, mode=interpolation, antialias=shrinks)
+        if self.target != self.content:
+            top, left = self._offset
+            bottom = self.target[0] - self.content[0] - top
+            right = self.target[1] - self.content[1] - left
+            mode = "replicate" if padding == "replicate" else "constant"
+            images = pad(images, (left, right, top, bottom), mode=mode)
+        return images
+
+    def undo(self, maps: Tensor) -> Tensor:
+        """`[N, *target]` as `[N, *image]`, values not rescaled; not finite means unknown and stays so.
+
+        A resized value is the bilinear mean of the known ones around it, known where the nearest is.
+        """
+        top, left = self._offset
+        maps = maps[:, top : top + self.content[0], left : left + self.content[1]]
+        if self.content == self.image:
+            return maps
+        known = torch.isfinite(maps)[:, None]
+        values = interpolate(
+            torch.where(known[:, 0], maps, 0.0)[:, None], self.image, mode="bilinear"
+        )
+        weights = interpolate(known.float(), self.image, mode="bilinear")
+        nearest = interpolate(known.float(), self.image, mode="nearest-exact") > 0
+        return torch.where(nearest, values / weights, torch.nan)[:, 0]
+
+    @property
+    def _offset(self) -> Size:
+        """Rows above and columns left of the content; of an odd number the larger half is after it."""
+        return (self.target[0] - self.content[0]) // 2, (self.target[1] - self.content[1]) // 2
+
+
+def padded(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
+    """Pad to the frozen size or to the next multiple; an image that is too large is shrunk first.
+
+    Shrinking keeps the proportions: networks were trained on pictures that are not squeezed.
+    """
+    room = [side if side is not None else math.inf for side in frozen]
+    factor = min(1.0, room[0] / image[0], room[1] / image[1])
+    content = (max(1, round(image[0] * factor)), max(1, round(image[1] * factor)))
+    height, width = (
+        side if side is not None else math.ceil(length / multiple) * multiple
+        for side, length in zip(frozen, content, strict=True)
+    )
+    return Fit(image, content, (height, width))
+
+
+def stretched(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
+    """Resize to the frozen size, or to the nearest multiple of each side; nothing is padded."""
+    height, width = (
+        side if side is not None else max(1, round(length / multiple)) * multiple
+        for side, length in zip(frozen, image, strict=True)
+    )
+    return Fit(image, (height, width), (height, width))

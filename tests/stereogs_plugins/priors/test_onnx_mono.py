@@ -1,0 +1,155 @@
+"""Monocular networks by signature: a graph that answers the red numbers it was given, plus 10."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from registry import OnnxModel, PluginError
+from registry.testing import check
+from stereogs_plugins.priors.onnx_mono import OnnxMono, stereogs_register_priors
+from tests.stereogs_plugins.building import build, offered
+
+from . import graphs
+
+
+def mono(model: Path, **settings: object) -> OnnxMono:
+    return build(OnnxMono, model=model, **settings)
+
+
+@pytest.fixture
+def sizes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
+    """The shapes that graphs are given."""
+    seen: list[tuple[int, ...]] = []
+    run = OnnxModel.run
+
+    def watched(self: OnnxModel, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        seen.extend(tuple(value.shape) for value in inputs.values())
+        return run(self, inputs)
+
+    monkeypatch.setattr(OnnxModel, "run", watched)
+    return seen
+
+
+def test_is_offered_as_onnx_mono() -> None:
+    assert offered(stereogs_register_priors) == {"onnx_mono": OnnxMono}
+
+
+@pytest.mark.parametrize("family", ["dpt", "depth_anything_v2"])
+def test_keeps_the_contract(tmp_path: Path, family: str) -> None:
+    check(OnnxMono, model=graphs.mono(tmp_path / "m.onnx"), family=family, short_side=56)
+
+
+@pytest.mark.parametrize(
+    ("family", "size", "given"),
+    [
+        ("dpt", (378, 504), (384, 512)),
+        ("dpt", (504, 378), (512, 384)),
+        ("depth_anything_v2", (378, 504), (518, 686)),  # 690.7 is nearest to 49 * 14
+        ("depth_anything_v2", (100, 100), (518, 518)),
+    ],
+)
+def test_the_short_side_is_the_family_s(
+    tmp_path: Path,
+    sizes: list[tuple[int, ...]],
+    family: str,
+    size: tuple[int, int],
+    given: tuple[int, int],
+) -> None:
+    prior = mono(graphs.mono(tmp_path / "m.onnx"), family=family)
+    assert prior.inverse_depth(torch.rand(*size, 3)).shape == size
+    assert sizes == [(1, 3, *given)]
+
+
+@pytest.mark.parametrize(
+    ("family", "expected"), [("dpt", 0.6), ("depth_anything_v2", (0.8 - 0.485) / 0.229)]
+)
+def test_the_image_is_normalized_as_the_family_wants(
+    tmp_path: Path, family: str, expected: float
+) -> None:
+    prior = mono(graphs.mono(tmp_path / "m.onnx"), family=family)
+    answer = prior.inverse_depth(torch.full((30, 40, 3), 0.8))
+    assert torch.allclose(answer, torch.tensor(10 + expected), atol=1e-4)
+
+
+def test_resizing_is_bicubic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which overshoots beside an edge, though never beyond black and white."""
+    given: list[Tensor] = []
+    run = OnnxModel.run
+
+    def watched(self: OnnxModel, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        given.extend(inputs.values())
+        return run(self, inputs)
+
+    monkeypatch.setattr(OnnxModel, "run", watched)
+    prior = mono(graphs.mono(tmp_path / "m.onnx"), family="dpt")
+    for dark, bright in ((0.3, 0.7), (0.0, 1.0)):
+        image = torch.full((30, 40, 3), dark)
+        image[:, 20:] = bright
+        prior.inverse_depth(image)
+    assert given[0].max() > 0.4 + 0.01
+    assert given[0].min() < -0.4 - 0.01
+    assert given[1].max() == 1
+    assert given[1].min() == -1
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_the_answer_lies_on_the_image_s_grid(tmp_path: Path, shrink: int) -> None:
+    """Also where the network answers at half of the size that it was given."""
+    prior = mono(graphs.mono(tmp_path / "m.onnx", shrink=shrink), family="dpt")
+    rows, columns = torch.meshgrid(
+        torch.linspace(0.1, 0.4, 90), torch.linspace(0.1, 0.5, 120), indexing="ij"
+    )
+    image = (rows + columns)[..., None].expand(90, 120, 3)
+    answer = prior.inverse_depth(image)
+    inside = (slice(3, -3), slice(3, -3))
+    assert (answer - (10 + 2 * image[..., 0] - 1))[inside].abs().max() < 2e-3
+
+
+def test_a_graph_may_freeze_its_size_and_be_shrunk_to(
+    tmp_path: Path, sizes: list[tuple[int, ...]]
+) -> None:
+    path = graphs.mono(tmp_path / "m.onnx", shape=(1, 3, 28, 42))
+    answer = mono(path).inverse_depth(torch.full((100, 90, 3), 0.485))
+    assert sizes == [(1, 3, 28, 42)]
+    assert torch.allclose(answer, torch.tensor(10.0), atol=1e-4)
+
+
+def test_inputs_and_outputs_may_be_named(tmp_path: Path) -> None:
+    path = graphs.mono(tmp_path / "m.onnx", "l_x_")
+    image = torch.rand(30, 40, 3)
+    expected = mono(path).inverse_depth(image)
+    assert torch.equal(mono(path, input="l_x_", output="depth").inverse_depth(image), expected)
+    with pytest.raises(PluginError, match="no input 'image'") as caught:
+        mono(path, input="image")
+    assert "l_x_ float32[1, 3, ?, ?]" in caught.value.fix
+    with pytest.raises(PluginError, match="no output 'disp'"):
+        mono(path, output="disp")
+    with pytest.raises(PluginError, match="2 inputs; which one is not said"):
+        mono(graphs.matcher(tmp_path / "stereo.onnx"))
+
+
+def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
+    sets = graphs.pick(tmp_path / "mvs.onnx", "K", (0, 0, 0))
+    with pytest.raises(PluginError, match="takes no image"):
+        mono(sets, input="images", output="depth")
+    with pytest.raises(PluginError, match="SHA-256"):
+        mono(graphs.mono(tmp_path / "m.onnx"), sha256="0" * 64)
+    features = graphs.color_features(tmp_path / "f.onnx")
+    with pytest.raises(PluginError, match=r"expected \[1, H, W\]"):
+        mono(features).inverse_depth(torch.rand(30, 40, 3))
+
+
+def test_the_model_is_part_of_the_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
+    path = graphs.mono(tmp_path / "m.onnx", "first")
+    image = torch.full((30, 40, 3), 0.5)
+    first = mono(path)
+    before = first.inverse_depth(image)
+    graphs.mono(path, "first", offset=20.0)
+    second = mono(path)  # the same settings, another file
+    assert second.fingerprint() != first.fingerprint()
+    assert torch.allclose(second.inverse_depth(image), before + 10)

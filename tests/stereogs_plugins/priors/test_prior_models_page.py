@@ -1,0 +1,62 @@
+"""The page on model files: its pipelines are understood, and its tables are those of the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from registry.pipeline import parse_pipeline
+from registry.plugins import Plugins
+from stereogs_plugins.priors import _mvs_families, _stereo_families, onnx_mono
+
+PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
+TEXT = PAGE.read_text("utf-8")
+EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def plugins() -> Plugins:
+    return Plugins()
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
+    pipeline = parse_pipeline(example, plugins, source=PAGE.name)
+    (prior,) = pipeline.items["priors"]
+    assert prior.name in ("onnx_stereo", "onnx_mvs", "onnx_mono")
+
+
+def test_there_is_an_example_of_each_prior() -> None:
+    assert set(re.findall(r"use: (onnx_\w+)", TEXT)) == {
+        "onnx_stereo",
+        "onnx_mvs",
+        "onnx_mono",
+    }
+
+
+def row(name: str) -> str:
+    (found,) = re.findall(rf"^\| `{name}` \| .*$", TEXT.partition("## Naming a file")[2], re.M)[:1]
+    return str(found)
+
+
+@pytest.mark.parametrize("name", list(_stereo_families.FAMILIES))
+def test_stereo_families_are_described_as_they_are(name: _stereo_families.FamilyName) -> None:
+    family, text = _stereo_families.FAMILIES[name], row(name)
+    assert family.value_range in text
+    assert f"`{family.output}`" in text or family.output is None
+    assert ("negated" in text) == family.negated
+    if family.max_disparity is not None and name != "fast_foundation_stereo":
+        assert text.endswith(f"| {family.max_disparity:g} |")
+    for confidence in family.confidences:
+        assert f"`{confidence}`" in TEXT
+
+
+def test_other_families_are_described_as_they_are() -> None:
+    for name, mvs in _mvs_families.FAMILIES.items():
+        assert f"`{mvs.images}`" in row(name)
+        assert f"multiples of {mvs.multiple} " in row(name)
+        assert f"| `{name}` | `{mvs.depth}` | `{mvs.confidence}` |" in TEXT
+    for name, mono in onnx_mono.FAMILIES.items():
+        assert f"| {mono.short_side} | {mono.multiple} |" in row(name)
