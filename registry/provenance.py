@@ -12,7 +12,7 @@ from core_rasterizer import Device
 
 from .pipeline import Pipeline
 
-_PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "numpy", "pluggy", "pydantic")
+_PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "pluggy", "pydantic")
 
 
 def provenance(pipeline: Pipeline, device: Device, command: list[str]) -> dict[str, Any]:

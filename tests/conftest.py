@@ -1,6 +1,10 @@
 """What holds for all tests."""
 
 import pytest
+import torch
+
+# As the command line does: torch's own threads would wait in a spin beside the OpenCL device's.
+torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True)
