@@ -30,6 +30,7 @@ _NUMPY_TYPES = {
     torch.int32: np.int32,
     torch.int64: np.int64,
     torch.uint8: np.uint8,
+    torch.uint16: np.uint16,
 }
 
 
@@ -186,7 +187,7 @@ class DeviceArray:
 
     Args:
         shape: of the array; a dimension may be zero.
-        dtype: float32, float64, int32, int64 or uint8.
+        dtype: float32, float64, int32, int64, uint8 or uint16.
         over: wrap this CPU tensor instead of allocating; only where memory is shared.
     """
 

@@ -81,6 +81,24 @@ def test_several_renders_accumulate_and_zeroing_forgets(device: Device) -> None:
     assert not model.gradient("means").any()
 
 
+def test_touched_are_those_that_a_pixel_shows(device: Device) -> None:
+    camera = Camera(torch.eye(4), 40, 40, 16, 16, 32, 32)
+    gaussians = Gaussians.from_points(
+        torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [9.0, 0.0, 2.0], [0.0, 0.0, 3.0]]),
+        torch.full((4, 3), 0.5),
+        torch.tensor([0.05, 0.05, 0.05, 100.0]),
+        torch.tensor([0.5, 0.5, 0.5, 0.9999]),
+        0,
+    )
+    model = GaussianModel(gaussians, device)
+    model.render(camera).rgb.sum().backward()
+    # The last one is opaquer than a pixel lets it be: visible, though its opacity has no gradient.
+    assert model.gradient("opacity_logits")[3] == 0
+    assert model.touched().tolist() == [True, False, False, True]
+    model.zero_gradients()
+    assert not model.touched().any()
+
+
 def test_a_lower_degree_leaves_no_old_gradient_in_higher_bands(device: Device) -> None:
     model = GaussianModel(parameters(), device)
     model.render(view()).rgb.sum().backward()

@@ -1,0 +1,24 @@
+"""Dense matching on a device: cost volumes, their semi-global aggregation, the best plane."""
+
+from .feature_sweep import FeatureSweep
+from .plane_sweep import MAX_SWEEP_RADIUS, ZnccSweep
+from .rectified import MAX_RADIUS, census_costs, feature_costs, right_costs, zncc_costs
+from .semi_global import LARGEST_PENALTY, CostVolume, Penalties, aggregate, pick
+from .sweep_geometry import seen_by_any
+
+__all__ = [
+    "LARGEST_PENALTY",
+    "MAX_RADIUS",
+    "MAX_SWEEP_RADIUS",
+    "CostVolume",
+    "FeatureSweep",
+    "Penalties",
+    "ZnccSweep",
+    "aggregate",
+    "census_costs",
+    "feature_costs",
+    "pick",
+    "right_costs",
+    "seen_by_any",
+    "zncc_costs",
+]

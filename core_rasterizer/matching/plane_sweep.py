@@ -1,0 +1,131 @@
+"""Matching costs of posed views over planes parallel to the image (Collins, CVPR 1996), by ZNCC."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..device import Device, DeviceArray, Program
+from .sweep_geometry import SweepGeometry
+
+MAX_SWEEP_RADIUS = 8
+_CPU_TILE, _GPU_TILE = (64, 64), (16, 16)
+_GPU_GROUP = 16
+"""Work-items of a group on a GPU: neighbouring planes; a volume's planes are a multiple."""
+
+
+class ZnccSweep:
+    """Costs by zero-mean normalized cross-correlation of square windows.
+
+    A window is cut off at the border of the reference image; beyond the border of a source image
+    its border pixels go on. Where an image is flat, ZNCC approaches 0.
+
+    Args:
+        device: where to compute.
+        images: a grey image `[H, W]` in [0, 1] for each camera, of the camera's size.
+        cameras: of any sizes and principal points.
+        inverse_depths: `[P]` > 0; 1 / z-depth of the planes in the reference camera, world units^-1.
+        radius: of the window, pixels, 1 .. `MAX_SWEEP_RADIUS`.
+        noise: the standard deviation of grey values that counts as no texture, in (0, 1].
+        second_share: weight in [0, 1] of the source view that matches second best; the best has the
+            rest, others have none, since a surface may be hidden from them.
+
+    Raises:
+        ValueError: an image is not of its camera's size; no plane; the radius or the
+            noise is out of range.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        images: Sequence[Tensor],
+        cameras: Sequence[Camera],
+        inverse_depths: Tensor,
+        *,
+        radius: int = 2,
+        noise: float = 0.001,
+        second_share: float = 0.25,
+    ) -> None:
+        if not 1 <= radius <= MAX_SWEEP_RADIUS:
+            raise ValueError(f"the radius is {radius}; it must lie in 1 .. {MAX_SWEEP_RADIUS}")
+        if not 0 < noise <= 1:
+            raise ValueError(f"the noise is {noise}; it must lie in (0, 1]")
+        self._device, self._radius = device, radius
+        self._tile = _CPU_TILE if device.variant == "cpu" else _GPU_TILE
+        # No sum of squares over a window exceeds 2^24; see the kernel.
+        levels = 2**12 // (2 * radius + 1)
+        self._weights = (np.float32((2 * levels * noise) ** 2), np.float32(second_share))
+        self._images = device.program("sweep_images", dtype=torch.float32, RADIUS=radius)
+        ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
+        starts = [0, *ends[:-1]]
+        self._geometry = SweepGeometry(device, cameras, starts, inverse_depths)
+        self._pairs = DeviceArray(device, (ends[-1],), torch.int32)
+        self._greys = [
+            self._load(image, camera, start, levels)
+            for image, camera, start in zip(images, cameras, starts, strict=True)
+        ]
+
+    def costs(self, reference: int, sources: Sequence[int]) -> DeviceArray:
+        """The cost of every plane at every pixel of one view.
+
+        Args:
+            reference: index of the view.
+            sources: indices of the views to compare it with, at least one.
+
+        Returns:
+            uint8 `[H, W, D]` as `semi_global` describes it, D the number of planes rounded up: 127.5
+            (1 - ZNCC), and 128 where no source view sees the pixel on that plane.
+
+        Raises:
+            ValueError: there is no source.
+            MemoryBudgetError: the volume and the work on it would take more than half of the memory.
+        """
+        numbers, layout = self._geometry.sources(reference, sources)
+        costs = self._geometry.empty_volume(reference)
+        grey = self._greys[reference]
+        height, width = grey.shape
+        size = (np.int32(width), np.int32(height))
+        windows = DeviceArray(self._device, (height, width, 4))
+        self._images.run("describe_windows", (width, height), None, grey, windows, *size)
+        self._program(len(sources)).run(
+            "plane_sweep",
+            (
+                self._geometry.planes // self._device.lanes,
+                -(-width // self._tile[0]),
+                -(-height // self._tile[1]),
+            ),
+            (1 if self._device.variant == "cpu" else _GPU_GROUP, 1, 1),
+            *(self._pairs, windows, numbers, layout, self._geometry.inverse_depths, costs),
+            *size,
+            *self._weights,
+        )
+        return costs
+
+    def _load(self, image: Tensor, camera: Camera, start: int, levels: int) -> DeviceArray:
+        """One view's grey levels; also packed into the array that samples are taken from."""
+        height, width = camera.height, camera.width
+        if tuple(image.shape) != (height, width):
+            raise ValueError(
+                f"an image of shape {tuple(image.shape)} has a camera of {width}x{height}"
+            )
+        grey = DeviceArray(self._device, (height, width))
+        grey.write((2 * levels * (image - 0.5)).round())
+        numbers = [np.int32(value) for value in (width, height, start)]
+        size = (width, height + 1)
+        self._images.run("pack_pairs", size, None, grey, self._pairs, *numbers)
+        return grey
+
+    def _program(self, sources: int) -> Program:
+        return self._device.program(
+            "plane_sweep",
+            dtype=torch.float32,
+            SOURCES=sources,
+            RADIUS=self._radius,
+            TILE_WIDTH=self._tile[0],
+            TILE_HEIGHT=self._tile[1],
+        )

@@ -1,0 +1,181 @@
+"""Cost volumes of rectified pairs: plane d of a volume is the disparity of d pixels.
+
+The left image's pixel (u, v) is compared with the right image's (u - d, v). Costs are 127.5 times one
+minus a correlation, rounded, or 255 times a share of differing signs. Where u - d is outside the image
+they are `UNSEEN_CORRELATION` or `UNSEEN_CENSUS`: a surface that the other image cannot show should cost
+more than a good match and less than a wrong one. On real pairs that beats 255.
+All volumes are `DeviceArray` uint8 `[H, W, D]` as `semi_global` describes them, D being `planes`
+rounded up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ..device import Device, DeviceArray
+from .semi_global import empty_volume
+
+MAX_RADIUS = 16
+UNSEEN_CORRELATION = 128
+"""A correlation of 0, as windows without texture have."""
+UNSEEN_CENSUS = 96
+"""Measured; flat windows match perfectly in census, so that it does not invite them to be unseen."""
+_NOISE = 0.002
+"""Deviation of grey values, of a range of 1, that counts as no texture."""
+_CENSUS_COLUMNS, _CENSUS_ROWS = 9, 7
+_ROWS_OF_ITEM = 64
+"""Rows that a work-item walks down; it first adds up the rows of one window."""
+
+
+def zncc_costs(
+    device: Device, left: Tensor, right: Tensor, planes: int, radius: int
+) -> DeviceArray:
+    """Zero-mean normalized cross-correlation of square windows.
+
+    Windows without texture correlate to 0, cost 128. Images go on beyond their edge as at it.
+
+    Args:
+        left, right: `[H, W]` grey in [0, 1].
+        planes: disparities 0 .. planes - 1.
+        radius: the window's side is 2 radius + 1, 1 <= radius <= `MAX_RADIUS`.
+
+    Raises:
+        ValueError: the images differ in size, or `planes` or `radius` is out of range.
+        MemoryBudgetError: see `empty_volume`; also from the other costs.
+    """
+    _check(left, right, planes)
+    if not 1 <= radius <= MAX_RADIUS:
+        raise ValueError(f"the radius is {radius}, not in 1 .. {MAX_RADIUS}")
+    height, width = left.shape
+    costs = empty_volume(device, height, width, planes)
+    depth = costs.shape[2]
+    # Sums of squares over a window stay below 2^24, exact in float32; see the kernel.
+    levels = 2**12 // (2 * radius + 1)
+    maps: list[Tensor] = []
+    for image, mirrored in ((left, False), (right, True)):
+        grey = _whole_levels(image.flip(1) if mirrored else image, levels)
+        padded = pad(grey[None], (radius,) * 4, mode="replicate")[0]
+        total, square = _window_sums(padded, radius), _window_sums(padded * padded, radius)
+        count = (2 * radius + 1) ** 2
+        spread = square - total * total / count + count * (2 * levels * _NOISE) ** 2
+        beyond = (0, depth if mirrored else 0)
+        maps += [
+            pad(padded, beyond),
+            pad(total / count if mirrored else total, beyond),
+            pad(spread.rsqrt(), beyond),
+        ]
+    order = (maps[0], maps[3], maps[1], maps[2], maps[4], maps[5])
+    arrays = [_on_device(device, values, torch.float32) for values in order]
+    program = device.program("rectified", dtype=torch.float32, RADIUS=radius)
+    size = (depth // device.lanes, width, -(-height // _ROWS_OF_ITEM))
+    numbers = [
+        np.int32(n) for n in (height, width, planes, depth, UNSEEN_CORRELATION, _ROWS_OF_ITEM)
+    ]
+    program.run("correlate_windows", size, None, *arrays, costs, *numbers)
+    return costs
+
+
+def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> DeviceArray:
+    """Census transform (Zabih and Woodfill 1994) of windows 9 wide and 7 high.
+
+    Args:
+        left, right: `[H, W]` grey.
+        planes: disparities 0 .. planes - 1.
+
+    Raises:
+        ValueError: the images differ in size, or there is no plane.
+    """
+    _check(left, right, planes)
+    height, width = left.shape
+    costs = empty_volume(device, height, width, planes)
+    depth = costs.shape[2]
+    signs = [_census(image) for image in (left, right)]
+    arrays = [
+        _on_device(device, signs[0], torch.int64),
+        _on_device(device, pad(signs[1].flip(1), (0, depth)), torch.int64),
+    ]
+    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    bits = _CENSUS_COLUMNS * _CENSUS_ROWS - 1
+    numbers = [np.int32(n) for n in (width, planes, depth, UNSEEN_CENSUS, bits)]
+    size = (depth // device.lanes, width, height)
+    program.run("compare_signs", size, None, *arrays, costs, *numbers)
+    return costs
+
+
+def feature_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> DeviceArray:
+    """One minus the dot product of feature vectors, for example of a neural network.
+
+    Args:
+        left, right: `[C, H, W]` float32, vectors over C of length 1 (or 0, cost 128).
+        planes: disparities 0 .. planes - 1.
+
+    Raises:
+        ValueError: the maps differ in size, or there is no plane.
+    """
+    _check(left, right, planes, dimensions=3)
+    channels, height, width = left.shape
+    costs = empty_volume(device, height, width, planes)
+    depth = costs.shape[2]
+    rows = [left.permute(1, 0, 2), pad(right.flip(2), (0, depth)).permute(1, 0, 2)]
+    arrays = [_on_device(device, values, torch.float32) for values in rows]
+    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    numbers = [np.int32(n) for n in (channels, width, planes, depth, UNSEEN_CORRELATION)]
+    size = (depth // device.lanes, width, height)
+    program.run("correlate_features", size, None, *arrays, costs, *numbers)
+    return costs
+
+
+def right_costs(device: Device, costs: DeviceArray) -> DeviceArray:
+    """The right image's volume: the same matches, in the order of its own pixels.
+
+    Args:
+        costs: the left image's volume.
+    """
+    height, width, depth = costs.shape
+    result = DeviceArray(device, costs.shape, torch.uint8)
+    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    numbers = (np.int32(width), np.int32(depth))
+    program.run("costs_of_right", (depth, width, height), None, costs, result, *numbers)
+    return result
+
+
+def _check(left: Tensor, right: Tensor, planes: int, dimensions: int = 2) -> None:
+    if left.ndim != dimensions or left.shape != right.shape or not left.numel():
+        raise ValueError(f"a pair has the shapes {tuple(left.shape)} and {tuple(right.shape)}")
+    if planes < 1:
+        raise ValueError(f"{planes} planes are none")
+
+
+def _on_device(device: Device, values: Tensor, dtype: torch.dtype) -> DeviceArray:
+    array = DeviceArray(device, tuple(values.shape), dtype)
+    array.write(values)
+    return array
+
+
+def _whole_levels(grey: Tensor, levels: int) -> Tensor:
+    """`[H, W]` float64 whole numbers from -levels to levels."""
+    return ((grey.double().clamp(0, 1) * 2 - 1) * levels).round()
+
+
+def _window_sums(padded: Tensor, radius: int) -> Tensor:
+    """Sums over square windows; exact, since the summands are whole numbers."""
+    side = 2 * radius + 1
+    sums = pad(padded, (1, 0, 1, 0)).cumsum(0).cumsum(1)
+    return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+
+
+def _census(grey: Tensor) -> Tensor:
+    """`[H, W]` int64: a bit for each neighbour, set where it is darker than the centre."""
+    across, down = _CENSUS_COLUMNS // 2, _CENSUS_ROWS // 2
+    height, width = grey.shape
+    padded = pad(grey[None], (across, across, down, down), mode="replicate")[0]
+    signs = torch.zeros(height, width, dtype=torch.int64)
+    for row in range(_CENSUS_ROWS):
+        for column in range(_CENSUS_COLUMNS):
+            if (row, column) != (down, across):
+                neighbour = padded[row : row + height, column : column + width]
+                signs = (signs << 1) | (neighbour < grey)
+    return signs

@@ -1,0 +1,164 @@
+"""Semi-global aggregation of a cost volume (Hirschmüller, PAMI 2008) and the choice of the best plane.
+
+A cost volume is a uint8 `DeviceArray [H, W, D]`: the cost of D planes (disparities, depths) at each
+pixel, 0 = best, 255 = worst or unknown. D is a multiple of `PLANE_MULTIPLE`; planes that only fill it
+up carry the cost 255.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..device import Device, DeviceArray
+from ..errors import MemoryBudgetError
+
+CostVolume: TypeAlias = DeviceArray
+"""uint8 `[H, W, D]`, as above."""
+PLANE_MULTIPLE = 16
+"""Volumes have so many planes or a multiple: one vector of costs."""
+LARGEST_PENALTY = 7000
+"""Of a jump: eight paths still fit in 16 bits."""
+_BYTES_A_CELL = 4
+"""A volume of costs, its sums in two bytes, and the costs of another image beside it."""
+_CPU_BAND = 8
+"""Neighbouring lines that one work-item walks together on a CPU, where pixels share cache lines."""
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """What a path pays for changing the plane between two pixels.
+
+    Args:
+        small: P1, for a change of one plane.
+        large: P2, for any larger change where the image is flat. Where the grey value changes by
+            g of 255 levels, P2 is large / max(1, g), and never below P1.
+
+    Raises:
+        ValueError: not 0 <= small <= large <= `LARGEST_PENALTY`.
+    """
+
+    small: int
+    large: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.small <= self.large <= LARGEST_PENALTY:
+            raise ValueError(
+                f"penalties must be 0 <= small <= large <= {LARGEST_PENALTY}, got {self}"
+            )
+
+    def by_grey_step(self) -> Tensor:
+        """`[256]` int64: P2 for each difference of grey levels."""
+        steps = torch.arange(256).clamp(min=1)
+        return torch.clamp(self.large // steps, min=self.small)
+
+
+def padded_planes(planes: int) -> int:
+    """The number of planes that a volume of `planes` planes is stored with."""
+    return -(-planes // PLANE_MULTIPLE) * PLANE_MULTIPLE
+
+
+def empty_volume(device: Device, height: int, width: int, planes: int) -> DeviceArray:
+    """Room for the costs of so many planes, uint8 `[H, W, D]`.
+
+    Raises:
+        MemoryBudgetError: the work on it would take more than half of the device's memory.
+    """
+    depth = padded_planes(planes)
+    needed, limit = height * width * depth * _BYTES_A_CELL, device.memory_bytes // 2
+    if needed > limit:
+        raise MemoryBudgetError(
+            f"{planes} planes of {width}x{height} pixels need {needed / 2**20:,.0f} MB; "
+            f"the budget is {limit / 2**20:,.0f} MB",
+            where="matching costs",
+            fix="use fewer planes or smaller images",
+        )
+    return DeviceArray(device, (height, width, depth), torch.uint8)
+
+
+def aggregate(
+    device: Device, costs: DeviceArray, image_gray: Tensor, penalties: Penalties
+) -> DeviceArray:
+    """Sum the costs of the cheapest paths that reach each pixel from eight directions.
+
+    Args:
+        costs: uint8 `[H, W, D]`, see above.
+        image_gray: `[H, W]` in [0, 1]; the image whose edges make jumps cheap.
+
+    Returns:
+        uint16 `[H, W, D]`, at most 8 (255 + penalties.large).
+
+    Raises:
+        ValueError: D is no multiple of `PLANE_MULTIPLE`, or the image has another size.
+    """
+    height, width, planes = costs.shape
+    if planes % PLANE_MULTIPLE or tuple(image_gray.shape) != (height, width):
+        raise ValueError(
+            f"costs {costs.shape} and image {tuple(image_gray.shape)} do not make a volume"
+        )
+    sums = DeviceArray(device, costs.shape, torch.uint16)
+    if not height * width * planes:
+        return sums
+    grey = DeviceArray(device, (height, width), torch.uint8)
+    grey.write((image_gray.clamp(0, 1) * 255).round())
+    jumps = DeviceArray(device, (256,), torch.uint16)
+    jumps.write(penalties.by_grey_step())
+    band = _CPU_BAND if device.variant == "cpu" else 1
+    program = device.program("semi_global", dtype=torch.float32, PLANES=planes, BAND=band)
+    for path in _directions(height, width):
+        items = -(-path[0] // band)
+        numbers = [np.int32(value) for value in (width, *path, penalties.small)]
+        program.run("aggregate_direction", (items,), None, costs, grey, jumps, sums, *numbers)
+    return sums
+
+
+def pick(device: Device, aggregated: DeviceArray, planes: int) -> tuple[Tensor, Tensor]:
+    """The plane of lowest aggregated cost at each pixel.
+
+    Args:
+        aggregated: uint16 `[H, W, D]` from `aggregate`.
+        planes: the first so many planes are real, 1 <= planes <= D; the others are padding.
+
+    Returns:
+        index: `[H, W]` float32; plane and fraction: where two lines of opposite slopes through the
+            lowest cost and its two neighbours meet (Shimizu and Okutomi, 2005), on real pairs nearer
+            to the truth than a parabola. The first and the last plane have no fraction.
+        confidence: `[H, W]` float32 in [0, 1]: 1 - lowest / rival, where the rival is the lowest cost
+            more than one plane away; 0 where all planes are that near.
+
+    Raises:
+        ValueError: `planes` is out of range.
+    """
+    height, width, padded = aggregated.shape
+    if not 1 <= planes <= padded:
+        raise ValueError(f"{planes} planes cannot be picked from {padded}")
+    index = DeviceArray(device, (height, width))
+    confidence = DeviceArray(device, (height, width))
+    if height * width:
+        band = _CPU_BAND if device.variant == "cpu" else 1
+        program = device.program("semi_global", dtype=torch.float32, PLANES=padded, BAND=band)
+        size = (height * width,)
+        program.run("pick_plane", size, None, aggregated, index, confidence, np.int32(planes))
+    return index.read().clone(), confidence.read().clone()
+
+
+def _directions(height: int, width: int) -> list[tuple[int, int, int, int, int, int, int]]:
+    """(lines, steps, origin, across, along, shift, slope) of each direction; see the kernel."""
+    last_row = (height - 1) * width
+    paths = [
+        (height, width, 0, width, 1, 0, 0),
+        (height, width, width - 1, width, -1, 0, 0),
+        (width, height, 0, 1, width, 0, 0),
+        (width, height, last_row, 1, -width, 0, 0),
+    ]
+    lines = width + height - 1
+    for slope in (1, -1):
+        # Lines that drift right enter left of the image, and the other way round.
+        shift = -(height - 1) if slope > 0 else 0
+        paths.append((lines, height, shift, 1, width + slope, shift, slope))
+        paths.append((lines, height, last_row + shift, 1, -width + slope, shift, slope))
+    return paths

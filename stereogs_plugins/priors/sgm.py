@@ -1,0 +1,151 @@
+"""`sgm`: disparity of rectified pairs by semi-global matching, without any model file.
+
+Matching costs of all disparities (census, correlation, or a network's features) are aggregated along
+eight paths (Hirschmüller, PAMI 2008); the cheapest disparity is refined between pixels.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+from torch import Tensor
+from torch.nn.functional import pad
+
+from core_rasterizer.matching import (
+    LARGEST_PENALTY,
+    MAX_RADIUS,
+    CostVolume,
+    Penalties,
+    aggregate,
+    census_costs,
+    feature_costs,
+    pick,
+    right_costs,
+    zncc_costs,
+)
+from registry import (
+    Context,
+    OnnxProvider,
+    PluginError,
+    Register,
+    Settings,
+    StereoPrior,
+    hookimpl,
+)
+
+from ._learned_features import LearnedFeatures
+
+_LUMA = (0.299, 0.587, 0.114)
+"""Shares of red, green and blue in grey (ITU-R BT.601)."""
+
+
+class SgmSettings(Settings):
+    max_disparity: int = Field(192, ge=1, le=1024)
+    """The largest disparity that is looked for, pixels; time and memory grow with it."""
+    cost: Literal["census", "zncc", "features"] = "census"
+    """Signs of 9x7 windows, correlation of square windows, or a network's features."""
+    radius: int = Field(2, ge=1, le=MAX_RADIUS)
+    """Radius of the windows of `zncc`, pixels."""
+    features: Path | None = None
+    """For the cost `features`: a local ONNX file that turns a grey image `[N, 1, H, W]` of mean 0 and
+    deviation 1 into feature vectors `[N, C, H, W]`, as MC-CNN fast does."""
+    sha256: str | None = Field(None, pattern="^[0-9a-fA-F]{64}$")
+    """The hash that the file must have; null takes any file."""
+    provider: OnnxProvider | None = None
+    """What runs the network; null: the first of this list that is installed."""
+    small_penalty: int = Field(80, ge=0, le=LARGEST_PENALTY)
+    """Price of a change by one pixel of disparity between two pixels (P1); a match costs 0 to 255."""
+    large_penalty: int = Field(6000, ge=0, le=LARGEST_PENALTY)
+    """Price of a larger change (P2); divided by the difference of the two grey levels, at least P1."""
+    median: bool = True
+    """Replace each disparity by the median of its 3x3 neighbourhood."""
+
+
+class SgmPrior(StereoPrior[SgmSettings]):
+    """Semi-global matching.
+
+    Every pixel gets a disparity, also one that the other image does not show: what its surroundings
+    suggest, which may lead out of the other image. Ask for both images' disparities and compare them to
+    find those. A disparity of 0, which flat images have everywhere, counts as unknown.
+
+    Raises:
+        PluginError: the penalties are in the wrong order, `cost: features` has no file or another
+            cost has one; see `LearnedFeatures` for the file.
+    """
+
+    Settings = SgmSettings
+
+    def __init__(self, settings: SgmSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        if settings.small_penalty > settings.large_penalty:
+            raise PluginError(
+                f"small_penalty {settings.small_penalty} is more than "
+                f"large_penalty {settings.large_penalty}",
+                fix="a large change of disparity must cost at least what a small one does",
+            )
+        if (settings.cost == "features") != (settings.features is not None):
+            raise PluginError(
+                f"the cost is {settings.cost!r} and the file of features {settings.features}",
+                fix="set `features` to an ONNX file together with `cost: features`, or neither",
+            )
+        self._penalties = Penalties(settings.small_penalty, settings.large_penalty)
+        self._features = settings.features and LearnedFeatures(
+            settings.features, settings.sha256, settings.provider
+        )
+
+    @property
+    def max_disparity(self) -> float:
+        """The setting: larger disparities are not looked for."""
+        return float(self.settings.max_disparity)
+
+    def estimate(self, left: Tensor, right: Tensor) -> Tensor:
+        """Return the left image's disparity `[H, W]`, pixels; 0 where unknown.
+
+        Raises:
+            MemoryBudgetError: the cost volumes would take more than half of the device's memory.
+        """
+        return self._cheapest(self._costs(left, right), left)
+
+    def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """Both images' disparities, from one computation of the matching costs."""
+        costs = self._costs(left, right)
+        mirrored = right_costs(self.context.device, costs)
+        return self._cheapest(costs, left), self._cheapest(mirrored, right)
+
+    def _planes(self, image: Tensor) -> int:
+        """Disparities 0, 1, ...; none is as large as the image is wide."""
+        return min(self.settings.max_disparity + 1, image.shape[1])
+
+    def _costs(self, left: Tensor, right: Tensor) -> CostVolume:
+        device, planes = self.context.device, self._planes(left)
+        if self._features:
+            return feature_costs(device, self._features(left), self._features(right), planes)
+        greys = _grey(left), _grey(right)
+        if self.settings.cost == "zncc":
+            return zncc_costs(device, *greys, planes, self.settings.radius)
+        return census_costs(device, *greys, planes)
+
+    def _cheapest(self, costs: CostVolume, image: Tensor) -> Tensor:
+        device = self.context.device
+        sums = aggregate(device, costs, _grey(image), self._penalties)
+        disparity, _ = pick(device, sums, self._planes(image))
+        if self.settings.median:
+            disparity = _median_of_neighbours(disparity)
+        return disparity
+
+
+def _median_of_neighbours(values: Tensor) -> Tensor:
+    """The median of 3x3 pixels; beyond the edge they are as at it."""
+    padded = pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
+    return padded.unfold(0, 3, 1).unfold(1, 3, 1).flatten(2).median(-1).values
+
+
+def _grey(image: Tensor) -> Tensor:
+    return image @ image.new_tensor(_LUMA)
+
+
+@hookimpl
+def stereogs_register_priors(register: Register[SgmPrior]) -> None:
+    register("sgm", SgmPrior)
