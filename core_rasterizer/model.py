@@ -117,6 +117,18 @@ class GaussianModel:
         self.settle_gradients()
         return self._unpack(self.gradients.read(*self._rows_of(name)), name)
 
+    def touched(self) -> Tensor:
+        """Which Gaussians touched a pixel in the renders since `zero_gradients`, bool `[N]`.
+
+        Known after the backward pass: those with a gradient of position, opacity or constant colour
+        that is not zero. Opacity alone would miss Gaussians as opaque as the rasterizer lets them be.
+        """
+        self.settle_gradients()
+        means = self.gradients.read(*_ROWS["means"])
+        opacity_and_color = self.gradients.read(_ROWS["opacity_logits"][0], ROWS_BEFORE_SH + 3)
+        gradients = torch.cat([means, opacity_and_color])[:, : self.count]
+        return (gradients != 0).any(dim=0)
+
     def settle_gradients(self) -> None:
         """Write the zeros that `zero_gradients` promised, if no backward pass has overwritten them."""
         if self._forgotten:

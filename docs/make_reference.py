@@ -52,7 +52,11 @@ def page() -> str:
 
 def _component(offer: Offer) -> str:
     summary = inspect.cleandoc(offer.component.__doc__ or "")
-    return f"### {offer.name}\n\n{summary}\n\n{_table(offer.settings_type)}"
+    parts = [f"### {offer.name}\n\n{summary}\n\n{_table(offer.settings_type)}"]
+    for name, field in offer.settings_type.model_fields.items():
+        if isinstance(nested := field.get_default(call_default_factory=True), Settings):
+            parts.append(f"#### `{offer.name}`: `{name}`\n\n{_table(type(nested))}")
+    return "\n".join(parts)
 
 
 def _table(settings: type[Settings]) -> str:

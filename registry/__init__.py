@@ -37,6 +37,7 @@ from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
 from .onnx_model import OnnxModel, OnnxTensor
 from .onnx_session import OnnxProvider
+from .prior_cache import cache_folder
 from .priors import (
     DepthMap,
     Disparity,
@@ -82,6 +83,7 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
+    "cache_folder",
     "choose_prior",
     "hookimpl",
     "validate",

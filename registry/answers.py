@@ -5,6 +5,7 @@ Each raises a `PluginError`; `blame` adds whose answer it was.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from core_rasterizer import Edit
 
-from .components import OpacityUpdate
+from .components import OpacityUpdate, Unavailable
 from .errors import PluginError
 
 
@@ -66,6 +67,21 @@ def check_edit(edit: Any, count: int) -> Edit | None:
                 f"expected torch.bool ({count},)"
             )
     return edit
+
+
+def check_score(score: Any) -> float | Unavailable:
+    """A metric's score: a number, perhaps infinite; or why there is none."""
+    if isinstance(score, Unavailable):
+        return score
+    try:
+        number = float(score)
+    except (TypeError, ValueError) as error:
+        raise PluginError(
+            f"the score is a {type(score).__name__}, expected a number or Unavailable(reason)"
+        ) from error
+    if math.isnan(number):
+        raise PluginError("the score is not a number")
+    return number
 
 
 def _per_gaussian(what: str, value: Any, count: int) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 
 from core_rasterizer import ExplainedError
 
-from .commands import demo, doctor, evaluate, plugins, render, train
+from .commands import ablate, compare, demo, doctor, evaluate, plugins, render, train
 from .commands.output import error_console
 
 USAGE_ERROR = 2
@@ -26,7 +26,9 @@ examples:
   stereogs demo                               three photographs to a scored scene, in minutes
   stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
   stereogs eval runs/3dgs-fern
+  stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
+  stereogs ablate pipelines/ablations/parts.yaml
   stereogs plugins                            what a pipeline can name
 
 environment:
@@ -70,7 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for verb in (train, evaluate, render, plugins, doctor, demo):
+    for verb in (train, evaluate, render, compare, ablate, plugins, doctor, demo):
         verb.add(verbs)
     return parser
 

@@ -184,15 +184,44 @@ class OpacityPolicy(Component[SettingsType], ABC):
         """Return the update that is due, or None. Called after the backward pass, when scheduled."""
 
 
-class Metric(Component[SettingsType], ABC):
-    """Scores one rendered view against its photograph."""
+@dataclass(frozen=True)
+class Unavailable:
+    """A metric's answer when there is nothing to measure with: no model file, no true depth.
+
+    Args:
+        reason: one sentence, for the results.
+    """
+
+    reason: str
+
+
+class ViewMetric(Component[SettingsType], ABC):
+    """Scores one rendered view against whatever the scene knows about it."""
 
     higher_is_better: ClassVar[bool] = True
     unit: ClassVar[str] = ""
 
     @abstractmethod
-    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
-        """Return the score of `rendered` `[H, W, 3]` in [0, 1] against `photograph`, same shape."""
+    def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
+        """Return the score of a render of `view`, without gradients, colours in [0, 1]."""
+
+
+class Metric(ViewMetric[SettingsType]):
+    """Scores one rendered image against its photograph."""
+
+    @abstractmethod
+    def measure(
+        self, rendered: Tensor, photograph: Tensor, mask: Tensor | None
+    ) -> float | Unavailable:
+        """Return the score of `rendered` `[H, W, 3]` in [0, 1] against `photograph`, same shape.
+
+        Args:
+            mask: `[H, W]` bool, True where pixels count; None where all do.
+        """
+
+    def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
+        """`measure` the view's colours."""
+        return self.measure(rendering.rgb, view.image, view.mask)
 
 
 class Exporter(Component[SettingsType], ABC):

@@ -89,7 +89,7 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         many=False,
         scheduled=True,
     ),
-    HookPoint("metrics", "metric", "stereogs_register_metrics", c.Metric),
+    HookPoint("metrics", "metric", "stereogs_register_metrics", c.ViewMetric),
     HookPoint("exporters", "exporter", "stereogs_register_exporters", c.Exporter),
     HookPoint("reports", "report", "stereogs_register_reports", c.Report),
 )

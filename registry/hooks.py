@@ -63,7 +63,7 @@ def stereogs_register_opacity_policies(register: Register[c.OpacityPolicy[Any]])
 
 
 @hookspec
-def stereogs_register_metrics(register: Register[c.Metric[Any]]) -> None:
+def stereogs_register_metrics(register: Register[c.ViewMetric[Any]]) -> None:
     """Offer scores of a rendered view against its photograph."""
 
 

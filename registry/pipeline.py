@@ -12,6 +12,7 @@ from .errors import PipelineError, PluginError
 from .hook_points import HOOK_POINTS, HookPoint
 from .pipeline_edits import TOP_LEVEL, apply_override, disable, expand
 from .plugins import Offer, Plugins
+from .protocol_rules import AppliedProtocol, apply_protocol
 from .schedule import HostSettings, Schedule, in_iterations
 from .settings_check import escape_variables, plain, validate_settings
 from .suggestions import did_you_mean, listing
@@ -61,11 +62,13 @@ class Pipeline:
         name: for titles and for the run folder.
         items: the components of each section, in the order of the file.
         training: the loop's settings.
+        protocol: what fixes the split, the images and the metrics; None leaves them to the pipeline.
     """
 
     name: str
     items: dict[str, tuple[Item, ...]]
     training: TrainingSettings
+    protocol: AppliedProtocol | None = None
 
     def __iter__(self) -> Iterator[Item]:
         """All components, section by section."""
@@ -79,6 +82,8 @@ class Pipeline:
     def to_yaml(self) -> str:
         """The pipeline with every default written out; `parse_pipeline` reads the same one back."""
         tree: dict[str, Any] = {"name": self.name}
+        if self.protocol is not None:
+            tree["protocol"] = self.protocol.written
         for point in HOOK_POINTS:
             written = [_written(item) for item in self.items[point.section]]
             if point.many:
@@ -106,7 +111,7 @@ def load_pipeline(
         PipelineError: anything wrong with the file or the changes, with its line.
         PluginError: a component that it names cannot be loaded.
     """
-    return _checked(read(path), plugins, overrides, disabled)
+    return build_pipeline(read(path), plugins, overrides, disabled)
 
 
 def parse_pipeline(
@@ -118,12 +123,16 @@ def parse_pipeline(
     disabled: Sequence[str] = (),
 ) -> Pipeline:
     """`load_pipeline` for YAML text; `source` stands for the file name in errors."""
-    return _checked(parse(text, source), plugins, overrides, disabled)
+    return build_pipeline(parse(text, source), plugins, overrides, disabled)
 
 
-def _checked(
-    root: Node, plugins: Plugins, overrides: Sequence[str], disabled: Sequence[str]
+def build_pipeline(
+    root: Node,
+    plugins: Plugins,
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
 ) -> Pipeline:
+    """`load_pipeline` for a tree that is read already; the changes are made in it."""
     if not isinstance(root.content, dict):
         raise PipelineError(
             f"a pipeline is a mapping of sections, not {root.kind}",
@@ -142,6 +151,7 @@ def _checked(
                 where=str(node.place),
                 fix=f"sections: {listing(TOP_LEVEL)}",
             )
+    protocol = apply_protocol(sections)
     written = sections.get("training", Node({}, root.place))
     if written.content is None:
         written = Node({}, written.place)
@@ -152,7 +162,7 @@ def _checked(
         )
         for point in HOOK_POINTS
     }
-    return Pipeline(_name(sections.get("name"), root.place), items, training)
+    return Pipeline(_name(sections.get("name"), root.place), items, training, protocol)
 
 
 def _name(node: Node | None, start: Place) -> str:

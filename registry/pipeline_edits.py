@@ -10,7 +10,7 @@ from .suggestions import did_you_mean, listing
 from .yaml_source import Node, Place, parse
 
 SECTIONS = {point.section: point for point in HOOK_POINTS}
-TOP_LEVEL = ("name", *SECTIONS, "training")
+TOP_LEVEL = ("name", "protocol", *SECTIONS, "training")
 """The keys of a pipeline file."""
 
 
@@ -22,13 +22,23 @@ def apply_override(root: Node, text: str) -> None:
     """
     place = Place(f"--set {text}")
     path, separator, value = text.partition("=")
-    keys = path.strip().split(".")
-    if not separator or not all(keys):
-        raise PipelineError(
-            "an override must look like a.b=value",
-            where=str(place),
-            fix="for example --set training.iterations=5000",
-        )
+    if not separator:
+        raise _malformed(place)
+    set_value(root, path.strip(), parse(value, place.source, has_lines=False), place)
+
+
+def set_value(root: Node, path: str, value: Node, place: Place) -> None:
+    """Put a value at a dotted path, in place; `apply_override` for a value that is parsed already.
+
+    Args:
+        place: where the change was written, for errors.
+
+    Raises:
+        PipelineError: see `apply_override`.
+    """
+    keys = path.split(".")
+    if not all(keys):
+        raise _malformed(place)
     if keys[0] not in TOP_LEVEL:
         raise PipelineError(
             f"a pipeline has no section {keys[0]!r}{did_you_mean(keys[0], TOP_LEVEL)}",
@@ -38,12 +48,11 @@ def apply_override(root: Node, text: str) -> None:
     node = root
     for depth, key in enumerate(keys[:-1]):
         node = _descend(node, key, keys[: depth + 1], place)
-    new = parse(value, place.source, has_lines=False)
     if isinstance(node.content, list):
         item = _item(node, keys[-1], keys, place)
-        item.content, item.place = new.content, new.place
+        item.content, item.place = value.content, value.place
     else:
-        _mapping(node, keys[:-1], place)[keys[-1]] = new
+        _mapping(node, keys[:-1], place)[keys[-1]] = value
 
 
 def disable(root: Node, name: str) -> None:
@@ -109,6 +118,14 @@ def expand(item: Node) -> dict[str, Node]:
             fix="write the name alone, or {use: NAME, ...}",
         )
     return item.content
+
+
+def _malformed(place: Place) -> PipelineError:
+    return PipelineError(
+        "an override must look like a.b=value",
+        where=str(place),
+        fix="for example --set training.iterations=5000",
+    )
 
 
 def _descend(node: Node, key: str, path: list[str], place: Place) -> Node:

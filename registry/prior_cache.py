@@ -47,11 +47,7 @@ class PriorCache:
     @staticmethod
     def default(prior: str) -> PriorCache:
         """In the folder that STEREOGS_CACHE names, else in the user's cache folder."""
-        named = os.environ.get(VARIABLE)
-        if named is None:
-            home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-            return PriorCache(Path(home) / "stereogs" / prior)
-        return PriorCache(Path(named) / prior if named else None)
+        return PriorCache(cache_folder(prior))
 
     def load(self, key: str) -> dict[str, Tensor] | None:
         """The tensors saved under a key, or None; a damaged file is reported and asked anew."""
@@ -91,6 +87,15 @@ class PriorCache:
         except OSError as error:
             if not (self.folder / key / _ANSWER).is_file():  # else another process was first
                 _log.warning("the prior's answer could not be cached: %s", error)
+
+
+def cache_folder(name: str) -> Path | None:
+    """The folder of one kind of cached things; None where STEREOGS_CACHE switches caching off."""
+    named = os.environ.get(VARIABLE)
+    if named is None:
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        return Path(home) / "stereogs" / name
+    return Path(named) / name if named else None
 
 
 def content_key(*parts: object) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +10,21 @@ from rich.table import Table
 
 from core_rasterizer import GaussianModel
 
+from .average_error import AVERAGE_ERROR
 from .blame import blame
-from .evaluation import evaluate
+from .evaluation import averaged, evaluate
 from .memory import peak_memory_mb
 from .metrics_log import jsonable
 from .parts import Parts
-from .pipeline import Pipeline
+from .pipeline import Item, Pipeline
 from .provenance import describe_device
 from .run import RunFolder
 from .scene import Scene
 
 RENDERS = "renders"
 EXPORTS = "exports"
+ABSENT = "\u2013"
+"""What tables show, a dash, where a score is not available."""
 
 
 def finish(
@@ -71,7 +75,9 @@ def describe(
     """
     return {
         "pipeline": pipeline.name,
+        "protocol": pipeline.protocol.record() if pipeline.protocol else None,
         "scene": _describe_scene(scene),
+        "metrics": _describe_metrics(pipeline.items["metrics"]),
         "device": describe_device(model.device),
         "seed": pipeline.training.seed,
         "iterations": iterations,
@@ -89,26 +95,43 @@ def score(run: RunFolder, parts: Parts, scene: Scene, model: GaussianModel) -> d
         "test": test.mean,
         "train": train.mean,
         "views": {"test": test.views, "train": train.views},
+        "unavailable": {**train.unavailable, **test.unavailable},
     }
 
 
 def results_table(results: dict[str, Any]) -> Table:
     """The scores of a results.json as a table: a row a test view, then the means."""
-    metrics = list(results["train"])
-    table = Table(title=f"{results['scene']['name']}, {results['pipeline']}")
+    metrics = list(results["train"] | results["test"])
+    missing: dict[str, str] = results["unavailable"]
+    table = Table(
+        title=f"{results['scene']['name']}, {results['pipeline']}",
+        caption="\n".join(f"{ABSENT} {name}: {reason}" for name, reason in missing.items()) or None,
+    )
     table.add_column("view")
     for name in metrics:
         table.add_column(name, justify="right")
+
+    def add(label: str, row: dict[str, float | None]) -> None:
+        table.add_row(label, *(_cell(row, name, missing) for name in metrics))
+
     for view, row in results["views"]["test"].items():
-        table.add_row(view, *(_number(row[name]) for name in metrics))
+        add(view, row)
     table.add_section()
     for label, split in (("test mean", "test"), ("train mean", "train")):
         if results[split]:
-            table.add_row(label, *(_number(results[split][name]) for name in metrics))
+            add(label, results[split])
     return table
 
 
-def _number(value: float | None) -> str:
+def _cell(row: dict[str, float | None], name: str, missing: dict[str, str]) -> str:
+    value = row.get(name)
+    if value is None and (name not in row or name in missing):
+        return ABSENT
+    return _score(value)
+
+
+def _score(value: float | None) -> str:
+    """A score to four digits; None is infinite, for which JSON has no number."""
     return "inf" if value is None else f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"
 
 
@@ -119,9 +142,25 @@ def _describe_scene(scene: Scene) -> dict[str, Any]:
         "test": [view.name for view in scene.test],
         "width": scene.train[0].camera.width,
         "height": scene.train[0].camera.height,
+        "background": list(scene.background),
         "extent": scene.extent,
         **scene.notes,
     }
+
+
+def _describe_metrics(items: Sequence[Item]) -> dict[str, Any]:
+    described: dict[str, Any] = {item.name: _describe_metric(item) for item in items}
+    parts = averaged(items)
+    if parts:
+        described.setdefault(AVERAGE_ERROR, {"of": [_describe_metric(item) for item in parts]})
+    return described
+
+
+def _describe_metric(item: Item) -> dict[str, Any]:
+    """What the scores depend on: not where a file lies, its hash says what it holds."""
+    settings = item.settings.model_dump(mode="json")
+    paths = [name for name, value in item.settings if isinstance(value, Path)]
+    return {"use": item.offer.name, **{k: v for k, v in settings.items() if k not in paths}}
 
 
 def _inside(run: RunFolder, file: Path) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePath
 from typing import Any
 
 import torch
@@ -13,6 +12,12 @@ from torch import Tensor
 from core_rasterizer import Camera
 
 from .errors import SceneError
+
+_ROTATION_TOLERANCE = 1e-4
+_FARTHEST = 1e9
+"""World units; beyond, squares and products of positions leave single precision."""
+_FOCAL_RANGE = (1e-2, 1e4)
+"""In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +103,11 @@ def validate(scene: Scene) -> Scene:
     """Refuse a scene that training could not use; return it unchanged otherwise.
 
     Raises:
-        SceneError: no training view; a repeated or unsafe name; an image whose size is not the
-            camera's, whose values are not finite or not in [0, 1]; points that are not finite;
-            bounds out of order.
+        SceneError: no training view; a repeated or unsafe name; two training views from one pose; a
+            rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
+            size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
+            bool, does not fit or leaves no pixel; a depth that does not fit or is not finite; points
+            that are not finite or have colours outside [0, 1]; bounds out of order.
     """
     if not scene.train:
         raise SceneError(
@@ -112,6 +119,7 @@ def validate(scene: Scene) -> Scene:
         if view.name in seen:
             raise SceneError(f"two views are named {view.name!r}", where=scene.name)
         seen.add(view.name)
+    _refuse_equal_poses(scene)
     near, far = scene.bounds
     if not 0 < near < far < float("inf"):
         raise SceneError(
@@ -125,8 +133,9 @@ def validate(scene: Scene) -> Scene:
 
 def _validate_view(view: View, scene_name: str) -> None:
     where = f"{scene_name}, view {view.name!r}"
-    if not view.name or PurePath(view.name).name != view.name or view.name in (".", ".."):
+    if not _is_plain(view.name):
         raise SceneError("a view's name must be a plain file name", where=where)
+    _validate_camera(view.camera, where)
     camera, image = view.camera, view.image
     if image.shape != (camera.height, camera.width, 3):
         raise SceneError(
@@ -135,14 +144,72 @@ def _validate_view(view: View, scene_name: str) -> None:
             where=where,
             fix="use images of one size, the size that the poses were made for",
         )
-    if not (torch.isfinite(image).all() and image.min() >= 0 and image.max() <= 1):
+    low, high = image.aminmax()  # one pass; a NaN becomes both and compares as false
+    if not 0 <= low <= high <= 1:
         raise SceneError("the image has values outside [0, 1] or not finite", where=where)
-    for name, array in (("mask", view.mask), ("depth", view.depth)):
-        if array is not None and array.shape != image.shape[:2]:
+    _validate_maps(view, where)
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name can be a file's, with an ending added, on any usual system."""
+    separators = "/" in name or "\\" in name
+    return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200
+
+
+def _validate_camera(camera: Camera, where: str) -> None:
+    """What `Camera` lets pass and no photograph has."""
+    rotation = camera.world_to_camera[:3, :3]
+    residual = float((rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max())
+    if residual > _ROTATION_TOLERANCE:
+        raise SceneError(
+            f"the rotation is not orthonormal (off by {residual:.2g})",
+            where=where,
+            fix="write poses with more digits, and without scale",
+        )
+    if camera.world_to_camera[:3, 3].abs().max() > _FARTHEST:
+        raise SceneError("the camera stands too far away for single precision", where=where)
+    size = max(camera.width, camera.height)
+    for name in ("fx", "fy"):
+        focal = getattr(camera, name)
+        if not size * _FOCAL_RANGE[0] < focal < size * _FOCAL_RANGE[1]:
             raise SceneError(
-                f"the {name} has shape {tuple(array.shape)}, not {tuple(image.shape[:2])}",
+                f"the focal length {name} is {focal:g} px for an image of "
+                f"{camera.width}x{camera.height}",
+                where=where,
+                fix="check whether the focal length belongs to another image size or unit",
+            )
+
+
+def _validate_maps(view: View, where: str) -> None:
+    """The mask and the depth."""
+    for name, array in (("mask", view.mask), ("depth", view.depth)):
+        if array is not None and array.shape != view.image.shape[:2]:
+            raise SceneError(
+                f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
                 where=where,
             )
+    if view.mask is not None and view.mask.dtype != torch.bool:
+        raise SceneError(f"the mask is {view.mask.dtype}, not bool", where=where)
+    if view.mask is not None and not view.mask.any():
+        raise SceneError(
+            "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
+        )
+    if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
+        raise SceneError("the depth has values that are negative or not finite", where=where)
+
+
+def _refuse_equal_poses(scene: Scene) -> None:
+    """Two photographs from one pose have no parallax; one of the poses is most likely a copy."""
+    for index, view in enumerate(scene.train):
+        for other in scene.train[:index]:
+            first, second = view.camera.world_to_camera, other.camera.world_to_camera
+            if torch.allclose(first, second, rtol=1e-9, atol=1e-9):
+                raise SceneError(
+                    f"the training views {other.name!r} and {view.name!r} have the same pose: "
+                    "two photographs from one place say nothing about depth",
+                    where=scene.name,
+                    fix="leave one of them out, or correct its pose",
+                )
 
 
 def _validate_points(points: PointCloud, scene_name: str) -> None:
@@ -157,3 +224,5 @@ def _validate_points(points: PointCloud, scene_name: str) -> None:
         if not finite.all():
             first = int((~finite).nonzero()[0])
             raise SceneError(f"points.{name}[{first}] is not finite", where=scene_name)
+    if len(points) and not 0 <= points.colors.min() <= points.colors.max() <= 1:
+        raise SceneError("the points have colours outside [0, 1]", where=scene_name)

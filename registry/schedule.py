@@ -19,8 +19,8 @@ class Schedule(Settings):
     """The iterations in which a component is called.
 
     Due exactly when start <= iteration <= stop and iteration is a multiple of `every`. Iterations
-    count from 1. With `start: 500, every: 100` the first call is at 500. In a pipeline, `start` and
-    `stop` may also be written as a share of `training.iterations`, such as `50%`.
+    count from 1. With `start: 500, every: 100` the first call is at 500. In a pipeline, all three may
+    also be written as a share of `training.iterations`, such as `50%`.
     """
 
     start: Annotated[int, pydantic.Field(ge=1)] = 1
@@ -65,7 +65,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
     """
     result = dict(settings)
     shares: list[Node] = []
-    for name in ("start", "stop"):
+    for name in ("start", "stop", "every"):
         node = settings.get(name)
         share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
         if node and share:

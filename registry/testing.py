@@ -17,17 +17,31 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Device, GaussianModel, Gaussians, open_device, photometric_loss
+from core_rasterizer import (
+    Camera,
+    Device,
+    GaussianModel,
+    Gaussians,
+    Rendering,
+    open_device,
+    photometric_loss,
+)
 
-from .answers import check_edit, check_loss, check_opacity_scale, check_opacity_update
-from .components import Component, Context, Prior, Settings, Step
+from .answers import (
+    check_edit,
+    check_loss,
+    check_opacity_scale,
+    check_opacity_update,
+    check_score,
+)
+from .components import Component, Context, Prior, Settings, Step, Unavailable
 from .hook_points import HOOK_POINTS
 from .initial_model import initial_gaussians
 from .plugins import check_offer
@@ -122,7 +136,7 @@ class Bench:
 
 
 def tiny_scene() -> Scene:
-    """Three cameras side by side that look at points between z = 2 and 4; 32x24 pixels."""
+    """Three cameras side by side that look at points between z = 2 and 4, and a wall at 3; 32x24."""
     generator = torch.Generator().manual_seed(1)
     rows = torch.linspace(0, 1, _HEIGHT)[:, None].expand(_HEIGHT, _WIDTH)
     columns = torch.linspace(0, 1, _WIDTH)[None].expand(_HEIGHT, _WIDTH)
@@ -132,7 +146,7 @@ def tiny_scene() -> Scene:
         pose[0, 3] = 0.2 * (1 - index)
         image = torch.stack([rows, columns, torch.full_like(rows, 0.2 + 0.3 * index)], dim=2)
         camera = Camera(pose, 30.0, 30.0, _WIDTH / 2, _HEIGHT / 2, _WIDTH, _HEIGHT)
-        views.append(View(f"view{index}", camera, image))
+        views.append(View(f"view{index}", camera, image, depth=torch.full_like(rows, 3.0)))
     positions = torch.rand(60, 3, generator=generator) * 2 - 1
     positions[:, 2] += 3
     points = PointCloud(positions, torch.rand(60, 3, generator=generator))
@@ -238,15 +252,32 @@ def _ask_opacity(bench: Bench, built: Any) -> Any:
 
 
 def _ask_metric(bench: Bench, built: Any) -> Any:
-    first, second = bench.scene.train
-    equal = float(built.measure(first.image, first.image, None))
-    other = float(built.measure(first.image, second.image, None))
-    _require(equal == equal and other == other, "the metric of two images is not a number")
-    better = equal > other if built.higher_is_better else equal < other
-    _require(better, "equal images must score better than different ones (`higher_is_better`)")
+    scene = bench.scene
+    first, second = scene.train
+    equal, other = (
+        check_score(built.measure_view(rendering, first, scene))
+        for rendering in (_pictured(first, 1.0), _pictured(second, 1.5))
+    )
     mask = torch.zeros(_HEIGHT, _WIDTH, dtype=torch.bool)
     mask[4:20, 4:28] = True
-    return [other, float(built.measure(first.image, second.image, mask))]
+    masked = check_score(
+        built.measure_view(_pictured(second, 1.5), replace(first, mask=mask), scene)
+    )
+    if isinstance(equal, Unavailable) or isinstance(other, Unavailable):
+        answers = (equal, other, masked)
+        reasons = [answer.reason for answer in answers if isinstance(answer, Unavailable)]
+        _require(len(reasons) == 3, "the metric is available for some renders of a view only")
+        _require(all(reasons), "a metric that is not available must say why")
+        return reasons
+    better = equal > other if built.higher_is_better else equal < other
+    _require(better, "equal images must score better than different ones (`higher_is_better`)")
+    return [other, masked]
+
+
+def _pictured(view: View, depth_factor: float) -> Rendering:
+    """A render that shows the view's photograph, and its true depth times a factor."""
+    assert view.depth is not None
+    return Rendering(view.image, depth_factor * view.depth, torch.ones(_HEIGHT, _WIDTH))
 
 
 def _ask_exporter(bench: Bench, built: Any) -> Any:
@@ -265,6 +296,7 @@ def _ask_report(bench: Bench, built: Any) -> Any:
         "test": {"psnr": 20.0},
         "train": {"psnr": 30.0},
         "views": {"test": {"view1": {"psnr": 20.0}}, "train": {}},
+        "unavailable": {},
     }
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

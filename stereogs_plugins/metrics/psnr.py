@@ -6,15 +6,18 @@ import math
 
 from torch import Tensor
 
-from registry import Metric, Register, SceneError, Settings, hookimpl
+from registry import Metric, Register, SceneError, hookimpl
+
+from ._images import ImageSettings
 
 MIN_ERROR = 1e-10
 """Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""
 
 
-class PSNR(Metric[Settings]):
+class PSNR(Metric[ImageSettings]):
     """Over all pixels and channels; with a mask, over the pixels inside it."""
 
+    Settings = ImageSettings
     unit = "dB"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
@@ -23,7 +26,8 @@ class PSNR(Metric[Settings]):
         Raises:
             SceneError: a mask without a single pixel.
         """
-        squares = (rendered.double() - photograph.double()) ** 2
+        first, second = map(self.settings.prepared, (rendered, photograph))
+        squares = (first - second) ** 2
         if mask is not None:
             if not mask.any():
                 raise SceneError(

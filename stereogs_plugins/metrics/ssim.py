@@ -10,18 +10,25 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from registry import Metric, Register, Settings, hookimpl
+from registry import Metric, Register, hookimpl
+
+from ._images import ImageSettings, white_outside
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 
-class SSIM(Metric[Settings]):
+class SSIM(Metric[ImageSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
+
+    Settings = ImageSettings
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
-        first, second = (_planes(image, mask) for image in (rendered, photograph))
+        first, second = (
+            _planes(white_outside(self.settings.prepared(image), mask))
+            for image in (rendered, photograph)
+        )
         mean_1, mean_2 = _blur(first), _blur(second)
         variance_1 = _blur(first * first) - mean_1**2
         variance_2 = _blur(second * second) - mean_2**2
@@ -32,11 +39,9 @@ class SSIM(Metric[Settings]):
         return float(similarity.mean())
 
 
-def _planes(image: Tensor, mask: Tensor | None) -> Tensor:
-    """`[3, 1, H, W]` float64, white outside the mask."""
-    if mask is not None:
-        image = image.where(mask[..., None], torch.ones_like(image))
-    return image.double().permute(2, 0, 1)[:, None]
+def _planes(image: Tensor) -> Tensor:
+    """`[3, 1, H, W]`, for convolutions of each channel alone."""
+    return image.permute(2, 0, 1)[:, None]
 
 
 def _blur(planes: Tensor) -> Tensor:

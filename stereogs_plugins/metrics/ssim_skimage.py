@@ -5,26 +5,26 @@ A uniform 7x7 window, sample covariance, mean over the image without a border of
 
 from __future__ import annotations
 
-import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from registry import Metric, Register, Settings, hookimpl
+from registry import Metric, Register, hookimpl
+
+from ._images import ImageSettings, white_outside
 
 
-class ScikitImageSSIM(Metric[Settings]):
+class ScikitImageSSIM(Metric[ImageSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
+
+    Settings = ImageSettings
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
-        first, second = rendered, photograph
-        if mask is not None:
-            white = torch.ones_like(photograph)
-            first = first.where(mask[..., None], white)
-            second = second.where(mask[..., None], white)
-        score = structural_similarity(
-            first.double().numpy(), second.double().numpy(), data_range=1.0, channel_axis=2
+        first, second = (
+            white_outside(self.settings.prepared(image), mask).numpy()
+            for image in (rendered, photograph)
         )
+        score = structural_similarity(first, second, data_range=1.0, channel_axis=2)
         return float(score)
 
 

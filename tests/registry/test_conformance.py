@@ -34,6 +34,11 @@ def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
     check(component)
 
 
+def test_metrics_may_be_unavailable_or_look_at_the_whole_view() -> None:
+    check(Blind)
+    check(Deep)
+
+
 class Forgetful(toys.ToyTerm):
     def restore(self, state: Any) -> None:
         pass
@@ -52,6 +57,33 @@ class Meddler(toys.ToyFade):
 
 class Upside(toys.ToyPsnr):
     higher_is_better = False
+
+
+class Blind(toys.ToyPsnr):
+    """Not available, and says why."""
+
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return r.Unavailable("there is no network")
+
+
+class Silent(Blind):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return r.Unavailable("")
+
+
+class Partial(toys.ToyPsnr):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return 1.0 if rendered.equal(photograph) else r.Unavailable("too different")
+
+
+class Deep(r.ViewMetric[r.Settings]):
+    """Judges depth, not colours."""
+
+    higher_is_better = False
+
+    def measure_view(self, rendering: Any, view: r.View, scene: r.Scene) -> float:
+        assert view.depth is not None
+        return float((rendering.depth - view.depth).abs().mean())
 
 
 class Liar(toys.ToyExporter):
@@ -75,6 +107,8 @@ class Negative(toys.ToyDropout):
         (Unseeded, {}, "different answers"),
         (Meddler, {}, "changed the Gaussians"),
         (Upside, {}, "score better"),
+        (Silent, {}, "must say why"),
+        (Partial, {}, "some renders of a view only"),
         (Liar, {}, "was not written"),
         (Plain, {}, "derives from none"),
         (Negative, {}, "negative"),

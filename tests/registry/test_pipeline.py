@@ -240,6 +240,7 @@ def test_ready_pipelines_load_with_the_projects_own_plugins(
     entries = project["project"]["entry-points"]["stereogs.plugins"]
     plugins = Plugins([EntryPoint(n, m, "stereogs.plugins") for n, m in entries.items()])
     monkeypatch.setenv("STEREOGS_DATA", "somewhere")
+    monkeypatch.setenv("STEREOGS_MODELS", "somewhere")
     files = sorted((root / "pipelines").glob("*.yaml"))
     assert {"3dgs.yaml", "demo.yaml"} <= {file.name for file in files}
     for file in files:

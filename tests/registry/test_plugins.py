@@ -90,8 +90,11 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install) -> None:
         (metric("x").replace("_metrics", "_metrix"), "stereogs_register_metrix"),
         (metric("x").replace("(register)", "(register, more)"), "more"),
         (metric("x").replace("measure", "meazure"), "does not define measure"),
-        (metric("x").replace("registry.Metric[registry.Settings]", "object"), "registry.Metric"),
-        (metric("x").replace("registry.Metric[", "registry.Exporter["), "registry.Metric"),
+        (
+            metric("x").replace("registry.Metric[registry.Settings]", "object"),
+            "registry.ViewMetric",
+        ),
+        (metric("x").replace("registry.Metric[", "registry.Exporter["), "registry.ViewMetric"),
         (metric("x y"), "is not a word"),
         (metric("x") + '    register("x", Score)\n', "registered twice"),
         (metric("x").replace("pass", "") + "    raise KeyError('k')\n", "KeyError"),

@@ -28,6 +28,13 @@ def test_a_share_follows_the_number_of_iterations(toys: Plugins) -> None:
     assert (item.schedule.start, item.schedule.stop) == (5, 24)
 
 
+def test_every_may_be_a_share(toys: Plugins) -> None:
+    often = "densification.every=10%"
+    assert parse(toys, often).items["densification"][0].schedule.every == 3000
+    (item,) = parse(toys, often, "training.iterations=5").items["densification"]
+    assert item.schedule.every == 1, "at most in each iteration"
+
+
 def test_the_resolved_pipeline_holds_plain_iterations(toys: Plugins) -> None:
     pipeline = parse(toys)
     assert "%" not in pipeline.to_yaml()

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio
 
 from registry import SceneError
+from registry.testing import check
 from stereogs_plugins.metrics.psnr import PSNR, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 
@@ -33,6 +36,27 @@ def test_counts_masked_pixels_only() -> None:
 
 def test_equal_images_score_a_hundred() -> None:
     assert build(PSNR).measure(torch.ones(4, 4, 3), torch.ones(4, 4, 3), None) == 100
+
+
+def test_png8_compares_what_a_png_would_hold() -> None:
+    rendered = torch.full((4, 4, 3), 100.4 / 255)
+    photograph = torch.full((4, 4, 3), 100.6 / 255)
+    one_level = 20 * math.log10(255)
+    metric = build(PSNR, quantize="png8")
+    assert metric.measure(rendered, photograph, None) == pytest.approx(one_level, abs=1e-9)
+    assert metric.measure(rendered, torch.full((4, 4, 3), 99.6 / 255), None) == 100
+    assert build(PSNR).measure(rendered, photograph, None) > one_level + 13
+
+
+def test_png8_rounds_half_a_level_up() -> None:
+    rendered, photograph = torch.full((2, 4, 4, 3), 0.5).double()
+    photograph[:] = 128 / 255
+    assert build(PSNR, quantize="png8").measure(rendered, photograph, None) == 100
+
+
+@pytest.mark.parametrize("quantize", ["float", "png8"])
+def test_keeps_the_contract(quantize: str) -> None:
+    check(PSNR, quantize=quantize)
 
 
 def test_an_empty_mask_is_explained() -> None:

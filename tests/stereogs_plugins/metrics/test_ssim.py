@@ -8,6 +8,7 @@ from scipy.ndimage import correlate
 from torch import Tensor
 
 from core_rasterizer import photometric_loss
+from registry.testing import check
 from stereogs_plugins.metrics.ssim import SSIM, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 
@@ -72,3 +73,16 @@ def test_what_lies_outside_the_mask_is_white_in_both() -> None:
         image.where(mask[..., None], torch.ones(1)).double().numpy() for image in (first, second)
     ]
     assert score == pytest.approx(plain_ssim(*white), abs=1e-10)
+
+
+def test_png8_compares_what_a_png_would_hold() -> None:
+    first, noise = torch.rand(2, 20, 26, 3, generator=torch.Generator().manual_seed(1))
+    second = 0.9 * first + 0.1 * noise
+    stored = [(image.double() * 255).round() / 255 for image in (first, second)]
+    score = build(SSIM, quantize="png8").measure(first, second, None)
+    assert score == pytest.approx(build(SSIM).measure(stored[0], stored[1], None), abs=1e-12)
+    assert score != build(SSIM).measure(first, second, None)
+
+
+def test_keeps_the_contract() -> None:
+    check(SSIM, quantize="png8")

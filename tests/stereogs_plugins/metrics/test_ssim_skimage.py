@@ -6,6 +6,7 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from registry.testing import check
 from stereogs_plugins.metrics.ssim_skimage import ScikitImageSSIM, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 
@@ -47,3 +48,18 @@ def test_what_lies_outside_the_mask_does_not_matter() -> None:
     metric = build(ScikitImageSSIM)
     assert metric.measure(first, second, mask) == metric.measure(first, changed, mask)
     assert metric.measure(first, second, mask) != metric.measure(first, second, None)
+
+
+def test_png8_compares_what_a_png_would_hold() -> None:
+    first, noise = torch.rand(2, 20, 26, 3, generator=torch.Generator().manual_seed(1))
+    second = 0.9 * first + 0.1 * noise
+    stored = [(image.double() * 255).round() / 255 for image in (first, second)]
+    score = build(ScikitImageSSIM, quantize="png8").measure(first, second, None)
+    assert score == pytest.approx(
+        build(ScikitImageSSIM).measure(stored[0], stored[1], None), abs=1e-12
+    )
+    assert score != build(ScikitImageSSIM).measure(first, second, None)
+
+
+def test_keeps_the_contract() -> None:
+    check(ScikitImageSSIM, quantize="png8")

@@ -1,0 +1,151 @@
+"""Scores of views: missing ones, their means, and the average error."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from rich.console import Console
+from torch import Tensor
+
+import registry as r
+from core_rasterizer import Device, GaussianModel, Rendering
+from registry.average_error import average_error
+from registry.components import Context
+from registry.evaluation import Scores, averaged, evaluate
+from registry.hook_points import HOOK_POINTS
+from registry.initial_model import initial_gaussians
+from registry.parts import Part
+from registry.pipeline import Item
+from registry.plugins import Offer
+from registry.results import results_table
+from registry.schedule import HostSettings
+from registry.testing import tiny_scene
+from registry.training_settings import TrainingSettings
+from registry.yaml_source import Place
+
+PLACE = Place("a.yaml", 3)
+METRICS = next(point for point in HOOK_POINTS if point.section == "metrics")
+
+
+class Fixed(r.Metric[r.Settings]):
+    """Answers what the class says, whatever the images."""
+
+    answer: Any = 0.0
+
+    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
+        answer: float = self.answer
+        return answer
+
+
+class OfView(r.ViewMetric[r.Settings]):
+    """Answers what only a whole view and scene can say."""
+
+    def measure_view(
+        self, rendering: Rendering, view: r.View, scene: r.Scene
+    ) -> float | r.Unavailable:
+        if view.depth is None:
+            return r.Unavailable(f"no depth in {scene.name}")
+        return float(rendering.depth.shape[1])
+
+
+def part(use: str, component: type[r.ViewMetric[Any]], device: Device, name: str = "") -> Part:
+    offer = Offer(METRICS, use, component, "tests", "tests", "1")
+    item = Item(name or use, r.Settings(), HostSettings(use=use), offer, PLACE)
+    return Part(item, component(r.Settings(), Context(use, 0, device)))
+
+
+def answering(use: str, answer: Any, device: Device, name: str = "") -> Part:
+    return part(use, type("Answering", (Fixed,), {"answer": answer}), device, name)
+
+
+def scored(device: Device, *parts: Part, scene: r.Scene | None = None) -> Scores:
+    scene = scene or tiny_scene()
+    assert scene.points is not None
+    model = GaussianModel(initial_gaussians(scene.points, TrainingSettings(sh_degree=0)), device)
+    return evaluate(model, scene, scene.train, parts)
+
+
+def test_a_metric_that_is_not_available_leaves_a_gap_and_a_reason(device: Device) -> None:
+    scores = scored(device, answering("lost", r.Unavailable("no file"), device))
+    assert scores.views == {"view0": {"lost": None}, "view2": {"lost": None}}
+    assert scores.unavailable == {"lost": "no file"}
+    assert scores.mean == {"lost": None}
+
+
+def test_the_mean_goes_over_the_views_that_have_the_score(device: Device) -> None:
+    scene = tiny_scene()
+    blind = replace(scene, train=(replace(scene.train[0], depth=None), scene.train[1]))
+    scores = scored(device, part("of_view", OfView, device), scene=blind)
+    assert scores.views["view0"] == {"of_view": None}
+    assert scores.mean == {"of_view": 32}
+    assert scores.unavailable == {"of_view": "no depth in tiny"}
+
+
+@pytest.mark.parametrize("answer", [float("nan"), "high", None])
+def test_what_is_no_score_names_the_metric(device: Device, answer: Any) -> None:
+    with pytest.raises(r.PluginError) as caught:
+        scored(device, answering("bad", answer, device))
+    assert "metric 'bad'" in caught.value.where
+
+
+def test_the_average_error_is_the_geometric_mean_of_three() -> None:
+    assert average_error(20, 0.75, 0.2) == pytest.approx((0.01 * 0.5 * 0.2) ** (1 / 3))
+    assert average_error(100, 1 + 1e-12, 0.0) == 0
+
+
+@pytest.mark.parametrize("ssim", ["ssim", "ssim_skimage"])
+def test_views_with_all_three_get_an_average_error(device: Device, ssim: str) -> None:
+    names = (("lpips", 0.2), (ssim, 0.75), ("psnr", 20.0))
+    parts = [answering(use, value, device, f"my_{use}") for use, value in names]
+    row = scored(device, *parts).views["view0"]
+    assert list(row) == ["my_lpips", f"my_{ssim}", "my_psnr", "avge"]
+    assert row["avge"] == pytest.approx(0.1)
+
+
+def test_the_average_error_takes_the_first_of_each_kind() -> None:
+    uses = ("ssim_skimage", "psnr", "ssim", "lpips")
+    items = [
+        Item(
+            use, r.Settings(), HostSettings(use=use), Offer(METRICS, use, Fixed, "", "", ""), PLACE
+        )
+        for use in uses
+    ]
+    assert [item.name for item in averaged(items)] == ["psnr", "ssim_skimage", "lpips"]
+    assert averaged(items[:3]) == ()
+
+
+def test_a_metric_of_that_name_keeps_its_score(device: Device) -> None:
+    names = (("avge", 0.7), ("lpips", 0.2), ("ssim", 0.75), ("psnr", 20.0))
+    parts = [answering(use, value, device) for use, value in names]
+    assert scored(device, *parts).views["view0"]["avge"] == 0.7
+
+
+def test_without_one_of_the_three_there_is_no_average_error(device: Device) -> None:
+    parts = [answering("psnr", 20.0, device), answering("ssim", 0.75, device)]
+    assert "avge" not in scored(device, *parts).views["view0"]
+    lost = answering("lpips", r.Unavailable("no file"), device)
+    assert "avge" not in scored(device, *parts, lost).views["view0"]
+    proper = answering("lpips_proper", 0.2, device)
+    assert "avge" not in scored(device, *parts, proper).views["view0"]
+
+
+def test_the_table_tells_a_missing_score_from_an_infinite_one() -> None:
+    row = {"psnr": None, "lpips": None}
+    results = {
+        "pipeline": "p",
+        "scene": {"name": "s"},
+        "test": row,
+        "train": {"psnr": 20.0, "lpips": None, "avge": 0.5},
+        "views": {"test": {"v": row}, "train": {}},
+        "unavailable": {"lpips": "no network is named"},
+    }
+    stream = io.StringIO()
+    Console(file=stream, width=100).print(results_table(results))
+    lines = stream.getvalue().splitlines()
+    cells = {line.split("│")[1].strip(): line.split("│")[2:-1] for line in lines if "│" in line}
+    assert [cell.strip() for cell in cells["v"]] == ["inf", "–", "–"]  # noqa: RUF001
+    assert [cell.strip() for cell in cells["train mean"]] == ["20.00", "–", "0.5000"]  # noqa: RUF001
+    assert "lpips: no network is named" in stream.getvalue()
