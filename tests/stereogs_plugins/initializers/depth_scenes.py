@@ -1,0 +1,58 @@
+"""Cameras, depths and priors with known answers for the tests of dense initialization."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core_rasterizer import Camera, open_device
+from registry import Context, DepthMap, MultiViewDepthPrior, Settings, View
+from stereogs_plugins.initializers._projection import DepthImage
+from stereogs_plugins.initializers._view_depth import ViewDepth
+
+
+def camera_at(
+    x: float, *, width: int = 60, height: int = 40, cx: float = 30.0, cy: float = 20.0
+) -> Camera:
+    """A camera at (x, 0, 0) that looks along +z with a focal length of 50 pixels."""
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[0, 3] = -x
+    return Camera(pose, 50.0, 50.0, cx, cy, width, height)
+
+
+def view_of(camera: Camera, image: Tensor | None = None, name: str = "view") -> View:
+    """A view, grey unless an image is given."""
+    if image is None:
+        image = torch.full((camera.height, camera.width, 3), 0.5)
+    return View(name, camera, image)
+
+
+def known(view: View, depth: DepthImage) -> ViewDepth:
+    """A view all of whose depths are confirmed."""
+    return ViewDepth(view, depth, depth, np.zeros_like(depth))
+
+
+class FixedDepth(MultiViewDepthPrior[Settings]):
+    """Answers with what a function says about each view."""
+
+    depth_of: Callable[[View], Tensor]
+
+    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+        depths = [self.depth_of(view) for view in views]
+        return [DepthMap(d, torch.isfinite(d) & (d > 0), torch.ones_like(d)) for d in depths]
+
+
+def prior_of(depth_of: Callable[[View], Tensor]) -> FixedDepth:
+    """A prior that answers with `depth_of(view)`."""
+    prior = FixedDepth(Settings(), Context("fixed", 0, open_device()))
+    prior.depth_of = depth_of
+    return prior
+
+
+def true_depth(view: View) -> Tensor:
+    """The depth that a procedural view knows."""
+    assert view.depth is not None
+    return view.depth

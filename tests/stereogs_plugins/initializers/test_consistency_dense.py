@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from registry import PluginError, PointCloud, Scene, SceneError, View
+from registry.testing import check
+from stereogs_plugins.initializers.consistency_dense import (
+    ConsistencyDense,
+    stereogs_register_initializers,
+)
+from stereogs_plugins.priors.plane_sweep import PlaneSweep
+from stereogs_plugins.scenes.llff import LLFFScene
+from stereogs_plugins.scenes.procedural import ProceduralScene
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build, offered
+from tests.stereogs_plugins.initializers.depth_scenes import prior_of, true_depth
+
+COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build(ProceduralScene, test_views=0, points=0).load()
+
+
+def dense(scene: Scene, depth_of: Any = true_depth, **settings: Any) -> PointCloud:
+    return build(ConsistencyDense, **settings).initialize(scene, {"depth": prior_of(depth_of)})
+
+
+def distance_to_surface(scene: Scene, points: PointCloud) -> Tensor:
+    """`[P]` relative depth error in the view that explains each point best."""
+    best = torch.full((len(points),), torch.inf, dtype=torch.float64)
+    for view in scene.train:
+        camera, pose = view.camera, view.camera.world_to_camera
+        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
+        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
+        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
+        best = torch.minimum(best, (local[:, 2] / true_depth(view)[y, x] - 1).abs())
+    return best
+
+
+def test_is_offered_as_consistency_dense() -> None:
+    assert offered(stereogs_register_initializers) == {"consistency_dense": ConsistencyDense}
+
+
+@pytest.mark.parametrize("settings", [{}, {**COMPLETE, "sigma": 0.5, "opacity": 0.9, "stride": 2}])
+def test_keeps_the_contract(settings: dict[str, Any]) -> None:
+    check(
+        ConsistencyDense,
+        priors={"flat": prior_of(lambda view: torch.full(view.image.shape[:2], 3.0))},
+        **settings,
+    )
+
+
+def test_points_lie_on_the_true_surfaces_despite_outliers(scene: Scene) -> None:
+    generator = torch.Generator().manual_seed(0)
+
+    def spoilt(view: View) -> Tensor:
+        depth = true_depth(view)
+        wrong = torch.rand(depth.shape, generator=generator) < 0.05
+        return torch.where(wrong, 1.5 * depth, depth)
+
+    points = dense(scene, spoilt, stride=2)
+    assert len(points) > 0.7 * 3 * 252 * 189 / 4
+    error = distance_to_surface(scene, points)
+    assert error.quantile(0.999) < 0.02
+    assert points.scales is None
+    assert points.opacities is None
+
+
+def test_depths_that_are_unknown_never_become_points(scene: Scene) -> None:
+    def damaged(view: View) -> Tensor:
+        depth = true_depth(view).clone()
+        depth[:40], depth[40:60], depth[60:80] = torch.nan, 0.0, -1.0
+        return depth
+
+    points = dense(scene, damaged)
+    assert torch.isfinite(points.positions).all()
+    for view in scene.train:
+        assert points.facts["views"][view.name]["coverage"] == pytest.approx(109 / 189, abs=1e-3)
+    assert distance_to_surface(scene, points).quantile(0.999) < 0.02
+
+
+def test_completion_fills_what_the_filter_leaves(scene: Scene) -> None:
+    bare = dense(scene, stride=3, sigma=0.5, opacity=0.9, max_points=None)
+    full = dense(scene, stride=3, sigma=0.5, opacity=0.9, max_points=None, **COMPLETE)
+    assert set(bare.facts["points_by_kind"]) == {"confirmed", "filled"}
+    assert bare.facts["points_by_kind"]["filled"] == 0
+    assert sum(full.facts["points_by_kind"].values()) == len(full)
+    assert all(count > 0 for count in full.facts["points_by_kind"].values())
+    assert full.scales is not None
+    assert full.opacities is not None
+    assert torch.equal(full.opacities, torch.full((len(full),), 0.9))
+    for view in scene.train:
+        facts = full.facts["views"][view.name]
+        assert facts["coverage"] == 1
+        assert 0.6 < facts["consistent"] < 1
+        assert 0.95 < facts["consistent"] + facts["filled"] <= 1
+        truth = np.quantile(true_depth(view).numpy(), (0.05, 0.5, 0.95))
+        np.testing.assert_allclose(facts["depth_quantiles"], truth, rtol=0.1)
+
+
+def test_size_follows_distance_stride_and_sigma(scene: Scene) -> None:
+    points = dense(scene, stride=4, sigma=0.5)
+    view = scene.train[0]
+    pose = view.camera.world_to_camera
+    first = points.positions[:100].double() @ pose[2, :3] + pose[2, 3]
+    assert points.scales is not None
+    expected = (0.5 * 4 * first / view.camera.fx).float()
+    torch.testing.assert_close(points.scales[:100], expected, rtol=1e-5, atol=0)
+
+
+def test_pictures_show_photograph_and_three_depths(scene: Scene) -> None:
+    points = dense(scene, **COMPLETE)
+    assert list(points.pictures) == [f"{view.name}_depth" for view in scene.train]
+    for view, picture in zip(scene.train, points.pictures.values(), strict=True):
+        assert picture.shape == (189, 4 * 252 + 3 * 4, 3)
+        assert torch.equal(picture[:, :252], view.image)
+        holes = (picture[:, 2 * 256 : 2 * 256 + 252] == 0).all(dim=2)
+        share = points.facts["views"][view.name]["consistent"]
+        assert 1 - float(holes.float().mean()) == pytest.approx(share, abs=1e-3)
+
+
+def test_the_cap_is_kept_and_one_seed_gives_one_choice(scene: Scene) -> None:
+    def points(seed: int) -> PointCloud:
+        component = build(ConsistencyDense, seed=seed, max_points=1000, sigma=1.0)
+        return component.initialize(scene, {"depth": prior_of(true_depth)})
+
+    first, again, other = points(1), points(1), points(2)
+    assert len(first) == first.facts["points_by_kind"]["confirmed"] == 1000
+    assert torch.equal(first.positions, again.positions)
+    assert not torch.equal(first.positions, other.positions)
+
+
+def test_one_view_and_too_few_views_are_explained(scene: Scene) -> None:
+    with pytest.raises(SceneError, match="one training view") as caught:
+        dense(replace(scene, train=scene.train[:1]))
+    assert "random" in caught.value.fix
+    with pytest.raises(SceneError, match="3 other views must confirm") as caught:
+        dense(scene, min_consistent=3)
+    assert "at most 2" in caught.value.fix
+
+
+def test_views_that_agree_on_nothing_are_explained(scene: Scene) -> None:
+    depths = {view.name: float(2 + index) for index, view in enumerate(scene.train)}
+    with pytest.raises(SceneError, match="no pixel") as caught:
+        dense(scene, lambda view: torch.full(view.image.shape[:2], depths[view.name]))
+    assert "overlap" in caught.value.fix
+
+
+def test_a_view_that_none_confirms_is_reported(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    lost = scene.train[1].name
+
+    def depth_of(view: View) -> Tensor:
+        return 0.3 * true_depth(view) if view.name == lost else true_depth(view)
+
+    with caplog.at_level(logging.WARNING):
+        points = dense(scene, depth_of, min_component=100, **COMPLETE)
+    assert lost in caplog.text
+    assert points.facts["views_without_confirmed_depth"] == 1
+    assert points.facts["views"][lost] == {
+        "coverage": 1.0,
+        "consistent": 0.0,
+        "filled": 0.0,
+        "depth_quantiles": [],
+    }
+    assert len(points) > 1000
+
+
+def test_a_prior_is_needed(scene: Scene) -> None:
+    with pytest.raises(PluginError, match="multi_view_depth"):
+        build(ConsistencyDense).initialize(scene, {})
+    priors = {name: prior_of(true_depth) for name in ("one", "two")}
+    with pytest.raises(PluginError, match="2 priors"):
+        build(ConsistencyDense).initialize(scene, priors)
+    assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
+
+
+def test_three_real_photographs() -> None:
+    scene = build(LLFFScene, path=data_folder("llff_fern")).load()
+    points = build(
+        ConsistencyDense,
+        max_reprojection_error=2.0,
+        max_depth_error=0.05,
+        min_component=100,
+        stride=3,
+        sigma=0.5,
+        **COMPLETE,
+    ).initialize(scene, {"plane_sweep": build(PlaneSweep)})
+    assert 20_000 < len(points) < 90_000
+    for facts in points.facts["views"].values():
+        assert facts["consistent"] > 0.55
+        assert facts["consistent"] + facts["filled"] > 0.95
+    assert scene.points is not None
+    distance, _ = KDTree(points.positions.numpy()).query(scene.points.positions.numpy())
+    assert np.median(distance) < 0.01 * scene.bounds[1]
