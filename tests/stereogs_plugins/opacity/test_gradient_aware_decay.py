@@ -6,6 +6,9 @@ import pytest
 import torch
 
 from core_rasterizer import Gaussians
+from registry import OpacityUpdate, Step
+from registry.testing import check
+from registry.trainer import OPACITY_MARGIN
 from stereogs_plugins.opacity.gradient_aware_decay import (
     GradientAwareDecay,
     stereogs_register_opacity_policies,
@@ -20,6 +23,13 @@ def gaussians() -> Gaussians:
     return scene
 
 
+def updated(decay: GradientAwareDecay, step: Step) -> OpacityUpdate:
+    """The policy's answer, which must not be None."""
+    update = decay.update(step)
+    assert update is not None
+    return update
+
+
 def test_is_offered_as_gradient_aware_decay() -> None:
     assert offered(stereogs_register_opacity_policies) == {
         "gradient_aware_decay": GradientAwareDecay
@@ -29,7 +39,7 @@ def test_is_offered_as_gradient_aware_decay() -> None:
 @pytest.mark.parametrize("wrt", ["activated", "logit"])
 def test_is_the_papers_formula(wrt: str) -> None:
     step = step_with(gaussians())
-    update = build(GradientAwareDecay, wrt=wrt).update(step)
+    update = updated(build(GradientAwareDecay, wrt=wrt), step)
     opacities = torch.tensor([0.3, 0.8, 0.5])
     gradient = step.model.gradient("opacity_logits").abs()
     if wrt == "activated":
@@ -74,7 +84,7 @@ def test_the_functions_that_the_paper_compares(function: str, factors: list[floa
 
 
 def test_contributing_spares_what_this_view_does_not_show() -> None:
-    update = build(GradientAwareDecay, scope="contributing").update(step_with(gaussians()))
+    update = updated(build(GradientAwareDecay, scope="contributing"), step_with(gaussians()))
     assert update.opacities[2] == pytest.approx(0.5)
     assert update.opacities[0] < 0.3
 
@@ -82,5 +92,125 @@ def test_contributing_spares_what_this_view_does_not_show() -> None:
 def test_without_any_gradient_all_decay_by_the_base() -> None:
     hidden = gaussians()
     hidden.means[:, 2] = -5
-    update = build(GradientAwareDecay).update(step_with(hidden))
+    update = updated(build(GradientAwareDecay), step_with(hidden))
     torch.testing.assert_close(update.opacities, 0.99 * torch.tensor([0.3, 0.8, 0.5]))
+
+
+@pytest.mark.parametrize(
+    ("function", "slopes"),
+    [
+        ("exp_beta", [0.99, 1 - 0.01 * math.exp(-0.5), 1 - 0.01 * math.exp(-1)]),
+        ("exp_g", [0.99, 1 - 0.01 * math.exp(-0.05), 1 - 0.01 * math.exp(-0.1)]),
+        ("step", [0.99, 1.0, 1.0]),
+        ("linear", [0.99, 0.995, 1.0]),
+        ("constant", [0.99, 0.99, 0.99]),
+    ],
+)
+def test_decay_curves(function: str, slopes: list[float]) -> None:
+    """100 iterations at gradients of 0, 1 and 2 times their mean of 0.1."""
+    decay = build(GradientAwareDecay, function=function)
+    relative = torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64)
+    opacities = torch.full_like(relative, 0.8)
+    for _ in range(100):
+        opacities = decay.factor(relative / 10, relative) * opacities
+    expected = torch.tensor([0.8 * slope**100 for slope in slopes], dtype=torch.float64)
+    torch.testing.assert_close(opacities, expected, rtol=1e-12, atol=0)
+
+
+def test_a_thousand_decays_without_gradient_are_monotone_and_end_at_the_hosts_margin() -> None:
+    hidden = gaussians()
+    hidden.means[:, 2] = -5
+    step = step_with(hidden)
+    decay = build(GradientAwareDecay, base=0.98)
+    before = step.model.opacities()
+    for _ in range(1000):
+        update = updated(decay, step)
+        kept = update.opacities.clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+        step.model.write("opacity_logits", torch.logit(kept))
+        after = step.model.opacities()
+        assert (after <= before * 1.0001).all()
+        before = after
+    assert torch.isfinite(step.model.read("opacity_logits")).all()
+    torch.testing.assert_close(before, torch.full((3,), OPACITY_MARGIN))
+
+
+def poison(step: Step, value: float) -> None:
+    """Put a value into the gradient of the first opacity."""
+    gradients = step.model.gradients.read().clone()
+    gradients[10, 0] = value
+    step.model.gradients.write(gradients)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("function", ["exp_beta", "exp_g", "step", "linear", "constant"])
+def test_a_gradient_that_is_not_finite_stops_the_decay(function: str, value: float) -> None:
+    step = step_with(gaussians())
+    logged: dict[str, float] = {}
+    step.log = logged.__setitem__
+    decay = build(GradientAwareDecay, function=function)
+    assert decay.update(step) is not None
+    assert logged["opacity_gradient_undefined"] == 0
+    poison(step, value)
+    assert decay.update(step) is None
+    assert logged["opacity_gradient_undefined"] == 1
+
+
+def test_visible_spares_what_touched_no_pixel() -> None:
+    step = step_with(gaussians())
+    poison(step, 0.0)  # touched, though the loss does not depend on its opacity
+    for scope, first in (("visible", 0.99 * 0.3), ("contributing", 0.3)):
+        update = updated(build(GradientAwareDecay, scope=scope), step)
+        assert update.opacities[0] == pytest.approx(first)
+        assert update.opacities[1] < 0.8
+        assert update.opacities[2] == pytest.approx(0.5)
+
+
+def test_quantiles_of_gradient_and_beta() -> None:
+    count = 41
+    step = step_with(some_gaussians([0.1] * count, [0.4] * count), iteration=75)
+    logged: dict[str, float] = {}
+    step.log = logged.__setitem__
+    build(GradientAwareDecay, wrt="logit").update(step)
+    gradient = step.model.gradient("opacity_logits").abs()
+    for percent in (5, 25, 50, 75, 95):
+        expected = float(gradient.kthvalue(1 + round(percent / 100 * 40)).values)
+        assert logged[f"opacity_gradient_q{percent:02d}"] == expected
+        assert logged[f"opacity_beta_q{percent:02d}"] == pytest.approx(
+            expected / float(gradient.mean())
+        )
+    below = float((gradient < gradient.mean()).float().mean())
+    assert logged["opacity_gradient_below_mean"] == pytest.approx(below)
+    logged.clear()
+    step.iteration = 76
+    build(GradientAwareDecay).update(step)
+    assert not any("_q" in name for name in logged)
+
+
+def test_pruned_gaussians_that_no_view_supported_are_counted() -> None:
+    step = step_with(gaussians())
+    logged: dict[str, float] = {}
+    step.log = logged.__setitem__
+    decay = build(GradientAwareDecay)
+    decay.update(step)
+    assert logged["pruned_unseen"] == 0
+    resumed = build(GradientAwareDecay)
+    resumed.restore(decay.state())
+    for policy in (decay, resumed):
+        # The second is split, the first and the third, which was out of sight, are pruned.
+        policy.carry(torch.tensor([1, 1]), torch.tensor([True, True]))
+        policy.update(step_with(some_gaussians([0.1] * 2, [0.5] * 2)))
+        policy.carry(torch.tensor([0]), torch.tensor([False]))
+        assert int(policy.state()["pruned_unseen"]) == 1
+
+
+def test_the_number_of_gaussians_may_change_between_two_updates() -> None:
+    decay = build(GradientAwareDecay)
+    for count, source in ((2, [0, 1, 1, 0, 1]), (5, [4]), (1, [0])):
+        update = updated(decay, step_with(some_gaussians([0.1] * count, [0.5] * count)))
+        assert update.opacities.shape == (count,)
+        decay.carry(torch.tensor(source), torch.zeros(len(source), dtype=torch.bool))
+
+
+@pytest.mark.parametrize("scope", ["all", "visible", "contributing"])
+def test_keeps_the_contract(scope: str) -> None:
+    check(GradientAwareDecay, scope=scope)

@@ -1,0 +1,79 @@
+"""What a run folder holds, for a report; files that a run did not write are simply absent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from registry import RunError
+
+TRUTH_RENDER_DEPTH = "_comparison.png"
+"""Ending of the pictures in renders/ that show truth, render and depth side by side."""
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """One run.
+
+    Args:
+        results: results.json.
+        provenance: provenance.json.
+        pipeline: pipeline.yaml as text.
+        metrics: the lines of metrics.jsonl, in order.
+        initialization: what the initializer reported.
+        initial_pictures: its pictures, by name.
+        renders: truth | render | depth of test views, by file name of the view's picture.
+    """
+
+    results: dict[str, Any]
+    provenance: dict[str, Any]
+    pipeline: str
+    metrics: Sequence[dict[str, Any]]
+    initialization: dict[str, Any]
+    initial_pictures: tuple[Path, ...]
+    renders: dict[str, Path]
+
+
+def read_run(folder: Path) -> RunFiles:
+    """Read a run folder.
+
+    Raises:
+        RunError: there are no results yet, or a file is not what it should be.
+    """
+    if not (folder / "results.json").is_file():
+        raise RunError(
+            "the run has no results.json to report about",
+            where=str(folder),
+            fix="let the training come to its end: stereogs train --resume",
+        )
+    pipeline, metrics = folder / "pipeline.yaml", folder / "metrics.jsonl"
+    lines = metrics.read_text("utf-8").splitlines() if metrics.is_file() else []
+    return RunFiles(
+        results=_json_file(folder / "results.json"),
+        provenance=_json_file(folder / "provenance.json"),
+        pipeline=pipeline.read_text("utf-8") if pipeline.is_file() else "",
+        metrics=[_object(line, f"{metrics}:{number}") for number, line in enumerate(lines, 1)],
+        initialization=_json_file(folder / "initialization" / "facts.json"),
+        initial_pictures=tuple(sorted((folder / "initialization").glob("*.png"))),
+        renders={
+            path.name.removesuffix(TRUTH_RENDER_DEPTH): path
+            for path in sorted((folder / "renders").glob(f"*{TRUTH_RENDER_DEPTH}"))
+        },
+    )
+
+
+def _json_file(path: Path) -> dict[str, Any]:
+    return _object(path.read_text("utf-8"), str(path)) if path.is_file() else {}
+
+
+def _object(text: str, where: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise RunError(f"this is not JSON: {error}", where=where) from error
+    if not isinstance(content, dict):
+        raise RunError(f"a JSON object is expected, not {type(content).__name__}", where=where)
+    return content
