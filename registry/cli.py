@@ -13,7 +13,7 @@ import torch
 
 from core_rasterizer import ExplainedError
 
-from .commands import ablate, compare, demo, doctor, evaluate, plugins, render, train
+from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
 from .commands.output import error_console
 
 USAGE_ERROR = 2
@@ -21,9 +21,13 @@ INTERRUPTED = 130
 TRACE = "STEREOGS_TRACE"
 """Environment variable: 1 shows the Python traceback of every error."""
 
+PROGRESS = "stereogs"
+"""Logger whose INFO lines are shown: a component that takes long tells of it there."""
+
 _EPILOG = """\
 examples:
   stereogs demo                               three photographs to a scored scene, in minutes
+  stereogs check FOLDER                       what is in a folder of photographs or data
   stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
@@ -49,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # kernels then cost milliseconds. One thread also makes torch's sums independent of the machine.
     torch.set_num_threads(1)
     logging.basicConfig(level=logging.WARNING, format="stereogs: %(message)s")
+    logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
         status: int = parsed.run(parsed)
     except ExplainedError as error:
@@ -72,7 +77,7 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for verb in (train, evaluate, render, compare, ablate, plugins, doctor, demo):
+    for verb in (check, train, evaluate, render, compare, ablate, plugins, doctor, demo):
         verb.add(verbs)
     return parser
 

@@ -109,7 +109,18 @@ class Step:
 
 
 class SceneLoader(Component[SettingsType], ABC):
-    """Reads photographs and cameras."""
+    """Reads photographs and cameras.
+
+    `recognized_by` says what a folder of this format holds, for people, for example
+    "transforms.json"; a loader that leaves it empty is never guessed.
+    """
+
+    recognized_by: ClassVar[str] = ""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether a folder, which exists, holds what `recognized_by` says; `stereogs check` asks."""
+        return False
 
     @abstractmethod
     def load(self) -> Scene:

@@ -35,7 +35,7 @@ class Parts:
 
     def __init__(self, pipeline: Pipeline, device: Device) -> None:
         self._parts = {
-            section: tuple(_build(item, pipeline.training.seed, device) for item in items)
+            section: tuple(build_part(item, pipeline.training.seed, device) for item in items)
             for section, items in pipeline.items.items()
         }
 
@@ -104,7 +104,12 @@ class Parts:
                 part.component.restore(own)
 
 
-def _build(item: Item, seed: int, device: Device) -> Part:
+def build_part(item: Item, seed: int, device: Device) -> Part:
+    """Build one component, with a seed derived from `seed` and its name.
+
+    Raises:
+        PluginError: it failed while it was built.
+    """
     context = Context(item.name, derived_seed(seed, item.qualified_name), device)
     with blame(item):
         component: Component[Any] = item.offer.component(item.settings, context)

@@ -26,6 +26,7 @@ from .provenance import provenance
 from .results import finish
 from .run import RunFolder, default_folder
 from .scene import Scene, validate
+from .scene_facts import summary, warnings
 from .trainer import Trainer
 
 CHECKPOINT = "checkpoint"
@@ -69,7 +70,9 @@ def start(
         RunFolder.check_vacant(out)
     parts = Parts(pipeline, device)
     scene = load_scene(parts)
-    console.print(f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views")
+    console.print(summary(scene))
+    for warning in warnings(scene):
+        console.print(f"warning: {warning}")
     initializer = parts.one("initializer")
     begin = time.monotonic()
     with blame(initializer.item):

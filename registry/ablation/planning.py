@@ -60,7 +60,7 @@ def make_plan(description: Description, plugins: Plugins) -> Plan:
     runs: dict[str, PlannedRun] = {}
     for combination, scene, seed in itertools.product(combinations, scenes, seeds):
         pipeline = _pipeline(description.pipeline, switches, combination, scene, seed, plugins)
-        digest = _digest(pipeline)
+        digest = pipeline_digest(pipeline)
         if digest in runs:
             raise _same(plan, runs[digest], combination, scene.label)
         name = _folder_name(plan, combination, scene.label, seed, digest)
@@ -68,7 +68,7 @@ def make_plan(description: Description, plugins: Plugins) -> Plan:
     return replace(plan, runs=tuple(runs.values()))
 
 
-def _digest(pipeline: Pipeline) -> str:
+def pipeline_digest(pipeline: Pipeline) -> str:
     """Ten hexadecimal digits of a hash over the complete pipeline."""
     return hashlib.sha256(pipeline.to_yaml().encode()).hexdigest()[:10]
 

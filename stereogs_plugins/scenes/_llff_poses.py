@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Camera, CameraError
 from registry import SceneError
+
+from ._lens import Lens
+from ._opengl import inverse_rigid
+from ._reading import decoding
 
 
 @dataclass(frozen=True)
@@ -25,46 +27,16 @@ class PoseRow:
 
     Args:
         world_to_camera: `[4, 4]` float64, camera axes (right, down, forward).
-        height, width, focal: of the full-size photograph, pixels.
+        lens: of the full-size photograph; principal point at its centre.
         near, far: z-depths, world units, 0 < near < far.
         where: file and row, for error messages.
     """
 
     world_to_camera: NDArray[np.float64]
-    height: float
-    width: float
-    focal: float
+    lens: Lens
     near: float
     far: float
     where: str
-
-    def camera(self, width: int, height: int) -> Camera:
-        """The camera of the photograph reduced to `width` x `height`; principal point at its centre.
-
-        Raises:
-            SceneError: the size is not the full size divided by one number, to a pixel; or the pose is
-                not a rotation.
-        """
-        scale_x, scale_y = width / self.width, height / self.height
-        if abs(scale_x * self.height - height) > 1 and abs(scale_y * self.width - width) > 1:
-            raise SceneError(
-                f"the images are {width}x{height}, but the camera file was made for "
-                f"{self.width:g}x{self.height:g}, which has another shape",
-                where=self.where,
-                fix="use the images that belong to this camera file, not cropped or rotated",
-            )
-        try:
-            return Camera(
-                torch.from_numpy(self.world_to_camera),
-                self.focal * scale_x,
-                self.focal * scale_y,
-                width / 2,
-                height / 2,
-                width,
-                height,
-            )
-        except CameraError as error:
-            raise SceneError(error.what, where=self.where, fix=error.fix) from error
 
 
 def read_poses(path: Path) -> list[PoseRow]:
@@ -80,13 +52,9 @@ def read_poses(path: Path) -> list[PoseRow]:
             where=str(path),
             fix="point `path` at the folder of one LLFF scene, for example .../llff_fern",
         )
-    try:
-        table = np.load(path, allow_pickle=False)
-        rows = np.asarray(table, dtype=np.float64)
-    except (OSError, ValueError, TypeError, EOFError) as error:
-        raise SceneError(
-            f"the camera file cannot be read: {error}", where=str(path), fix="download it again"
-        ) from error
+    with decoding("the camera file", path, "download it again"):
+        # Mapped, a file that announces more than it holds is refused before memory is asked for.
+        rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
         raise SceneError(
             f"the camera file has shape {rows.shape}; an LLFF file has (number of images, 17)",
@@ -105,7 +73,7 @@ def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
             fix="this photograph could not be posed: remove it and its row, or estimate poses again",
         )
     matrix = row[:15].reshape(3, 5)
-    height, width, focal = matrix[:, 4]
+    height, width, focal = (float(value) for value in matrix[:, 4])
     for name, value in (("height", height), ("width", width), ("focal length", focal)):
         if value <= 0:
             raise SceneError(
@@ -121,10 +89,10 @@ def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
             fix="estimate the bounds again from the depths of the points that this camera sees",
         )
     down, right, backwards, center = matrix[:, :4].T
-    rotation = np.stack([right, down, -backwards])
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ center
     return PoseRow(
-        world_to_camera, float(height), float(width), float(focal), float(near), float(far), where
+        world_to_camera=inverse_rigid(right, down, -backwards, center),
+        lens=Lens(focal, focal, width / 2, height / 2, width, height),
+        near=float(near),
+        far=float(far),
+        where=where,
     )

@@ -1,46 +1,41 @@
-"""`llff`: real forward-facing captures with `poses_bounds.npy` (Mildenhall et al. 2019).
+"""`llff`: real captures with `poses_bounds.npy` (Mildenhall et al. 2019), Mip-NeRF 360 in this form too.
 
-Split (RegNeRF and the sparse-view literature since): every 8th photograph of the name-sorted list is a
-test view; of the rest, T, the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`.
+Where photographs were taken out of a capture, `split.json` beside the poses names the photograph of
+every row: `{"all_names": ["first.jpg", ...]}`. The split is then that of the whole capture.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
+from typing import ClassVar, Literal
 
-import numpy as np
-import torch
-from PIL import Image
-from pydantic import Field
-from torch import Tensor
+import pydantic
 
 from registry import (
     Register,
     Scene,
     SceneError,
     SceneLoader,
-    Settings,
-    View,
     hookimpl,
     validate,
 )
 
+from ._bounds import Bounds, estimate_bounds
+from ._image_source import ImageSourceSettings
+from ._images import list_images
 from ._llff_points import read_points
 from ._llff_poses import PoseRow, read_poses
+from ._posed_photos import PosedPhoto, facts, load_views, require_one_size
+from ._reading import inside, read_document
+from ._splits import SplitSettings, split
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
-
-class LLFFSettings(Settings):
+class LLFFSettings(SplitSettings, ImageSourceSettings):
     path: Path
     """The scene's folder; it holds poses_bounds.npy and the photographs."""
-    train_views: int | None = Field(3, ge=0)
-    """How many training views; null or 0 takes all that are not test views."""
-    test_every: int = Field(8, ge=2)
-    """Every so-many-th photograph of the sorted list is a test view, from the first on."""
-    downsample: int = Field(8, ge=1)
-    """Which folder of photographs: images_8 for 8, images for 1."""
+    bounds: Literal["file", "estimate"] = "file"
+    """Depth bounds: the file's, or estimated from points and cameras. Mip-NeRF 360 needs `estimate`,
+    for its files hold the same two numbers for every scene."""
     points: bool = True
     """Read structure-from-motion points, if there are any; only those that the training views see."""
 
@@ -49,6 +44,12 @@ class LLFFScene(SceneLoader[LLFFSettings]):
     """Reads an LLFF scene folder: `poses_bounds.npy`, `images_N/` and, if present, points."""
 
     Settings = LLFFSettings
+    recognized_by: ClassVar[str] = "poses_bounds.npy"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether the folder holds poses_bounds.npy."""
+        return (folder / "poses_bounds.npy").is_file()
 
     def load(self) -> Scene:
         """Return the scene.
@@ -66,27 +67,27 @@ class LLFFScene(SceneLoader[LLFFSettings]):
                 fix="set `path` to the folder that holds poses_bounds.npy",
             )
         rows = read_poses(folder / "poses_bounds.npy")
-        images = _list_images(folder, settings.downsample)
-        if len(images) != len(rows):
-            raise SceneError(
-                f"there are {len(rows)} poses but {len(images)} images",
-                where=f"{folder / 'poses_bounds.npy'} and {images[0].parent}",
-                fix="restore the missing images, or remove the rows of images that were taken out",
-            )
-        train, test = split(len(images), settings.test_every, settings.train_views, str(folder))
-        views = {index: _view(images[index], rows[index]) for index in sorted(train + test)}
-        _check_sizes(list(views.values()), images[0].parent)
-        points = read_points(folder, len(images), train) if settings.points else None
+        images = _image_of_each_row(folder, settings.image_folder(folder), len(rows))
+        train, test = split(len(rows), settings.test_every, settings.train_views, str(folder))
+        photos = [_photo(images[index], rows[index]) for index in train + test]
+        views = load_views(photos, settings.decoder())
+        require_one_size(photos, views)
+        points = read_points(folder, len(rows), train) if settings.points else None
+        bounds = _published_bounds([rows[index] for index in train])
+        if settings.bounds == "estimate":
+            cameras = [view.camera for view in views[: len(train)]]
+            bounds = estimate_bounds(cameras, points, str(folder))
         return validate(
             Scene(
                 name=folder.resolve().name,
-                train=tuple(views[index] for index in train),
-                test=tuple(views[index] for index in test),
-                bounds=(min(rows[i].near for i in train), max(rows[i].far for i in train)),
+                train=tuple(views[: len(train)]),
+                test=tuple(views[len(train) :]),
+                bounds=bounds,
                 points=points,
                 notes={
-                    "source": images[0].parent.name,
-                    "resolution": "{0.width}x{0.height}".format(views[train[0]].camera),
+                    "format": "llff",
+                    **facts(photos, views, settings.decoder(), bounds),
+                    "split": f"every {settings.test_every}th tests, the others evenly spaced train",
                     "train": train,
                     "test": test,
                     "points": len(points) if points else 0,
@@ -95,76 +96,33 @@ class LLFFScene(SceneLoader[LLFFSettings]):
         )
 
 
-def split(
-    count: int, test_every: int, train_views: int | None, where: str
-) -> tuple[list[int], list[int]]:
-    """Indices of the training and the test views among `count` sorted photographs.
+class _Split(pydantic.BaseModel):
+    all_names: tuple[str, ...]
 
-    Raises:
-        SceneError: fewer than `train_views` photographs are left beside the test views.
-    """
-    test = list(range(0, count, test_every))
-    pool = [index for index in range(count) if index % test_every]
-    wanted = train_views or len(pool)
-    if wanted > len(pool) or not pool:
+
+def _image_of_each_row(folder: Path, images: Path, row_count: int) -> list[Path]:
+    """Paths in the order of the rows; of those that `split.json` names, some may not exist."""
+    names = folder / "split.json"
+    found = list_images(images)
+    if names.is_file():
+        fix = 'write {"all_names": [...]} with one name for each row, or remove the file'
+        listed = read_document(names, _Split, fix).all_names
+        found = [inside(images, name, str(names)) for name in listed]
+    if len(found) != row_count:
         raise SceneError(
-            f"{max(wanted, 1)} training views are wanted, but of {count} photographs only {len(pool)} "
-            "are not test views",
-            where=where,
-            fix=f"set `train_views` to at most {len(pool)}, or raise `test_every`",
-        )
-    # numpy rounds halves to even, as the published splits do.
-    chosen = np.round(np.linspace(0, len(pool) - 1, wanted)).astype(int)
-    return [pool[k] for k in chosen], test
-
-
-def _list_images(folder: Path, downsample: int) -> list[Path]:
-    images = folder / ("images" if downsample == 1 else f"images_{downsample}")
-    found = (
-        sorted(path for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-        if images.is_dir()
-        else []
-    )
-    if not found:
-        present = ", ".join(sorted(path.name for path in folder.glob("images*"))) or "none"
-        raise SceneError(
-            f"there are no images for downsample {downsample}",
-            where=str(images),
-            fix=f"set `downsample` to a folder that is there (found: {present})",
+            f"there are {row_count} poses but {len(found)} images",
+            where=f"{folder / 'poses_bounds.npy'} and {names if names.is_file() else images}",
+            fix="restore the missing images, or remove the rows of images that were taken out",
         )
     return found
 
 
-def _view(path: Path, row: PoseRow) -> View:
-    image = _read_image(path)
-    height, width = image.shape[:2]
-    return View(name=path.stem, camera=row.camera(width, height), image=image)
+def _photo(path: Path, row: PoseRow) -> PosedPhoto:
+    return PosedPhoto(path.stem, path, row.world_to_camera, row.lens, row.where)
 
 
-def _check_sizes(views: list[View], folder: Path) -> None:
-    sizes = Counter((view.camera.width, view.camera.height) for view in views)
-    usual = sizes.most_common(1)[0][0]
-    for view in views:
-        size = (view.camera.width, view.camera.height)
-        if size != usual:
-            raise SceneError(
-                f"the image is {size[0]}x{size[1]}, the others are {usual[0]}x{usual[1]}",
-                where=str(folder / view.name),
-                fix="resize all photographs of the scene in one way",
-            )
-
-
-def _read_image(path: Path) -> Tensor:
-    try:
-        with Image.open(path) as file:
-            pixels = np.array(file.convert("RGB"), dtype=np.float32)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise SceneError(
-            f"the image cannot be read: {error}",
-            where=str(path),
-            fix="restore the file, or remove it together with its row in poses_bounds.npy",
-        ) from error
-    return torch.from_numpy(pixels / 255)
+def _published_bounds(rows: list[PoseRow]) -> Bounds:
+    return min(row.near for row in rows), max(row.far for row in rows)
 
 
 @hookimpl

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from torch.nn.functional import grid_sample
 
 from core_rasterizer import Camera
 from registry import Scene, SceneError, View
-from stereogs_plugins.scenes.llff import LLFFScene, split, stereogs_register_scenes
+from stereogs_plugins.scenes._splits import split
+from stereogs_plugins.scenes.llff import LLFFScene, stereogs_register_scenes
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 
@@ -229,7 +231,7 @@ def points_of_other_images(folder: Path) -> None:
         (delete_poses, "missing", "poses_bounds.npy"),
         (delete_an_image, "9 poses but 8 images", "images_2"),
         (other_image_size, "32x24, the others are 16x12", "photo_08"),
-        (cropped_images, "another shape", "poses_bounds.npy, row 0"),
+        (cropped_images, "another shape", "poses_bounds.npy, row "),
         (broken_image, "cannot be read", "photo_01.png"),
         (nan_pose, "nan in column 6", "poses_bounds.npy, row 1"),
         (negative_focal, "focal length is -40", "poses_bounds.npy, row 1"),
@@ -275,7 +277,7 @@ def colors_at(view: View, camera: Camera, points: Tensor) -> Tensor:
     return grid_sample(view.image.permute(2, 0, 1)[None], grid, align_corners=False)[0, :, 0].T
 
 
-@pytest.mark.parametrize(("name", "count"), [("llff_fern", 1418), ("llff_flower", 2416)])
+@pytest.mark.parametrize(("name", "count"), [("llff_fern", 1407), ("llff_flower", 2388)])
 def test_real_points_have_the_colors_of_the_photographs(name: str, count: int) -> None:
     scene = load(data_folder(name))
     assert scene.points is not None
@@ -296,3 +298,44 @@ def test_fern_is_the_published_scene() -> None:
     camera = scene.train[0].camera
     assert camera.fx == pytest.approx(407.566, abs=1e-3)
     assert (camera.cx, camera.cy, camera.width, camera.height) == (252, 189, 504, 378)
+
+
+def test_rows_of_photographs_that_were_taken_out(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    names = [f"photo_{index:02d}.png" for index in range(9)]
+    (folder / "split.json").write_text(json.dumps({"all_names": names}))
+    for index in (2, 3):  # neither trains nor tests
+        (folder / "images_2" / names[index]).unlink()
+    scene = load(folder, downsample=2)
+    assert [view.name for view in scene.train] == ["photo_01", "photo_04", "photo_07"]
+    assert [float(view.camera.center[0]) for view in scene.train] == [1, 4, 7]
+    (folder / "images_2" / names[4]).unlink()
+    with pytest.raises(SceneError, match="photograph is missing"):
+        load(folder, downsample=2)
+    (folder / "split.json").write_text(json.dumps({"all_names": names[1:]}))
+    with pytest.raises(SceneError, match="9 poses but 8 images"):
+        load(folder, downsample=2)
+
+
+def test_another_image_folder_and_full_size_photographs(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    (folder / "images_2").rename(folder / "images_small")
+    assert load(folder, images="images_small").train[0].camera.width == 16
+    (folder / "images_small").rename(folder / "images")
+    scene = load(folder, downsample=4, image_source="resize")
+    assert (scene.train[0].camera.width, scene.train[0].camera.fx) == (4, 5)
+    assert scene.notes["changed"] == "resized from 16x12 to 4x3 with the bicubic filter"
+
+
+def test_bonsai_has_the_split_of_the_whole_capture() -> None:
+    folder = data_folder("mip360_bonsai")
+    expected = json.loads((folder / "split.json").read_text())
+    for count in (12, 24):
+        scene = load(folder, images="images_800", bounds="estimate", train_views=count)
+        assert [f"{view.name}.JPG" for view in scene.train] == expected[f"train_{count}"]
+        assert [f"{view.name}.JPG" for view in scene.test] == expected["test_every_8"]
+        camera = scene.train[0].camera
+        assert (camera.width, camera.height) == (800, 533)
+        assert (camera.fx, camera.fy) == pytest.approx((826.87, 826.60), abs=0.05)
+        assert scene.bounds[0] > 0.2  # the file says 0.1 and 500 of every scene
+        assert scene.bounds[1] < 100

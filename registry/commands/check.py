@@ -1,0 +1,82 @@
+"""`stereogs check`: what a loader makes of a folder, before any training."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from core_rasterizer import open_device
+
+from ..errors import RunError
+from ..pictures import save_png
+from ..plugins import Plugins
+from ..scene_facts import facts, warnings
+from ..scene_picture import scene_picture
+from ..scene_source import load_data
+from .output import Verbs, add_device, add_verb, console
+
+_EPILOG = """\
+examples:
+  stereogs check photos                              a folder of pictures and nothing else
+  stereogs check /data/llff_fern --set downsample=8
+  stereogs check /data/scan24 --format dtu --set train_views=6
+  stereogs check pipelines/3dgs.yaml                 the scene of a pipeline
+
+The format is guessed from the folder's content; `stereogs plugins` lists the loaders and their
+settings. The picture shows all views (training views framed in orange, test views in blue) and the
+cameras from above, with the sparse points.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "check", "say what a loader finds in a folder of data", _EPILOG)
+    parser.add_argument("data", type=Path, metavar="DATA", help="a folder, or a pipeline file")
+    parser.add_argument("--format", metavar="NAME", help="the scene loader (default: guessed)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting of the loader",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("check.png"),
+        metavar="FILE",
+        help="the picture to write (default: check.png)",
+    )
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Load, print, and draw."""
+    _check_picture(arguments.out)
+    output = console()
+    item, scene = load_data(
+        arguments.data,
+        Plugins(),
+        open_device(arguments.device),
+        format_name=arguments.format,
+        changes=arguments.set,
+    )
+    output.print(f"{scene.name}, read by the {item.point.title} {item.offer.name}")
+    for label, text in facts(scene):
+        output.print(f"  {label:<12} {text}")
+    for text in warnings(scene):
+        output.print(f"warning: {text}")
+    save_png(scene_picture(scene), arguments.out)
+    output.print(f"picture  {arguments.out}")
+    return 0
+
+
+def _check_picture(path: Path) -> None:
+    """Refuse a place for the picture before the scene is loaded, which may take minutes."""
+    if path.suffix.lower() != ".png" or path.is_dir() or not path.absolute().parent.is_dir():
+        raise RunError(
+            "the picture must be a .png file in a folder that exists",
+            where=f"--out {path}",
+            fix="for example --out check.png",
+        )

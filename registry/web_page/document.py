@@ -1,0 +1,61 @@
+"""The page as a whole: its style, its title, its sections and plain text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+_STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: .3rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+caption { text-align: left; font-weight: 600; padding: .8rem 0 .3rem; }
+th, td { padding: .2rem .8rem .2rem 0; border-bottom: 1px solid #8884; text-align: left;
+  vertical-align: top; }
+.scores th, .scores td { text-align: right; padding: .2rem .8rem; }
+.scores .name { text-align: left; padding-left: 0; } .scores .strong { font-weight: 650; }
+.facts { margin-bottom: 1rem; }
+.facts th { font-weight: 400; opacity: .7; white-space: nowrap; }
+.facts td { overflow-wrap: anywhere; }
+.grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(21rem, 1fr)); gap: 1.4rem; }
+figure { margin: 0 0 1.2rem; } figcaption { font-size: .9rem; padding: .25rem 0; }
+img { max-width: 100%; height: auto; display: block; } .grid img { width: 100%; margin-bottom: 2px; }
+.plot figcaption { font-weight: 600; }
+svg { width: 100%; height: auto; overflow: visible; }
+svg text { fill: currentColor; font-size: 11px; opacity: .75; } svg .rule { stroke: #8883; }
+svg polyline { fill: none; stroke-width: 1.6; stroke-linejoin: round; }
+.plot ul { list-style: none; margin: .2rem 0 0; padding: 0; font-size: .85rem; }
+.plot li { display: inline-block; margin-right: 1rem; }
+.plot li span { display: inline-block; width: .8em; height: .8em; margin-right: .4em; }
+pre { background: #8881; padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; }
+.note { font-size: .9rem; opacity: .8; }
+"""
+
+
+def page(title: str, contents: Iterable[str]) -> str:
+    """A whole document under its title; empty contents are left out."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>\n"
+        f"<h1>{escape(title)}</h1>\n"
+        + "\n".join(content for content in contents if content)
+        + "\n</body></html>\n"
+    )
+
+
+def section(title: str, content: str) -> str:
+    """A heading and what follows; nothing if nothing follows."""
+    return f"<h2>{escape(title)}</h2>\n{content}" if content else ""
+
+
+def note(text: str) -> str:
+    """A paragraph of small print."""
+    return f'<p class="note">{escape(text)}</p>'
+
+
+def verbatim(text: str) -> str:
+    """Text with its line breaks, such as a file's; nothing if it is empty."""
+    return f"<pre>{escape(text)}</pre>" if text else ""

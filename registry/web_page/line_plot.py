@@ -1,0 +1,195 @@
+"""Line plots as inline SVG: what a page needs to be read without a script or another file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+
+_COLORS = (
+    "#3069b0",
+    "#c8553d",
+    "#2e8b57",
+    "#8d5fb4",
+    "#b8860b",
+    "#3d9aa8",
+    "#a83f6f",
+    "#777777",
+)
+_WIDTH, _HEIGHT = 400, 220
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 26
+_INSET = 14
+"""Between the first and last place and the frame: half of a tick's text."""
+_NAME_HEIGHT = 16
+_DECADES = 2.0
+"""Positive values that span more powers of ten than this get a logarithmic axis."""
+_MOST_MARKED = 12
+"""A line of so many points shows where each of them is."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A value at a place.
+
+    Args:
+        across, value: finite.
+        spread: a bar reaches so far up and down; None for no bar.
+    """
+
+    across: float
+    value: float
+    spread: float | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line.
+
+    Args:
+        label: for the legend; may be empty.
+        points: from left to right.
+    """
+
+    label: str
+    points: Sequence[Point]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What stands below a plot.
+
+    Args:
+        ticks: place and text, from left to right, one or more; the plot reaches from the first to
+            the last.
+        name: below them; may be empty.
+    """
+
+    ticks: Sequence[tuple[float, str]]
+    name: str = ""
+
+
+def line_plot(title: str, lines: Iterable[Line], axis: Axis) -> str:
+    """A figure with lines, and a legend if there are several; empty if no line has a point."""
+    lines = [line for line in lines if line.points]
+    if not lines:
+        return ""
+    across, up = _Across(axis), _Up(lines)
+    height = _HEIGHT + (_NAME_HEIGHT if axis.name else 0)
+    drawn = [*up.rules(), *across.texts()]
+    for line, color in _colored(lines):
+        drawn += _drawn(line, color, across, up)
+    note = " (logarithmic)" if up.logarithmic else ""
+    return (
+        f'<figure class="plot"><figcaption>{escape(title)}{note}</figcaption>'
+        f'<svg viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escape(title)}">'
+        f"{''.join(drawn)}</svg>{_legend(lines)}</figure>"
+    )
+
+
+class _Across:
+    """The horizontal axis."""
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self._first, self._last = axis.ticks[0][0], axis.ticks[-1][0]
+
+    def __call__(self, place: float) -> float:
+        share = (place - self._first) / ((self._last - self._first) or 1)
+        return _LEFT + _INSET + (_WIDTH - _LEFT - _RIGHT - 2 * _INSET) * share
+
+    def texts(self) -> Iterator[str]:
+        for place, text in self._axis.ticks:
+            yield _text(self(place), _HEIGHT - 8, text, "middle")
+        if self._axis.name:
+            middle = (_LEFT + _WIDTH - _RIGHT) / 2
+            yield _text(middle, _HEIGHT - 8 + _NAME_HEIGHT, self._axis.name, "middle")
+
+
+class _Up:
+    """The vertical axis: a little more than the values, logarithmic where they span decades."""
+
+    def __init__(self, lines: Sequence[Line]) -> None:
+        ends = [
+            point.value + sign * (point.spread or 0)
+            for line in lines
+            for point in line.points
+            for sign in (-1, 1)
+        ]
+        low, high = min(ends), max(ends)
+        self.logarithmic = low > 0 and math.log10(high / low) > _DECADES
+        self._scale = math.log10 if self.logarithmic else float
+        lowest = -math.inf if self.logarithmic else 0.0
+        self._low, self._high = _range(self._scale(low), self._scale(high), lowest)
+
+    def __call__(self, value: float) -> float:
+        return self._at(self._scale(value))
+
+    def rules(self) -> Iterator[str]:
+        """Lines at round numbers, with the numbers."""
+        smallest = 1.0 if self.logarithmic else 0.0
+        for tick in _ticks(self._low, self._high, smallest_step=smallest):
+            y = self._at(tick)
+            yield f'<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
+            number = _number(10**tick if self.logarithmic else tick)
+            yield _text(_LEFT - 6, y + 3.5, number, "end")
+
+    def _at(self, scaled: float) -> float:
+        share = (scaled - self._low) / (self._high - self._low)
+        return _HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share
+
+
+def _range(low: float, high: float, lowest: float) -> tuple[float, float]:
+    """A little more than the data, but nothing below `lowest` if the data stay above it."""
+    margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return (low - margin if low < lowest else max(low - margin, lowest)), high + margin
+
+
+def _ticks(low: float, high: float, smallest_step: float) -> list[float]:
+    """Round numbers between the two, about five."""
+    rough = max((high - low) / 5, smallest_step)
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))
+    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
+    """The line, bars of the spread, and its points if they are few."""
+    places = [(across(point.across), up(point.value), point) for point in line.points]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in places)
+    yield f'<polyline points="{path}" stroke="{color}"/>'
+    for x, y, point in places:
+        if point.spread is not None:
+            top, bottom = up(point.value + point.spread), up(point.value - point.spread)
+            yield (
+                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top:.1f}" y2="{bottom:.1f}" '
+                f'stroke="{color}"/>'
+            )
+        if len(places) <= _MOST_MARKED:
+            yield (
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}">'
+                f"<title>{_number(point.value)}</title></circle>"
+            )
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.5g}"
+
+
+def _colored(lines: Sequence[Line]) -> Iterator[tuple[Line, str]]:
+    for index, line in enumerate(lines):
+        yield line, _COLORS[index % len(_COLORS)]
+
+
+def _legend(lines: Sequence[Line]) -> str:
+    if len(lines) < 2:
+        return ""
+    items = (
+        f'<li><span style="background:{color}"></span>{escape(line.label)}</li>'
+        for line, color in _colored(lines)
+    )
+    return f"<ul>{''.join(items)}</ul>"

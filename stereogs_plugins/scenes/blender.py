@@ -1,0 +1,161 @@
+"""`blender`: the synthetic scenes of NeRF (Mildenhall et al. 2020), `transforms_train.json` and so on.
+
+A photograph's number is the one at the end of its file's name: 26 for `./train/r_26`. Names of views
+carry the split, for both splits have a r_0.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import pydantic
+from pydantic import Field
+
+from registry import (
+    Register,
+    Scene,
+    SceneError,
+    SceneLoader,
+    Settings,
+    hookimpl,
+    validate,
+)
+
+from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
+from ._lens import Lens
+from ._opengl import world_to_camera
+from ._posed_photos import PosedPhoto, facts, load_views, require_one_size
+from ._reading import Finite, Matrix, inside, read_document
+
+STANDARD_VIEWS = (26, 86, 2, 55, 75, 93, 16, 73)
+"""The eight training views of the sparse-view literature."""
+_FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with a 4x4 matrix each"
+
+
+class BlenderSettings(Settings):
+    path: Path
+    """The scene's folder; it holds transforms_train.json and transforms_test.json."""
+    train_ids: tuple[int, ...] | None = STANDARD_VIEWS
+    """Numbers of the training photographs; null takes all of transforms_train.json."""
+    test_every: int = Field(8, ge=1)
+    """Test views are the photographs of transforms_test.json with a number divisible by this."""
+    background: Literal["white", "black"] = "white"
+    """What transparent pixels are laid on, and the scene's background; part of the protocol."""
+    width: int = Field(400, ge=1)
+    """Wider photographs are reduced to this width; the published half of 800."""
+    resize_filter: ResizeFilter = "bicubic"
+    """Pillow's filter for that."""
+    near: float = Field(2.0, gt=0)
+    """Near depth bound; 2 and 6 are the published bounds of these scenes."""
+    far: float = Field(6.0, gt=0)
+    """Far depth bound."""
+
+
+class BlenderScene(SceneLoader[BlenderSettings]):
+    """Reads a NeRF synthetic scene: transparent renders with exact cameras."""
+
+    Settings = BlenderSettings
+    recognized_by: ClassVar[str] = "transforms_train.json"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether the folder holds transforms_train.json."""
+        return (folder / "transforms_train.json").is_file()
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: a missing or damaged file, an asked-for photograph that is not there, a pose
+                that is none.
+        """
+        settings = self.settings
+        folder = settings.path.expanduser()
+        train = _read_split(folder, "train")
+        test = _read_split(folder, "test")
+        train_ids = list(train if settings.train_ids is None else settings.train_ids)
+        test_ids = [number for number in test if number % settings.test_every == 0]
+        missing = [number for number in train_ids if number not in train]
+        if missing:
+            raise SceneError(
+                f"the training photographs {missing} are not there",
+                where=str(folder / "transforms_train.json"),
+                fix="set `train_ids` to numbers of photographs that are, or to null for all",
+            )
+        photos = [train[k] for k in train_ids] + [test[k] for k in test_ids]
+        decoder = Decoder(
+            at_most(settings.width), settings.resize_filter, BACKGROUNDS[settings.background]
+        )
+        views = load_views(photos, decoder)
+        require_one_size(photos, views)
+        bounds = (settings.near, settings.far)
+        return validate(
+            Scene(
+                name=folder.resolve().name,
+                train=tuple(views[: len(train_ids)]),
+                test=tuple(views[len(train_ids) :]),
+                bounds=bounds,
+                background=BACKGROUNDS[settings.background],
+                notes={
+                    "format": "blender",
+                    **facts(photos, views, decoder, bounds),
+                    "transparent_pixels": f"laid on {settings.background}",
+                    "split": f"given numbers train, every {settings.test_every}th tests",
+                    "train": train_ids,
+                    "test": test_ids,
+                    "points": 0,
+                },
+            )
+        )
+
+
+class _Frame(pydantic.BaseModel):
+    file_path: str
+    transform_matrix: Matrix
+
+
+class _Transforms(pydantic.BaseModel):
+    camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)]
+    frames: tuple[_Frame, ...]
+
+
+def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
+    """The photographs of one split by number, in the order of the file."""
+    path = folder / f"transforms_{split}.json"
+    content = read_document(path, _Transforms, _FIX)
+    photos: dict[int, PosedPhoto] = {}
+    lens = None
+    for index, frame in enumerate(content.frames):
+        where = f"{path}, frame {index}"
+        image = inside(folder, frame.file_path, where)
+        number = re.search(r"(\d+)$", image.stem, re.ASCII)
+        if number is None or int(number[1]) in photos:
+            raise SceneError(
+                f"the file name {frame.file_path!r} has no number of its own at its end",
+                where=where,
+                fix="name photographs like r_0, r_1, ...",
+            )
+        lens = lens or _lens(content.camera_angle_x, find_image(image))
+        photos[int(number[1])] = PosedPhoto(
+            name=f"{split}_{image.stem}",
+            path=image,
+            world_to_camera=world_to_camera(frame.transform_matrix, where),
+            lens=lens,
+            where=where,
+        )
+    return photos
+
+
+def _lens(angle: float, image: Path) -> Lens:
+    """A field of view `angle` radians wide; square pixels, principal point at the centre."""
+    width, height = stored_size(image)
+    focal = width / 2 / math.tan(angle / 2)
+    return Lens(focal, focal, width / 2, height / 2, width, height)
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[BlenderScene]) -> None:
+    register("blender", BlenderScene)

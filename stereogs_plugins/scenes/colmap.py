@@ -1,0 +1,104 @@
+"""`colmap`: a COLMAP model, binary or text, with its photographs; Mip-NeRF 360 as published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field
+
+from registry import Register, Scene, SceneLoader, hookimpl, validate
+
+from ._bounds import estimate_bounds
+from ._colmap_model import ColmapModel, has_model, pose, read_model
+from ._image_source import ImageSourceSettings
+from ._posed_photos import PosedPhoto, facts, load_views
+from ._reading import inside, view_names
+from ._splits import SplitSettings, split
+
+_FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
+
+
+class ColmapSettings(SplitSettings, ImageSourceSettings):
+    path: Path
+    """The scene's folder; it holds the photographs and the model."""
+    model: str = "sparse/0"
+    """The model's folder inside the scene's: cameras, images and points3D as .bin or .txt."""
+    downsample: int = Field(1, ge=1)
+    """Training photographs are this much smaller than the full-size ones, on each side."""
+    points: bool = True
+    """Take the model's points; only those that the training views see."""
+
+
+class ColmapScene(SceneLoader[ColmapSettings]):
+    """Reads a COLMAP model. Distorted photographs are undistorted; principal points stay off-centre."""
+
+    Settings = ColmapSettings
+    recognized_by: ClassVar[str] = "sparse/0 with a COLMAP model"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether the folder holds a COLMAP model in sparse/0."""
+        return has_model(folder / "sparse" / "0")
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: a missing, truncated or inconsistent file, an unknown camera model, a photograph
+                that is missing or has another shape than its camera.
+        """
+        settings = self.settings
+        folder = settings.path.expanduser()
+        model = read_model(inside(folder, settings.model, "the setting `model`"), _FIX)
+        train, test = split(
+            len(model.images), settings.test_every, settings.train_views, str(folder)
+        )
+        all_photos = _photos(model, settings.image_folder(folder))
+        photos = [all_photos[index] for index in train + test]
+        decoder = settings.decoder()
+        views = load_views(photos, decoder)
+        points = None
+        if settings.points:
+            tracks = model.tracks()
+            tracks.check(len(model.images), str(model.folder))
+            points = tracks.seen_by(train)
+        cameras = [view.camera for view in views[: len(train)]]
+        bounds = estimate_bounds(cameras, points, str(folder))
+        return validate(
+            Scene(
+                name=folder.resolve().name,
+                train=tuple(views[: len(train)]),
+                test=tuple(views[len(train) :]),
+                bounds=bounds,
+                points=points,
+                notes={
+                    "format": "colmap",
+                    **facts(photos, views, decoder, bounds),
+                    "split": f"every {settings.test_every}th tests, the others evenly spaced train",
+                    "train": train,
+                    "test": test,
+                    "points": len(points) if points else 0,
+                },
+            )
+        )
+
+
+def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
+    places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
+    names = view_names([image.name for _, image in model.images])
+    return [
+        PosedPhoto(
+            name=name,
+            path=inside(images, image.name, where),
+            world_to_camera=pose(image),
+            lens=model.lens(image),
+            where=where,
+        )
+        for (_, image), name, where in zip(model.images, names, places, strict=True)
+    ]
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[ColmapScene]) -> None:
+    register("colmap", ColmapScene)

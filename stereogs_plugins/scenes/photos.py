@@ -1,0 +1,141 @@
+"""`photos`: a folder of pictures and nothing else; their cameras are found by COLMAP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field
+
+from registry import Register, Scene, SceneLoader, hookimpl, validate
+
+from ._bounds import estimate_bounds
+from ._colmap_model import ColmapModel, pose
+from ._disconnected import refuse_disconnected
+from ._found_cameras import remembered_model
+from ._images import IMAGE_SUFFIXES, Decoder, ResizeFilter, longest_side
+from ._posed_photos import PosedPhoto, facts, load_views
+from ._splits import SplitSettings, split, spread
+from ._structure_from_motion import image_index, reconstruct
+from ._unposed_photos import UnposedPhoto, read_folder
+
+
+class PhotosSettings(SplitSettings):
+    path: Path
+    """The folder of photographs."""
+    train_views: int | None = Field(None, ge=0)
+    """How many training views; null or 0 takes all that are not test views."""
+    test_every: int = Field(8, ge=0)
+    """Every so-many-th photograph of the sorted list is a test view, from the first on; 0 keeps none
+    for testing."""
+    max_size: int = Field(800, ge=16)
+    """Training photographs are reduced to this many pixels on the longer side."""
+    resize_filter: ResizeFilter = "bicubic"
+    """Pillow's filter for reducing."""
+    share_lens: bool = True
+    """Photographs of one size, camera and focal length (by EXIF) have one lens; false finds one for
+    each, which needs many more photographs."""
+    matching_size: int = Field(1200, ge=64)
+    """Cameras are found in photographs reduced to this many pixels on the longer side."""
+
+
+class PhotosScene(SceneLoader[PhotosSettings]):
+    """Finds the cameras of photographs, test views among them, and takes out the lens's distortion.
+
+    Found cameras are kept in the user's cache folder. The world has no known unit or horizon.
+    """
+
+    Settings = PhotosSettings
+    recognized_by: ClassVar[str] = "pictures and nothing else"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether every file that is not hidden is a picture."""
+        visible = [path for path in folder.iterdir() if not path.name.startswith(".")]
+        return bool(visible) and all(path.suffix.lower() in IMAGE_SUFFIXES for path in visible)
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: fewer than three photographs, one that cannot be read, two equal ones, or
+                photographs that do not connect; then it says which do and what to photograph next.
+        """
+        settings = self.settings
+        folder = settings.path.expanduser()
+        found = read_folder(folder)
+        train, test = self._split(len(found), str(folder))
+        model = self._find_cameras(found, folder)
+        all_photos = _posed(model, found)
+        photos = [all_photos[index] for index in train + test]
+        decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
+        views = load_views(photos, decoder)
+        tracks = model.tracks()
+        tracks.check(len(found), str(folder))
+        points = tracks.seen_by(train)
+        cameras = [view.camera for view in views[: len(train)]]
+        bounds = estimate_bounds(cameras, points, str(folder))
+        return validate(
+            Scene(
+                name=folder.resolve().name,
+                train=tuple(views[: len(train)]),
+                test=tuple(views[len(train) :]),
+                bounds=bounds,
+                points=points,
+                notes={
+                    "format": "photos",
+                    **facts(photos, views, decoder, bounds),
+                    "cameras": "found in all photographs by COLMAP",
+                    "lenses": len(model.cameras),
+                    "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
+                    "split": _rule(settings.test_every),
+                    "train": train,
+                    "test": test,
+                    "points": len(points) if points else 0,
+                },
+            )
+        )
+
+    def _split(self, count: int, where: str) -> tuple[list[int], list[int]]:
+        settings = self.settings
+        if settings.test_every:
+            return split(count, settings.test_every, settings.train_views, where)
+        return spread(list(range(count)), min(settings.train_views or count, count)), []
+
+    def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
+        settings = self.settings
+        decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
+
+        def compute(empty: Path) -> Path:
+            result = reconstruct(found, decoder, settings.share_lens, empty)
+            refuse_disconnected(result, [photo.path.name for photo in found], str(folder))
+            return result.models[0][0]
+
+        treatment = f"{settings.matching_size} {settings.share_lens}"
+        return remembered_model(found, treatment, compute)
+
+
+def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
+    stems = [photo.path.stem for photo in found]
+    return [
+        PosedPhoto(
+            name=stems[k] if stems.count(stems[k]) == 1 else found[k].path.name,
+            path=found[k].path,
+            world_to_camera=pose(image),
+            lens=model.lens(image),
+            where=str(found[k].path),
+        )
+        for _, image in model.images
+        for k in [image_index(image.name)]
+    ]
+
+
+def _rule(test_every: int) -> str:
+    if not test_every:
+        return "evenly spaced train, none tests"
+    return f"every {test_every}th tests, the others evenly spaced train"
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[PhotosScene]) -> None:
+    register("photos", PhotosScene)

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from registry import Scene, SceneError
+from stereogs_plugins.scenes.blender import BlenderScene, stereogs_register_scenes
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build, offered
+from tests.stereogs_plugins.scenes.small_scenes import World, write_blender
+
+
+def load(folder: Path, **settings: object) -> Scene:
+    return build(BlenderScene, path=folder, **{"train_ids": (1, 3, 5), **settings}).load()
+
+
+def test_is_offered_as_blender() -> None:
+    assert offered(stereogs_register_scenes) == {"blender": BlenderScene}
+
+
+def test_numbers_of_file_names_choose_the_views(tmp_path: Path) -> None:
+    scene = load(write_blender(tmp_path, World()), train_ids=(5, 2), test_every=4)
+    assert [view.name for view in scene.train] == ["train_r_5", "train_r_2"]
+    assert [view.name for view in scene.test] == ["test_r_0", "test_r_4", "test_r_8"]
+    assert len(load(write_blender(tmp_path / "all", World()), train_ids=None).train) == 9
+
+
+@pytest.mark.parametrize(("background", "level"), [("white", 1.0), ("black", 0.0)])
+def test_transparent_pixels_take_the_background(
+    background: str, level: float, tmp_path: Path
+) -> None:
+    scene = load(write_blender(tmp_path, World()), background=background)
+    assert scene.background == (level,) * 3
+    assert scene.train[0].image[0, 0].tolist() == [level] * 3
+    assert background in str(scene.notes["transparent_pixels"])
+
+
+def test_half_transparent_pixels_are_mixed(tmp_path: Path) -> None:
+    folder = write_blender(tmp_path, World())
+    pixels = np.full((48, 64, 4), 100, dtype=np.uint8)
+    Image.fromarray(pixels).save(folder / "train" / "r_1.png")
+    image = load(folder).train[0].image
+    expected = 100 / 255 * 100 / 255 + (1 - 100 / 255)
+    torch.testing.assert_close(image, torch.full_like(image, expected), atol=1 / 255, rtol=0)
+
+
+def test_larger_photographs_are_reduced_and_the_notes_say_so(tmp_path: Path) -> None:
+    scene = load(write_blender(tmp_path, World()), width=32, resize_filter="box")
+    view = scene.train[0]
+    assert view.image.shape == (24, 32, 3)
+    assert view.camera.fx == pytest.approx(World().focal / 2)
+    assert scene.notes["changed"] == "resized from 64x48 to 32x24 with the box filter"
+
+
+def change(folder: Path, key: str, value: Any) -> None:
+    path = folder / "transforms_train.json"
+    content = json.loads(path.read_text())
+    target = content if key in content else content["frames"][1]
+    target[key] = value
+    path.write_text(json.dumps(content))
+
+
+def matrix(**entries: float) -> list[list[float]]:
+    rows = np.eye(4)
+    for place, value in entries.items():
+        rows[int(place[1]), int(place[2])] = value
+    return list(rows.tolist())
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no file": (lambda f: (f / "transforms_test.json").unlink(), "transforms_test.json is missing"),
+    "no json": (lambda f: (f / "transforms_train.json").write_text("{"), "cannot be read"),
+    "no angle": (lambda f: change(f, "camera_angle_x", None), "'camera_angle_x' cannot be used"),
+    "flat angle": (lambda f: change(f, "camera_angle_x", 3.2), "'camera_angle_x' cannot be used"),
+    "nan": (
+        lambda f: change(f, "transform_matrix", matrix(_03=float("nan"))),
+        "frames.1.transform_matrix",
+    ),
+    "infinite": (
+        lambda f: change(f, "transform_matrix", matrix(_03=float("inf"))),
+        "frames.1.transform_matrix",
+    ),
+    "short": (lambda f: change(f, "transform_matrix", matrix()[:3]), "frames.1.transform_matrix"),
+    "text": (lambda f: change(f, "transform_matrix", "identity"), "frames.1.transform_matrix"),
+    "scaled": (lambda f: change(f, "transform_matrix", matrix(_00=2.0)), "not a rotation"),
+    "rough": (lambda f: change(f, "transform_matrix", matrix(_01=4e-4)), "not orthonormal"),
+    "last row": (lambda f: change(f, "transform_matrix", matrix(_33=2.0)), "last row"),
+    "climbs": (lambda f: change(f, "file_path", "../r_1"), "does not stay inside"),
+    "absolute": (lambda f: change(f, "file_path", "/r_1"), "does not stay inside"),
+    "no number": (lambda f: change(f, "file_path", "train/one"), "no number"),
+    "twice": (lambda f: change(f, "file_path", "train/r_2"), "no number of its own"),
+    "no image": (lambda f: (f / "train" / "r_3.png").unlink(), "photograph is missing"),
+    "bad image": (lambda f: (f / "train" / "r_3.png").write_bytes(b"x"), "image cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=list(DAMAGES))
+def test_bad_input_is_explained(
+    damage: Callable[[Path], object], message: str, tmp_path: Path
+) -> None:
+    folder = write_blender(tmp_path, World())
+    damage(folder)
+    with pytest.raises(SceneError) as caught:
+        load(folder)
+    assert message in caught.value.what
+    assert caught.value.where
+    assert caught.value.fix
+
+
+def test_numbers_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"\[77, 78\] are not there"):
+        load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
+
+
+def test_lego_is_the_published_scene() -> None:
+    scene = build(BlenderScene, path=data_folder("blender_lego")).load()
+    numbers = [26, 86, 2, 55, 75, 93, 16, 73]
+    assert [view.name for view in scene.train] == [f"train_r_{k}" for k in numbers]
+    assert [view.name for view in scene.test] == [f"test_r_{8 * k}" for k in range(25)]
+    for view in (*scene.train, *scene.test):
+        camera = view.camera
+        assert (camera.width, camera.height) == (400, 400)
+        assert camera.fx == pytest.approx(555.56, abs=0.01)
+        assert float(camera.center.norm()) == pytest.approx(4.03, abs=0.01)
+        # The object is dark against white, and stands at the origin.
+        assert float(view.image[195:205, 195:205].mean()) < 0.95
+        assert view.image[0, 0].tolist() == [1, 1, 1]

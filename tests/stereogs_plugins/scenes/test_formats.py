@@ -1,0 +1,90 @@
+"""What holds for every loader of real pictures: cameras, colours and names belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from registry import Scene, SceneLoader
+from registry.testing import check
+from stereogs_plugins.scenes.blender import BlenderScene
+from stereogs_plugins.scenes.colmap import ColmapScene
+from stereogs_plugins.scenes.dtu import DTUScene
+from stereogs_plugins.scenes.llff import LLFFScene
+from stereogs_plugins.scenes.nerfstudio import NerfstudioScene
+from tests.stereogs_plugins.building import build
+from tests.stereogs_plugins.scenes.small_scenes import (
+    DTU_VIEWS,
+    World,
+    assert_sees_the_points,
+    write_blender,
+    write_colmap,
+    write_dtu,
+    write_llff,
+    write_nerfstudio,
+)
+
+Case = tuple[type[SceneLoader[Any]], Callable[[Path, World], Path], World, dict[str, Any]]
+OFF_CENTER = World(shift=(3.0, -2.0))
+CASES: dict[str, Case] = {
+    "llff": (LLFFScene, write_llff, World(), {"downsample": 2}),
+    "blender": (BlenderScene, write_blender, World(), {"train_ids": (1, 3, 5)}),
+    "dtu": (DTUScene, write_dtu, World(count=DTU_VIEWS, shift=(3.0, -2.0)), {}),
+    "colmap": (ColmapScene, write_colmap, OFF_CENTER, {}),
+    "nerfstudio": (NerfstudioScene, write_nerfstudio, OFF_CENTER, {}),
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=list(CASES))
+def case(request: pytest.FixtureRequest) -> Case:
+    found: Case = request.param
+    return found
+
+
+def load(case: Case, folder: Path) -> Scene:
+    loader, write, world, settings = case
+    return build(loader, path=write(folder, world), **settings).load()
+
+
+def test_points_are_where_the_cameras_say(case: Case, tmp_path: Path) -> None:
+    assert_sees_the_points(load(case, tmp_path))
+
+
+def test_intrinsics_are_the_true_ones(case: Case, tmp_path: Path) -> None:
+    world = case[2]
+    camera = load(case, tmp_path).train[0].camera
+    found = (camera.fx, camera.fy, camera.cx, camera.cy)
+    assert found == pytest.approx((world.focal, world.focal, *world.principal_point), abs=1e-6)
+
+
+def test_notes_say_what_was_found(case: Case, tmp_path: Path) -> None:
+    scene = load(case, tmp_path)
+    notes, world = scene.notes, case[2]
+    assert notes["resolution"] == f"{world.width}x{world.height}"
+    assert notes["focal_x"] == pytest.approx(world.focal)
+    assert (notes["near"], notes["far"]) == scene.bounds
+    assert notes["changed"] == "nothing"
+    assert len(notes["train"]) == len(scene.train)  # type: ignore[arg-type]
+    assert len(notes["test"]) == len(scene.test)  # type: ignore[arg-type]
+    assert notes["image_memory_mb"] == pytest.approx(
+        12e-6 * world.width * world.height * (len(scene.train) + len(scene.test)), abs=0.06
+    )
+    for value in notes.values():
+        assert isinstance(value, str | int | float | list)
+
+
+def test_bounds_enclose_the_points(case: Case, tmp_path: Path) -> None:
+    scene = load(case, tmp_path)
+    for view in scene.train:
+        pose = view.camera.world_to_camera.numpy()
+        depth = np.zeros(3) @ pose[2, :3] + pose[2, 3]
+        assert scene.bounds[0] < depth < scene.bounds[1]
+
+
+def test_the_contract_of_a_scene_loader(case: Case, tmp_path: Path) -> None:
+    loader, write, world, settings = case
+    check(loader, path=write(tmp_path, world), **settings)
