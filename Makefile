@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress lint types docs bench-engine bench-error check clean help
+.PHONY: demo test stress lint types docs bench-engine bench-error bench-priors fuzz results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ test: $(VENV)/.dev ## the test suite
 
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
+
+fuzz: $(VENV)/.dev ## 100,000 damaged files a format through the scene loaders, hours
+	FUZZ_FILES=100000 $(BIN)/python -m pytest tests/stereogs_plugins/scenes/test_fuzz.py --timeout 36000
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .
@@ -38,6 +41,12 @@ bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 
 bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
 	$(BIN)/python -m benchmarks.error --write-docs
+
+bench-priors: $(VENV)/.dev ## sgm and plane_sweep against the truth; rewrites its page in docs
+	$(BIN)/python -m benchmarks.priors --write-docs
+
+results: $(VENV)/.dev ## two pipelines on every data set in STEREOGS_DATA; rewrites its page in docs; resumable
+	$(BIN)/python -m benchmarks.results --write-docs
 
 check: test lint types ## everything that must hold
 

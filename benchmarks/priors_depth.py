@@ -1,7 +1,6 @@
-"""Multi-view depth priors against reconstructed points: `python -m benchmarks.priors_depth`.
+"""Multi-view depth priors against reconstructed points, for `benchmarks.priors`.
 
-Reads the LLFF scenes in the folder that STEREOGS_DATA names; with `--features FILE.onnx` also learned
-matching features. Prints a table.
+Reads the LLFF scenes in the folder that STEREOGS_DATA names.
 
 The truth is the points of the reconstruction from *all* photographs. A training view is compared where
 it sees a point itself, and only with points that three photographs or more see: of the others, many are
@@ -11,7 +10,6 @@ view to within 2 pixels and 5 %, and belong to a patch of at least 100 pixels.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Sequence
@@ -20,14 +18,10 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
-from core_rasterizer import Device, open_device
+from core_rasterizer import Device
 from registry import Context, Scene
-from registry.prior_cache import VARIABLE
 from stereogs_plugins.initializers._geometric_filter import consistent_depths, without_small_patches
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
 from stereogs_plugins.scenes.llff import LLFFScene
@@ -129,23 +123,12 @@ def _ask(prior: PlaneSweep, scene: Scene) -> tuple[list[DepthImage], dict[str, f
     return depths, {"seconds": median(walls), "cpu_seconds": median(processors)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--features", type=Path, help="an ONNX file with matching features")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    os.environ[VARIABLE] = ""  # answers from the cache would take no time
-    rows = measure(open_device(), arguments.features)
-    if not rows:
-        raise SystemExit("no scene was found: set STEREOGS_DATA to the folder that holds llff_*")
-    limits = (f"< {limit:.0%}" for limit in TOLERANCES)
-    table = Table("scene", "cost", "depths", *limits, "kept", "time, s", "CPU, s")
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """What `measure` found, a header and a row each."""
+    limits = (f"within {limit:.0%}" for limit in TOLERANCES)
+    lines = [["scene", "cost", "depths", *limits, "kept", "seconds", "CPU seconds"]]
     for row in rows:
         numbers = [f"{value:.3f}" for value in (*row["within"], row["kept"])]
         times = [f"{row[key]:.2f}" for key in ("seconds", "cpu_seconds")]
-        table.add_row(row["scene"], row["variant"], row["stage"], *numbers, *times)
-    Console().print(table)
-
-
-if __name__ == "__main__":
-    main()
+        lines.append([row["scene"], row["variant"], row["stage"], *numbers, *times])
+    return lines

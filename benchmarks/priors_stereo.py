@@ -1,14 +1,13 @@
-"""Stereo priors against ground truth: `python -m benchmarks.priors_stereo`.
+"""Stereo priors against ground truth, for `benchmarks.priors`.
 
-Reads the pairs `stereo_NAME` (left.png, right.png, disp.npz) in the folder that STEREOGS_DATA names;
-with `--features FILE.onnx` also learned matching features. Prints a table.
+Reads the pairs `stereo_NAME` (left.png, right.png, disp.npz) in the folder that STEREOGS_DATA names.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -17,11 +16,9 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
-from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 
-from core_rasterizer import Device, open_device
+from core_rasterizer import Device
 from registry import Context, Disparity
 from stereogs_plugins.priors.sgm import SgmPrior
 
@@ -123,20 +120,10 @@ def _image(path: Path) -> Tensor:
         return torch.from_numpy(np.asarray(image.convert("RGB"), dtype=np.float32) / 255)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--features", type=Path, help="an ONNX file with matching features")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    rows = measure(open_device(), arguments.features)
-    if not rows:
-        raise SystemExit("no pair was found: set STEREOGS_DATA to the folder that holds stereo_*")
-    table = Table("pair", "sgm with", "error, px", "> 1 px, %", "> 2 px, %", "seconds")
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """What `measure` found, a header and a row each."""
+    lines = [["pair", "`sgm` with", "error, px", "> 1 px, %", "> 2 px, %", "seconds"]]
     for row in rows:
         numbers = (f"{row[key]:.2f}" for key in ("error", "bad_1", "bad_2", "seconds"))
-        table.add_row(row["pair"], row["variant"], *numbers)
-    Console().print(table)
-
-
-if __name__ == "__main__":
-    main()
+        lines.append([row["pair"], row["variant"], *numbers])
+    return lines
