@@ -37,8 +37,8 @@ disparity of the pair. The default penalties were chosen on these four pairs.
 
 {stereo}
 
-For comparison, zero-mean normalized cross-correlation of 9x9 windows with plain semi-global matching,
-measured elsewhere on these pairs: 7.6, 8.5, 15.9 and 6.3 % off by more than 2 pixels (cones, tsukuba,
+For comparison, zero-mean normalized cross-correlation of 9x9 windows with plain semi-global matching, in
+another implementation on these pairs: 7.6, 8.5, 15.9 and 6.3 % off by more than 2 pixels (cones, tsukuba,
 motorcycle, playground); with MC-CNN features 4.8, 6.8, 13.4 and 5.5 %.
 
 ## Multi-view depth: `plane_sweep` on three photographs

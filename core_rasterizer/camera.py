@@ -83,6 +83,21 @@ class Camera:
             [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]], dtype=torch.float64
         )
 
+    def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Where world points appear.
+
+        Args:
+            points: `[..., 3]`, world units.
+
+        Returns:
+            u, v, z, each `[...]` float64: column and row in pixels, the top-left pixel's centre being
+            (0.5, 0.5), and z-depth in world units. Where z <= 0, nothing is seen, and u and v have
+            no meaning.
+        """
+        pose = self.world_to_camera
+        x, y, z = (points.double() @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
+        return self.fx * x / z + self.cx, self.fy * y / z + self.cy, z
+
     def shifted_right(self, distance: float) -> Camera:
         """The same camera moved along its own +x axis: the right eye of a rectified stereo pair.
 

@@ -13,6 +13,7 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 `registry.plugins`. A plugin is tried with `registry.testing`.
 """
 
+from . import web_page
 from .components import (
     Component,
     Context,
@@ -35,8 +36,10 @@ from .components import (
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
+from .model_file import Sha256, read_model_file
 from .onnx_model import OnnxModel, OnnxTensor
 from .onnx_session import OnnxProvider
+from .pictures import grey, nearness_picture, side_by_side
 from .prior_cache import cache_folder
 from .priors import (
     DepthMap,
@@ -44,7 +47,6 @@ from .priors import (
     MonocularDepthPrior,
     MultiViewDepthPrior,
     StereoPrior,
-    choose_prior,
 )
 from .scene import PointCloud, Scene, View, validate
 
@@ -78,13 +80,18 @@ __all__ = [
     "SceneError",
     "SceneLoader",
     "Settings",
+    "Sha256",
     "Step",
     "StereoPrior",
     "Unavailable",
     "View",
     "ViewMetric",
     "cache_folder",
-    "choose_prior",
+    "grey",
     "hookimpl",
+    "nearness_picture",
+    "read_model_file",
+    "side_by_side",
     "validate",
+    "web_page",
 ]

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import pydantic
 import torch
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from core_rasterizer import Device, Edit, GaussianModel, Rendering
 
+from .prior_choice import choose_prior
 from .scene import PointCloud, Scene, View
 
 
@@ -132,11 +133,24 @@ class Prior(Component[SettingsType], ABC):
 
     `capability` says what. Three capabilities have a base class with a fixed question and checked
     answers: `StereoPrior`, `MultiViewDepthPrior` and `MonocularDepthPrior`; any other text is free for
-    plugins that agree on it. A consumer asks for a capability (`choose_prior`), the pipeline names
-    the prior.
+    plugins that agree on it. A consumer asks for a capability (`StereoPrior.choose`), the pipeline
+    names the prior.
     """
 
     capability: ClassVar[str]
+
+    @classmethod
+    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> Self:
+        """The pipeline's prior of this class.
+
+        Args:
+            priors: by name, as a component is given them.
+            name: which one, or None: the only one of this class.
+
+        Raises:
+            PluginError: there is none, more than one, none of that name, or one of another class.
+        """
+        return choose_prior(priors, cls, name)
 
 
 class Initializer(Component[SettingsType], ABC):

@@ -6,7 +6,6 @@ it; weights kept in a second file beside it are refused.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,13 @@ import torch
 from torch import Tensor
 
 from .errors import PluginError
+from .model_file import read_model_file
 from .onnx_session import (
     OnnxProvider,
-    check_hash,
+    check_in_one_file,
     choose_provider,
     first_line,
     open_session,
-    read_model,
     running_provider,
 )
 
@@ -80,11 +79,11 @@ class OnnxModel:
         self, path: str | Path, sha256: str | None = None, provider: OnnxProvider | None = None
     ) -> None:
         self.path = Path(path).expanduser()
-        content = read_model(self.path)
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        check_hash(self.path, self.sha256, sha256)
+        file = read_model_file(self.path, sha256)
+        check_in_one_file(file.content, self.path)
+        self.sha256 = file.sha256
         chosen = choose_provider(provider)
-        self._session = open_session(content, self.path, chosen)
+        self._session = open_session(file.content, self.path, chosen)
         self.provider = running_provider(self._session, provider)
         self.inputs = _described(self._session.get_inputs(), self.path)
         self.outputs = _described(self._session.get_outputs(), self.path)

@@ -1,4 +1,4 @@
-"""How onnxruntime is started on a model file: the file's hash, the provider, threads, determinism."""
+"""How onnxruntime is started on a model file: the provider, threads, determinism."""
 
 from __future__ import annotations
 
@@ -26,41 +26,17 @@ _EXTERNAL_WEIGHTS = b"\x0a\x08location\x12"
 """A key-value pair of the ONNX format whose key is "location": it names a file with the weights."""
 
 
-def read_model(path: Path) -> bytes:
-    """The file's bytes.
+def check_in_one_file(content: bytes, path: Path) -> None:
+    """Refuse a model whose weights lie in a second file.
 
     Raises:
-        PluginError: it cannot be read, or its weights lie in a second file.
+        PluginError: they do.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise PluginError(
-            f"the model file cannot be read: {error.strerror or error}",
-            where=str(path),
-            fix="write the path of a local .onnx file into the pipeline's YAML, for example "
-            "`model: /models/stereo.onnx`; models are never downloaded",
-        ) from error
     if _EXTERNAL_WEIGHTS in content:
         raise PluginError(
             "the model keeps its weights in a second file, which no hash would cover",
             where=str(path),
             fix="write it as one file: onnx.save(onnx.load(path), new_path)",
-        )
-    return content
-
-
-def check_hash(path: Path, found: str, wanted: str | None) -> None:
-    """Refuse a file of another SHA-256 than the wanted one; None takes any.
-
-    Raises:
-        PluginError: they differ.
-    """
-    if wanted is not None and wanted.strip().lower() != found:
-        raise PluginError(
-            f"the model file has the SHA-256 {found}, expected {wanted}",
-            where=str(path),
-            fix="restore the file, or set the hash to its own if this file is meant",
         )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from .components import Prior, SettingsType
 from .errors import PluginError
 from .pictures import nearness_picture
 from .prior_cache import PriorCache, code_digest, content_key
+from .prior_choice import choose_prior
 from .scene import View
 
 
@@ -55,6 +56,11 @@ class StereoPrior(Prior[SettingsType]):
     """Disparity of a rectified stereo pair."""
 
     capability: ClassVar[str] = "stereo_disparity"
+
+    @classmethod
+    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> StereoPrior[Any]:
+        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
+        return choose_prior(priors, cls, name)
 
     @property
     def max_disparity(self) -> float | None:
@@ -104,6 +110,11 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     """Depth of every view of a set, from all of them and their cameras."""
 
     capability: ClassVar[str] = "multi_view_depth"
+
+    @classmethod
+    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> MultiViewDepthPrior[Any]:
+        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
+        return choose_prior(priors, cls, name)
 
     @abstractmethod
     def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
@@ -159,6 +170,11 @@ class MonocularDepthPrior(Prior[SettingsType]):
 
     capability: ClassVar[str] = "monocular_depth"
 
+    @classmethod
+    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> MonocularDepthPrior[Any]:
+        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
+        return choose_prior(priors, cls, name)
+
     @abstractmethod
     def estimate(self, image: Tensor) -> Tensor:
         """Return `[H, W]` relative inverse depth, larger = nearer, of unknown scale and shift.
@@ -193,49 +209,6 @@ class MonocularDepthPrior(Prior[SettingsType]):
         picture = nearness_picture(answer, torch.ones_like(answer, dtype=torch.bool))
         cache.save(key, {"inverse_depth": answer}, {"inverse_depth": picture}, {})
         return answer
-
-
-PriorType = TypeVar("PriorType", bound=Prior[Any])
-
-
-def choose_prior(
-    priors: Mapping[str, Prior[Any]], wanted: type[PriorType], name: str | None
-) -> PriorType:
-    """The pipeline's prior of a kind.
-
-    Args:
-        priors: by name, as a component is given them.
-        wanted: the capability's class.
-        name: which one, or None: the only one that has the capability.
-
-    Raises:
-        PluginError: there is none, more than one, none of that name, or one of another capability.
-    """
-    able = {key: prior for key, prior in priors.items() if isinstance(prior, wanted)}
-    listed = ", ".join(f"{key} ({prior.capability})" for key, prior in priors.items()) or "none"
-    if name is not None:
-        if name in able:
-            return able[name]
-        what = (
-            f"the prior {name!r} has the capability {priors[name].capability!r}"
-            if name in priors
-            else f"there is no prior named {name!r}"
-        )
-        raise PluginError(
-            f"{what}; {wanted.capability!r} is needed",
-            fix=f"name one that has it; the pipeline's priors are: {listed}",
-        )
-    if len(able) == 1:
-        return next(iter(able.values()))
-    if able:
-        raise PluginError(
-            f"{len(able)} priors have the capability {wanted.capability!r}",
-            fix=f"choose with `prior: NAME`, one of {', '.join(able)}",
-        )
-    raise PluginError(
-        f"a prior with the capability {wanted.capability!r} is needed, and the pipeline has none",
-        fix=f"add one under `priors:`; `stereogs plugins` lists them (the pipeline's: {listed})",
-    )
 
 
 def _check_pair(left: Tensor, right: Tensor) -> None:

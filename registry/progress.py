@@ -20,7 +20,30 @@ _SMOOTHING = 0.05
 """Weight of the newest loss in the shown one: single views differ too much to be read."""
 
 
-class TrainingProgress:
+class ShownBar:
+    """Shows a bar as long as it is entered.
+
+    Args:
+        bar: shown if its console is a terminal.
+    """
+
+    def __init__(self, bar: Progress) -> None:
+        self._bar = bar
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+
+class TrainingProgress(ShownBar):
     """Shows loss, number of Gaussians, iterations per second and time left.
 
     Args:
@@ -34,7 +57,7 @@ class TrainingProgress:
         self._begin, self._begin_iteration = time.monotonic(), first
         self._last_line = self._begin
         self._loss: float | None = None
-        self._bar = Progress(
+        bar = Progress(
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -45,21 +68,10 @@ class TrainingProgress:
             console=console,
             disable=not console.is_terminal,
         )
-        self._task = self._bar.add_task(
+        super().__init__(bar)
+        self._task = bar.add_task(
             "training", total=total, completed=first, loss=0.0, gaussians=0, speed=0.0
         )
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
 
     def update(self, iteration: int, loss: float, gaussians: int) -> None:
         """Tell of an iteration that is complete."""

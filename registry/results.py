@@ -47,22 +47,24 @@ def finish(
             written = part.component.export(model, scene, run.folder(EXPORTS))
         exported += [_inside(run, file) for file in written]
     iterations = pipeline.training.iterations
-    run.write_results(
-        jsonable(
-            {
-                **describe(pipeline, scene, model, iterations),
-                "initialization": run.initialization(),
-                "seconds": round(seconds, 3),
-                "iterations_per_second": round(iterations / max(seconds, 1e-9), 3),
-                "peak_memory_mb": peak_memory_mb(),
-                "exports": exported,
-                **scores,
-            }
-        )
+    results = jsonable(
+        {
+            **describe(pipeline, scene, model, iterations),
+            "initialization": run.initialization(),
+            "seconds": round(seconds, 3),
+            "iterations_per_second": round(iterations / max(seconds, 1e-9), 3),
+            "peak_memory_mb": peak_memory_mb(),
+            "exports": exported,
+            "reports": [],
+            **scores,
+        }
     )
+    run.write_results(results)  # reports read it
     for part in parts["reports"]:
         with blame(part.item):
-            part.component.write(run.path, scene)
+            written = part.component.write(run.path, scene)
+        results["reports"] += [_inside(run, file) for file in written]
+    run.write_results(results)
 
 
 def describe(

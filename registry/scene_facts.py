@@ -31,7 +31,7 @@ def summary(scene: Scene) -> str:
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
-    """Label and text of all that the loader found, in the order in which people read it."""
+    """Label and text of what the loader found, in the order in which people read it."""
     views = (*scene.train, *scene.test)
     masked = sum(view.mask is not None for view in views)
     with_depth = sum(view.depth is not None for view in views)
@@ -48,12 +48,16 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("masks", f"{masked} of {len(views)} views" if masked else "none"),
         ("true depth", f"{with_depth} of {len(views)} views" if with_depth else "none"),
         ("background", " ".join(f"{channel:g}" for channel in scene.background)),
-        *((name, _note(value)) for name, value in scene.notes.items() if name not in _SHOWN),
     ]
 
 
+def notes(scene: Scene) -> list[tuple[str, str]]:
+    """What the loader noted beside that: the format, what it changed, how it split the views."""
+    return [(name, _note(value)) for name, value in scene.notes.items() if name not in _SHOWN]
+
+
 _SHOWN = ("train", "test", "points", "resolution", "focal_x", "focal_y", "near", "far")
-"""Notes that repeat what the facts above them say."""
+"""Notes that repeat the facts."""
 
 
 def warnings(scene: Scene) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from core_rasterizer import Device
 
@@ -72,7 +73,7 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             where=str(folder),
             fix="give a folder of photographs or of a data set, or a pipeline file (.yaml)",
         )
-    loaders: list[tuple[Offer, type[SceneLoader]]] = [
+    loaders: list[tuple[Offer, type[SceneLoader[Any]]]] = [
         (offer, offer.component)
         for offer in plugins.all()
         if offer.point is _SCENE and issubclass(offer.component, SceneLoader)
@@ -87,9 +88,11 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             where=str(folder),
             fix=f"say which, for example --format {found[0].name}",
         )
-    sought = [f"  {o.name}: {k.recognized_by}" for o, k in loaders if k.recognized_by]
+    lines = ["the folder's format is not known. These were looked for:"]
+    lines += [f"  {o.name}: {k.recognized_by}" for o, k in loaders if k.recognized_by]
+    lines += [f"not asked: {error.what}" for error in plugins.broken.values()]
     raise SceneError(
-        "\n".join(["the folder's format is not known. These were looked for:", *sought]),
+        "\n".join(lines),
         where=str(folder),
         fix="give the folder that holds one of them, or name the loader with --format",
     )

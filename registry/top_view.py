@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _AXES, _TEXT = (200, 200, 200), (32, 32, 32)
 _BORDER = 48
 _FONT_SIZE = 12
-_REACH = 0.12
+_REACH = 0.07
 """Length of a drawn field of view, in units of the plan's size."""
 _PERCENTILES = (2.0, 98.0)
 """Points beyond are drawn only if they happen to fit."""

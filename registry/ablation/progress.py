@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from ..progress import ShownBar
 from .training_process import TrainingProcess
 
 
-class AblationProgress:
+class AblationProgress(ShownBar):
     """Shows how many runs are done, which are at work, and the time left.
 
     Args:
@@ -22,7 +21,7 @@ class AblationProgress:
 
     def __init__(self, total: int, console: Console) -> None:
         self._total, self._done, self._console = total, 0, console
-        self._bar = Progress(
+        bar = Progress(
             TextColumn("{task.fields[done]}/{task.total} runs"),
             BarColumn(),
             TextColumn("{task.fields[at_work]}", markup=False),
@@ -31,19 +30,8 @@ class AblationProgress:
             console=console,
             disable=not console.is_terminal,
         )
-        self._task = self._bar.add_task("ablation", total=total, done=0, at_work="")
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
+        super().__init__(bar)
+        self._task = bar.add_task("ablation", total=total, done=0, at_work="")
 
     def ended(self, process: TrainingProcess, failure: str) -> None:
         """Tell of a run that has ended; `failure` is empty if it is finished."""

@@ -10,7 +10,7 @@ from core_rasterizer import open_device
 from ..errors import RunError
 from ..pictures import save_png
 from ..plugins import Plugins
-from ..scene_facts import facts, warnings
+from ..scene_facts import facts, notes, warnings
 from ..scene_picture import scene_picture
 from ..scene_source import load_data
 from .output import Verbs, add_device, add_verb, console
@@ -64,7 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     output.print(f"{scene.name}, read by the {item.point.title} {item.offer.name}")
     for label, text in facts(scene):
-        output.print(f"  {label:<12} {text}")
+        output.print(f"  {label:<10}  {text}")
+    output.print("noted by the loader")
+    for label, text in notes(scene):
+        output.print(f"  {label:<10}  {text}")
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), arguments.out)

@@ -30,8 +30,9 @@ examples:
   stereogs demo
   STEREOGS_DATA=/data stereogs demo     three photographs of an LLFF scene in /data, not a drawn room
 
-It trains for two minutes or so on two processor cores, scores views that it has not seen, and writes
-demo.png into the run folder: truth, render and depth of such a view, side by side.
+It trains for half a minute on two processor cores, scores views that it has not seen, and writes into
+the run folder report.html, a page about the run, and demo.png: truth, render and depth of an unseen
+view, side by side.
 """
 
 

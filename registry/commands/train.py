@@ -117,5 +117,7 @@ def conclude(folder: RunFolder, finished: bool, output: Console) -> int:
         output.print(f"exported  {folder.path / file}")
     if results["test"]:
         output.print(f"pictures  {folder.path / RENDERS}")
+    for file in results["reports"]:
+        output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")
     return 0

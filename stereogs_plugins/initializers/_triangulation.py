@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import View
+from registry import View, grey
 
 CONTRAST_THRESHOLD = 0.002
 """Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
-LUMA = (0.299, 0.587, 0.114)
-"""Weights of red, green and blue in brightness (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ def _extract(colmap: Any, view: View) -> _Features:
     options.num_threads = 1
     options.sift.peak_threshold = CONTRAST_THRESHOLD
     extractor = colmap.FeatureExtractor.create(options, colmap.Device.cpu)
-    brightness = (view.image @ torch.tensor(LUMA)).clamp(0, 1)
+    brightness = grey(view.image).clamp(0, 1)
     keypoints, descriptors = extractor.extract_from_uint8_array(
         (255 * brightness).round().to(torch.uint8).numpy()
     )

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import View
-from registry.pictures import nearness_picture, side_by_side
+from registry import View, nearness_picture, side_by_side
 
 from ._projection import DepthImage
 

@@ -25,7 +25,6 @@ from registry import (
     Scene,
     SceneError,
     Settings,
-    choose_prior,
     hookimpl,
 )
 
@@ -91,7 +90,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 nothing.
         """
         needed = self._min_consistent(scene)
-        prior = choose_prior(priors, MultiViewDepthPrior, self.settings.prior)  # type: ignore[type-abstract]
+        prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
         answers = prior.depths(scene.train, scene.bounds)
         raw = [np.where(a.valid.numpy(), a.depth.numpy(), np.float32(0)) for a in answers]
         confirmed = self._confirmed(scene, raw, needed)

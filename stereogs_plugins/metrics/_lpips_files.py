@@ -5,7 +5,6 @@ Nothing is downloaded, and nothing is unpickled beyond plain tensors.
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import OnnxModel, PluginError
+from registry import OnnxModel, PluginError, read_model_file
 
 Network = Callable[..., list[Tensor]]
 """Takes images `[1, 3, H, W]` float32, as many as the file has inputs; returns all its outputs."""
@@ -32,7 +31,7 @@ def read_network(path: Path, sha256: str) -> Network:
     """
     if path.suffix.lower() == ".onnx":
         return _onnx_network(OnnxModel(path, sha256, "cpu"))
-    content = _read(path, sha256)
+    content = read_model_file(path, sha256).content
     try:
         module = torch.jit.load(io.BytesIO(content), map_location="cpu").eval()
         inputs = sum(1 for _ in module.graph.inputs()) - 1  # without the module itself
@@ -56,7 +55,7 @@ def read_heads(path: Path, sha256: str, network: str) -> list[Tensor]:
     Raises:
         PluginError: it cannot be read, has another hash, or holds other weights.
     """
-    tensors = _tensors(_read(path, sha256), path)
+    tensors = _tensors(read_model_file(path, sha256).content, path)
     heads = []
     for layer, channels in enumerate(CHANNELS[network]):
         weight = next((tensors[n] for n in _head_names(layer) if n in tensors), None)
@@ -139,23 +138,6 @@ def _tensors(content: bytes, path: Path) -> Mapping[str, Tensor]:
             where=str(path),
             fix="name a .safetensors, .npz or .pth file of plain tensors",
         ) from error
-
-
-def _read(path: Path, sha256: str) -> bytes:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise PluginError(
-            f"the file cannot be read: {error.strerror or error}", where=str(path)
-        ) from error
-    found = hashlib.sha256(content).hexdigest()
-    if found != sha256.lower():
-        raise PluginError(
-            f"the file has the SHA-256 {found}, expected {sha256}",
-            where=str(path),
-            fix="restore the file, or set the hash to its own if this file is meant",
-        )
-    return content
 
 
 def _first_line(error: Exception) -> str:

@@ -82,14 +82,10 @@ def relative_errors(
 
 def _project(positions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
     """Row, column and depth of the points in front of the camera that fall into its image."""
-    pose = camera.world_to_camera
-    points = positions.double() @ pose[:3, :3].T + pose[:3, 3]
-    points = points[points[:, 2] > 0]
-    x, y, depth = points.unbind(1)
-    columns = (camera.fx * x / depth + camera.cx).floor()
-    rows = (camera.fy * y / depth + camera.cy).floor()
-    seen = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
-    return rows[seen].long(), columns[seen].long(), depth[seen]
+    u, v, depth = camera.project(positions)
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    seen = inside & (depth > 0)
+    return v[seen].long(), u[seen].long(), depth[seen]
 
 
 @hookimpl

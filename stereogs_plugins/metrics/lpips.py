@@ -16,10 +16,9 @@ from typing import ClassVar, Literal, Self
 
 import pydantic
 import torch
-from pydantic import Field
 from torch import Tensor
 
-from registry import Metric, PluginError, Register, Unavailable, hookimpl
+from registry import Metric, PluginError, Register, Sha256, Unavailable, hookimpl
 
 from ._images import ImageSettings, white_outside
 from ._lpips_files import Network, read_heads, read_network
@@ -31,7 +30,6 @@ EPSILON = 1e-10
 """Added to the length of a pixel's features, so that no features have no direction."""
 
 Distance = Callable[[Tensor, Tensor], float]
-Hash = Field(None, pattern="^[0-9a-fA-F]{64}$")
 
 
 class LPIPSSettings(ImageSettings):
@@ -41,11 +39,11 @@ class LPIPSSettings(ImageSettings):
     """A local .onnx or TorchScript file: either the network up to its five layers, one image in and
     five features out, or all of LPIPS, two images in and one number out. Without it the score is not
     available."""
-    sha256: str | None = Hash
+    sha256: Sha256 | None = None
     """The file's SHA-256, 64 hexadecimal digits."""
     heads: Path | None = None
     """The weights of the five layers, .safetensors, .npz or .pth; null if `file` holds all of LPIPS."""
-    heads_sha256: str | None = Hash
+    heads_sha256: Sha256 | None = None
     """The SHA-256 of `heads`."""
 
     @pydantic.model_validator(mode="after")

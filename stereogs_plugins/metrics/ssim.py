@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import correlate1d
+from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
 from torch import Tensor
 
 from registry import Metric, Register, hookimpl
@@ -19,6 +19,8 @@ from ._images import ImageSettings, white_outside
 OFFSETS = np.arange(-5, 6)
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
+
+Image = np.ndarray[Any, Any]
 
 
 class SSIM(Metric[ImageSettings]):
@@ -42,10 +44,11 @@ class SSIM(Metric[ImageSettings]):
         return float(similarity.mean())
 
 
-def _blur(image: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _blur(image: Image) -> Image:
     window = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))
     rows = correlate1d(image, window / window.sum(), axis=0, mode="constant")
-    return correlate1d(rows, window / window.sum(), axis=1, mode="constant")
+    blurred: Image = correlate1d(rows, window / window.sum(), axis=1, mode="constant")
+    return blurred
 
 
 @hookimpl

@@ -6,12 +6,16 @@ Sizes are (height, width). A graph may leave a side open, for any multiple of a 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate, pad
+
+from registry import PluginError
 
 Size = tuple[int, int]
 FrozenSize = tuple[int | None, int | None]
@@ -101,3 +105,28 @@ def stretched(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
         for side, length in zip(frozen, image, strict=True)
     )
     return Fit(image, (height, width), (height, width))
+
+
+def full_size_maps(
+    name: str, answers: Mapping[str, Tensor], shape: tuple[int, int, int], where: Path
+) -> Tensor:
+    """An output as `[N, H, W]`, at the size of the input: the unit of a smaller one is not known.
+
+    Args:
+        name: of the output, for the message too.
+        shape: (N, H, W); one more side of 1 after the first is taken, too.
+        where: the model's file.
+
+    Raises:
+        PluginError: the output has another shape.
+    """
+    count, height, width = shape
+    answer = answers[name]
+    if tuple(answer.shape) not in ((count, 1, height, width), shape):
+        raise PluginError(
+            f"the output {name!r} has the shape {list(answer.shape)}, "
+            f"expected [{count}, 1, {height}, {width}]",
+            where=str(where),
+            fix="export the graph with an output at the size of its images, or name the one that is",
+        )
+    return answer.reshape(shape)

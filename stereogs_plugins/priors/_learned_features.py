@@ -13,10 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from registry import OnnxModel, OnnxProvider, PluginError
-
-_LUMA = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in grey (ITU-R BT.601), as image libraries convert."""
+from registry import OnnxModel, OnnxProvider, PluginError, grey
 
 
 class LearnedFeatures:
@@ -52,9 +49,9 @@ class LearnedFeatures:
         Raises:
             PluginError: the model answers another size, or values that are not finite.
         """
-        grey = standardized_grey(image)
-        features = self._model.run({self._input: grey[None, None]})[self._output]
-        height, width = grey.shape
+        network_input = standardized_grey(image)
+        features = self._model.run({self._input: network_input[None, None]})[self._output]
+        height, width = network_input.shape
         if features.ndim != 4 or features.shape[0] != 1 or features.shape[2:] != (height, width):
             raise PluginError(
                 f"the features have the shape {list(features.shape)}, "
@@ -69,6 +66,6 @@ class LearnedFeatures:
 
 def standardized_grey(image: Tensor) -> Tensor:
     """The image in grey, `[H, W]`, with mean 0 and standard deviation 1; all 0 if it is flat."""
-    grey = image @ image.new_tensor(_LUMA)
+    levels = grey(image)
     # In float32 the grey of a flat image may differ in its last bit; that is no texture.
-    return (grey - grey.mean()) / grey.std(correction=0).clamp(min=1e-6)
+    return (levels - levels.mean()) / levels.std(correction=0).clamp(min=1e-6)

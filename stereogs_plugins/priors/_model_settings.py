@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field
-
-from registry import OnnxModel, OnnxProvider, Settings
+from registry import OnnxModel, OnnxProvider, Settings, Sha256
 
 
 class ModelSettings(Settings):
     model: Path
     """The local ONNX file; weights belong inside it."""
-    sha256: str | None = Field(None, pattern="^[0-9a-fA-F]{64}$")
+    sha256: Sha256 | None = None
     """The hash that the file must have; null takes any file."""
     provider: OnnxProvider | None = None
     """What runs the model; null: the first of this list that is installed."""

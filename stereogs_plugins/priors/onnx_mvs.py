@@ -20,7 +20,7 @@ from registry import (
     hookimpl,
 )
 
-from ._fitting import Fit, stretched
+from ._fitting import Fit, full_size_maps, stretched
 from ._model_settings import ModelSettings
 from ._mvs_families import FAMILIES, FamilyName
 from ._value_ranges import ValueRange, in_range
@@ -118,16 +118,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         return stretched(image, wanted, self._family.multiple)
 
     def _map(self, name: str, answers: Mapping[str, Tensor], fit: Fit) -> Tensor:
-        """An output as `[1, H, W]`, at the size that the network was given."""
-        answer = answers[name]
-        if tuple(answer.shape) not in ((1, 1, *fit.target), (1, *fit.target)):
-            raise PluginError(
-                f"the output {name!r} has the shape {list(answer.shape)}, "
-                f"expected [1, 1, {fit.target[0]}, {fit.target[1]}]",
-                where=str(self._model.path),
-                fix="export the graph so that it answers at the size of the images",
-            )
-        return answer.reshape(1, *fit.target)
+        return full_size_maps(name, answers, (1, *fit.target), self._model.path)
 
 
 def nearest_views(view: View, views: Sequence[View]) -> list[View]:

@@ -9,9 +9,9 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from registry import Context, OnnxModel, PluginError, Register, StereoPrior, hookimpl
+from registry import Context, OnnxModel, PluginError, Register, Sha256, StereoPrior, hookimpl
 
-from ._fitting import Padding, padded, stretched
+from ._fitting import Padding, full_size_maps, padded, stretched
 from ._model_settings import ModelSettings
 from ._stereo_families import FAMILIES, FamilyName, StereoFamily
 from ._stereo_networks import OneGraph, StereoNetwork, TwoGraphs
@@ -23,7 +23,7 @@ class OnnxStereoSettings(ModelSettings):
     """What the network is; the settings below that are null take its values (docs/prior_models.md)."""
     second_model: Path | None = None
     """The second ONNX file of a family that has two (fast_foundation_stereo)."""
-    second_sha256: str | None = Field(None, pattern="^[0-9a-fA-F]{64}$")
+    second_sha256: Sha256 | None = None
     """The hash that the second file must have; null takes any file."""
     left: str | None = None
     """The graph's name for the left image."""
@@ -124,17 +124,7 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         return torch.where(known, disparity, torch.nan)
 
     def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
-        """An output as `[N, H, W]`, at the size of the input: a smaller one's unit is not known."""
-        answer = answers[name]
-        count, height, width = shape
-        if tuple(answer.shape) not in ((count, 1, height, width), shape):
-            raise PluginError(
-                f"the output {name!r} has the shape {list(answer.shape)}, "
-                f"expected [{count}, 1, {height}, {width}]",
-                where=str(self._network.last.path),
-                fix="name the output at full size with `output`, or export the graph for the size",
-            )
-        return answer.reshape(shape)
+        return full_size_maps(name, answers, shape, self._network.last.path)
 
 
 def _family(settings: OnnxStereoSettings) -> StereoFamily:

@@ -33,14 +33,14 @@ from registry import (
     PluginError,
     Register,
     Settings,
+    Sha256,
     View,
+    grey,
     hookimpl,
 )
 
 from ._learned_features import LearnedFeatures
 
-_LUMA = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in grey (ITU-R BT.601)."""
 _SMALLEST_BASELINE = 1e-4
 """Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
 
@@ -60,7 +60,7 @@ class PlaneSweepSettings(Settings):
     """Radius of the windows of `zncc`, pixels."""
     features: Path | None = None
     """For `features`: a local ONNX file of the form of MC-CNN fast."""
-    sha256: str | None = Field(None, pattern="^[0-9a-fA-F]{64}$")
+    sha256: Sha256 | None = None
     """The hash that the file must have; null takes any file."""
     second_share: float = Field(0.25, ge=0, le=1)
     """Weight of the view that matches second best; the best has the rest, since others may be hidden."""
@@ -114,7 +114,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
         inverse_depths = farthest + step * torch.arange(planes, dtype=torch.float64)
         cameras = [view.camera for view in views]
-        greys = [view.image @ view.image.new_tensor(_LUMA) for view in views]
+        greys = [grey(view.image) for view in views]
         sweep = self._sweep(views, greys, inverse_depths)
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []

@@ -31,14 +31,13 @@ from registry import (
     PluginError,
     Register,
     Settings,
+    Sha256,
     StereoPrior,
+    grey,
     hookimpl,
 )
 
 from ._learned_features import LearnedFeatures
-
-_LUMA = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in grey (ITU-R BT.601)."""
 
 
 class SgmSettings(Settings):
@@ -51,7 +50,7 @@ class SgmSettings(Settings):
     features: Path | None = None
     """For the cost `features`: a local ONNX file that turns a grey image `[N, 1, H, W]` of mean 0 and
     deviation 1 into feature vectors `[N, C, H, W]`, as MC-CNN fast does."""
-    sha256: str | None = Field(None, pattern="^[0-9a-fA-F]{64}$")
+    sha256: Sha256 | None = None
     """The hash that the file must have; null takes any file."""
     provider: OnnxProvider | None = None
     """What runs the network; null: the first of this list that is installed."""
@@ -122,14 +121,14 @@ class SgmPrior(StereoPrior[SgmSettings]):
         device, planes = self.context.device, self._planes(left)
         if self._features:
             return feature_costs(device, self._features(left), self._features(right), planes)
-        greys = _grey(left), _grey(right)
+        greys = grey(left), grey(right)
         if self.settings.cost == "zncc":
             return zncc_costs(device, *greys, planes, self.settings.radius)
         return census_costs(device, *greys, planes)
 
     def _cheapest(self, costs: CostVolume, image: Tensor) -> Tensor:
         device = self.context.device
-        sums = aggregate(device, costs, _grey(image), self._penalties)
+        sums = aggregate(device, costs, grey(image), self._penalties)
         disparity, _ = pick(device, sums, self._planes(image))
         if self.settings.median:
             disparity = _median_of_neighbours(disparity)
@@ -140,10 +139,6 @@ def _median_of_neighbours(values: Tensor) -> Tensor:
     """The median of 3x3 pixels; beyond the edge they are as at it."""
     padded = pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
     return padded.unfold(0, 3, 1).unfold(1, 3, 1).flatten(2).median(-1).values
-
-
-def _grey(image: Tensor) -> Tensor:
-    return image @ image.new_tensor(_LUMA)
 
 
 @hookimpl

@@ -25,7 +25,6 @@ from registry import (
     Step,
     StereoPrior,
     View,
-    choose_prior,
     hookimpl,
 )
 
@@ -92,7 +91,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         Raises:
             PluginError: no such prior, a baseline without overlap, or a mask that the view lacks.
         """
-        prior = choose_prior(step.priors, StereoPrior, self.settings.prior)  # type: ignore[type-abstract]
+        prior = StereoPrior.choose(step.priors, self.settings.prior)
         if self._baseline is None:
             self._baseline = choose_baseline(self.settings.baseline, step, prior.max_disparity)
         camera = step.view.camera.shifted_right(self._baseline)

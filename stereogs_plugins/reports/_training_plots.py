@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from ._line_plot import Points, line_plot
+from registry.web_page import Axis, Line, Point, line_plot
 
 _GROUPS = (
     ("Loss", re.compile(r"loss|photometric")),
@@ -25,21 +25,28 @@ _NO_PLOT = ("iteration", "seconds")
 
 def training_plots(metrics: Sequence[dict[str, Any]]) -> list[str]:
     """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each."""
-    plots: dict[tuple[int, str], dict[str, Points]] = {}
+    plots: dict[tuple[int, str], list[Line]] = {}
     for name, points in _by_name(metrics).items():
         place, label = _place(name)
-        plots.setdefault(place, {})[label] = points
-    return [line_plot(title, plots[place, title]) for place, title in sorted(plots)]
+        plots.setdefault(place, []).append(Line(label, points))
+    ordered = sorted(plots.items(), key=lambda plot: plot[0])
+    return [line_plot(title, lines, _axis(lines)) for (_, title), lines in ordered]
 
 
-def _by_name(metrics: Sequence[dict[str, Any]]) -> dict[str, list[tuple[float, float]]]:
-    found: dict[str, list[tuple[float, float]]] = {}
+def _axis(lines: Sequence[Line]) -> Axis:
+    """Iterations from 0 to the last that was logged."""
+    last = max(point.across for line in lines for point in line.points)
+    return Axis([(place, f"{place:,.0f}") for place in (0, last / 2, last)])
+
+
+def _by_name(metrics: Sequence[dict[str, Any]]) -> dict[str, list[Point]]:
+    found: dict[str, list[Point]] = {}
     for line in metrics:
         scores = line.get("test", {})
         for name, value in {**line, **{f"test {k}": v for k, v in scores.items()}}.items():
             number = isinstance(value, int | float) and math.isfinite(value)
             if number and name not in _NO_PLOT and "iteration" in line:
-                found.setdefault(name, []).append((line["iteration"], float(value)))
+                found.setdefault(name, []).append(Point(line["iteration"], float(value)))
     return found
 
 

@@ -7,13 +7,23 @@ no script and asks the network for nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
 from registry import Register, Report, Scene, Settings, hookimpl
+from registry.web_page import (
+    Cell,
+    facts_table,
+    figure,
+    grid,
+    image,
+    note,
+    page,
+    score_table,
+    section,
+    verbatim,
+)
 
-from ._page import facts_table, page, picture, score_table, section
 from ._run_files import RunFiles, read_run
 from ._training_plots import training_plots
 
@@ -33,19 +43,18 @@ class HtmlReport(Report[Settings]):
         """
         run = read_run(folder)
         title = f"{scene.name}: {run.results['pipeline']}"
-        parts = [
-            f"<h1>{escape(title)}</h1>",
+        contents = [
             _summary(run.results),
             section("Scores", _scores(run.results)),
             section("Test views: photograph, render, depth", _views(run, scene)),
-            section("Training", _grid(training_plots(run.metrics))),
+            section("Training", grid(training_plots(run.metrics))),
             section("Initialization", _initialization(run)),
-            section("Pipeline", f"<pre>{escape(run.pipeline)}</pre>" if run.pipeline else ""),
+            section("Pipeline", verbatim(run.pipeline)),
             section("Scene", facts_table(run.results["scene"])),
             section("Provenance", facts_table(run.provenance)),
         ]
         file, temporary = folder / FILE, folder / f".{FILE}.partial"
-        temporary.write_text(page(title, parts), "utf-8")
+        temporary.write_text(page(title, contents), "utf-8")
         temporary.replace(file)
         return [file]
 
@@ -70,14 +79,12 @@ def _scores(results: Mapping[str, Any]) -> str:
     rows = []
     for split in ("test", "train"):
         for view, row in results["views"][split].items():
-            rows.append(([f"{split} {view}", *(_score(row, m, missing) for m in metrics)], False))
+            scores = (_score(row, metric, missing) for metric in metrics)
+            rows.append([Cell(f"{split} {view}"), *(Cell(score) for score in scores)])
         if results[split]:
-            means = (_score(results[split], m, missing) for m in metrics)
-            rows.append(([f"{split} mean", *means], True))
-    notes = "".join(
-        f'<p class="note">{escape(name)} is not available: {escape(reason)}</p>'
-        for name, reason in missing.items()
-    )
+            means = (_score(results[split], metric, missing) for metric in metrics)
+            rows.append([Cell(text, strong=True) for text in (f"{split} mean", *means)])
+    notes = "".join(note(f"{name} is not available: {reason}") for name, reason in missing.items())
     return score_table(["view", *metrics], rows) + notes if rows else ""
 
 
@@ -97,17 +104,17 @@ def _views(run: RunFiles, scene: Scene) -> str:
         if path is not None:
             row = run.results["views"]["test"].get(view.name, {})
             scores = [f"{metric} {_score(row, metric, missing)}" for metric in row]
-            figures.append(picture(path, ", ".join([view.name, *scores])))
+            figures.append(_picture(path, ", ".join([view.name, *scores])))
     return "\n".join(figures)
 
 
 def _initialization(run: RunFiles) -> str:
-    pictures = [picture(path, path.stem) for path in run.initial_pictures]
+    pictures = [_picture(path, path.stem) for path in run.initial_pictures]
     return facts_table(run.initialization) + "".join(pictures)
 
 
-def _grid(figures: list[str]) -> str:
-    return f'<div class="grid">{"".join(figures)}</div>' if figures else ""
+def _picture(path: Path, caption: str) -> str:
+    return figure(caption, image(path, caption))
 
 
 @hookimpl

@@ -10,6 +10,8 @@ from ._structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
 """A photograph with fewer is blurred, dark, or of a plain surface."""
+ENOUGH_MATCHES = 30
+"""What COLMAP needs to add a photograph to others (`abs_pose_min_num_inliers`)."""
 _PARTNERS = 3
 
 
@@ -31,7 +33,10 @@ def refuse_disconnected(found: Reconstruction, names: Sequence[str], where: str)
             "the others do not connect to them"
         )
     else:
-        what = f"no two of the {len(names)} photographs overlap enough to find their cameras"
+        what = (
+            f"no camera could be placed: no two of the {len(names)} photographs overlap enough, "
+            "or all were taken from one place"
+        )
     lines = [what]
     if found.models:
         lines += [f"  group {n}: {_names(group, names)}" for n, group in enumerate(groups, start=1)]
@@ -40,7 +45,7 @@ def refuse_disconnected(found: Reconstruction, names: Sequence[str], where: str)
 
 
 def _groups(found: Reconstruction, count: int) -> list[list[int]]:
-    """The pieces, the largest first, then photographs in no piece; each photograph once."""
+    """The pieces, the largest first, then what is left by matches; each photograph once."""
     left = set(range(count))
     groups = []
     for _, members in found.models:
@@ -48,7 +53,21 @@ def _groups(found: Reconstruction, count: int) -> list[list[int]]:
         left -= set(own)
         if own:
             groups.append(own)
-    return groups + [[k] for k in sorted(left)]
+    # COLMAP looks for its first two photographs less patiently once there is a piece.
+    return groups + _connected(sorted(left), found.matches)
+
+
+def _connected(photos: list[int], matches: dict[tuple[int, int], int]) -> list[list[int]]:
+    """Photographs grouped by chains of pairs that share enough matches."""
+    label = {k: k for k in photos}
+    for (first, second), count in matches.items():
+        if count >= ENOUGH_MATCHES and first in label and second in label:
+            old, new = label[second], label[first]
+            label = {k: new if value == old else value for k, value in label.items()}
+    groups: dict[int, list[int]] = {}
+    for k in photos:
+        groups.setdefault(label[k], []).append(k)
+    return list(groups.values())
 
 
 def _names(group: Sequence[int], names: Sequence[str]) -> str:
@@ -95,8 +114,8 @@ def _bridge(
     matches, a, b = max(links)
     if matches:
         return (
-            f"take a picture between {names[-a]} and {names[-b]}, which share {matches} matches, "
-            "too few"
+            f"take a picture between {names[-a]} and {names[-b]}, which share only "
+            f"{matches} matches"
         )
     return (
         f"no overlap between {_names(group, names)} and the rest: take pictures between them, "

@@ -103,14 +103,14 @@ def read_mask(path: Path, size: Size) -> Pixels:
         return np.asarray(grey if grey.size == size else grey.resize(size, _FILTERS["bicubic"]))
 
 
-def stored_size(path: Path) -> Size:
-    """`(width, height)` of an image file.
+def stored_size(path: Path, *, upright: bool = False) -> Size:
+    """`(width, height)` of an image file, turned as its EXIF orientation says if `upright`.
 
     Raises:
         SceneError: the file is missing or is no image.
     """
     with decoding("the image", path, _FIX), Image.open(path) as file:
-        return file.size
+        return upright_size(file) if upright else file.size
 
 
 def upright_size(file: Image.Image) -> Size:

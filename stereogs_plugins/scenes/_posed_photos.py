@@ -90,7 +90,7 @@ def facts(
 
 
 def _changes(photo: PosedPhoto, view: View, decoder: Decoder) -> list[str]:
-    stored = stored_size(find_image(photo.path))
+    stored = stored_size(find_image(photo.path), upright=decoder.upright)
     size = decoder.size(*stored)
     changes = []
     if size != stored:

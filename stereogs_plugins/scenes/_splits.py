@@ -25,11 +25,14 @@ def split(
     RegNeRF and the sparse-view literature since: every 8th photograph is a test view; of the rest, T,
     the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`.
 
+    Args:
+        test_every: 0 keeps none for testing.
+
     Raises:
         SceneError: fewer than `train_views` photographs are left beside the test views.
     """
-    test = list(range(0, count, test_every))
-    pool = [index for index in range(count) if index % test_every]
+    test = list(range(0, count, test_every)) if test_every else []
+    pool = sorted({*range(count)} - {*test})
     if not pool or (train_views or 0) > len(pool):
         raise SceneError(
             f"{train_views or 1} training views are wanted, but of {count} photographs only "

@@ -1,8 +1,9 @@
 """Cameras from photographs alone: COLMAP's incremental structure from motion on the CPU.
 
 SIFT with domain-size pooling (Dong and Soatto 2015), exhaustive matching, two-view geometry by RANSAC,
-incremental mapping with bundle adjustment (Schoenberger and Frahm 2016). Random choices are seeded and
-each stage runs on one thread, for COLMAP's results depend on how threads take turns.
+incremental mapping with bundle adjustment (Schoenberger and Frahm 2016). Random choices are seeded,
+photographs are numbered before threads see them, and mapping runs on one thread: the result does not
+depend on how threads take turns.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ def _pycolmap() -> Any:
     """pycolmap, quiet. It is loaded late, after Pillow: loaded first, its zlib breaks Pillow's."""
     import pycolmap
 
-    pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 2)
+    # What it calls an error, that no model came of it, is explained here in other words.
+    pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, 3)
     return pycolmap
 
 

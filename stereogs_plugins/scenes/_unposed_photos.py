@@ -37,6 +37,7 @@ class UnposedPhoto:
 
     Args:
         size: `(width, height)` once it is upright.
+        turned: EXIF says that it is stored sideways.
         focal: focal length in units of the longer side, from EXIF; None if it does not say.
         camera: make and model, empty if the file does not say.
         digest: hash of the file's bytes.
@@ -44,6 +45,7 @@ class UnposedPhoto:
 
     path: Path
     size: Size
+    turned: bool
     focal: float | None
     camera: str
     digest: str
@@ -85,11 +87,12 @@ def read_folder(folder: Path) -> list[UnposedPhoto]:
 def _read(path: Path) -> UnposedPhoto:
     with decoding("the photograph", path, _FIX), Image.open(path) as file:
         size = upright_size(file)
+        turned = size != file.size
         exif = file.getexif()
         camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL)).strip()
         focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return UnposedPhoto(path, size, focal, camera, digest)
+    return UnposedPhoto(path, size, turned, focal, camera, digest)
 
 
 def _focal_length(exif: dict[int, Any], size: Size) -> float | None:

@@ -15,7 +15,7 @@ from ._disconnected import refuse_disconnected
 from ._found_cameras import remembered_model
 from ._images import IMAGE_SUFFIXES, Decoder, ResizeFilter, longest_side
 from ._posed_photos import PosedPhoto, facts, load_views
-from ._splits import SplitSettings, split, spread
+from ._splits import SplitSettings, split
 from ._structure_from_motion import image_index, reconstruct
 from ._unposed_photos import UnposedPhoto, read_folder
 
@@ -64,7 +64,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         settings = self.settings
         folder = settings.path.expanduser()
         found = read_folder(folder)
-        train, test = self._split(len(found), str(folder))
+        train, test = split(len(found), settings.test_every, settings.train_views, str(folder))
         model = self._find_cameras(found, folder)
         all_photos = _posed(model, found)
         photos = [all_photos[index] for index in train + test]
@@ -87,6 +87,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
                     **facts(photos, views, decoder, bounds),
                     "cameras": "found in all photographs by COLMAP",
                     "lenses": len(model.cameras),
+                    "turned_upright": sum(photo.turned for photo in found),
                     "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
                     "split": _rule(settings.test_every),
                     "train": train,
@@ -95,12 +96,6 @@ class PhotosScene(SceneLoader[PhotosSettings]):
                 },
             )
         )
-
-    def _split(self, count: int, where: str) -> tuple[list[int], list[int]]:
-        settings = self.settings
-        if settings.test_every:
-            return split(count, settings.test_every, settings.train_views, where)
-        return spread(list(range(count)), min(settings.train_views or count, count)), []
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
         settings = self.settings

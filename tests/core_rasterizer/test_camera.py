@@ -40,6 +40,19 @@ def test_the_center_maps_to_the_origin_of_the_camera() -> None:
     assert torch.allclose(view.camera_to_world @ view.world_to_camera, torch.eye(4).double())
 
 
+def test_points_appear_where_the_calibration_says() -> None:
+    u, v, z = camera().project(torch.tensor([[0.2, -0.1, 2.0], [0.0, 0.0, -1.0]]))
+    assert (float(u[0]), float(v[0]), float(z[0])) == pytest.approx((25.0, 12.0, 2.0))
+    assert z[1] == -1, "behind the camera"
+    view = camera(world_to_camera=turned())
+    ahead = view.camera_to_world[:3] @ torch.tensor([0.0, 0.0, 3.0, 1.0]).double()
+    u, v, z = view.project(ahead.expand(4, 5, 3))
+    assert u.shape == v.shape == z.shape == (4, 5)
+    assert torch.allclose(u, torch.tensor(view.cx).double())
+    assert torch.allclose(v, torch.tensor(view.cy).double())
+    assert torch.allclose(z, torch.tensor(3.0).double())
+
+
 def test_the_right_eye_sees_points_shifted_to_the_left() -> None:
     left = camera(world_to_camera=turned())
     right = left.shifted_right(0.3)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import io
 import math
 import re
 import statistics
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from registry.files import write_json
 from registry.pictures import save_png, side_by_side
 from registry.plugins import Plugins
 
+from ..html_page import Page
 from .ablating import plan, write
 
 Results = dict[Any, dict[str, Any]]
@@ -134,42 +133,10 @@ def test_the_csv_has_a_row_a_run(made: Plan, tmp_path: Path) -> None:
     assert found[0]["folder"] == f"runs/{made.runs[0].name}"
 
 
-class Page(HTMLParser):
-    """Counts tags and keeps the text; complains about a tag that is closed but not open."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.images: list[dict[str, str | None]] = []
-        self.text = ""
-        self._open: list[str] = []
-        self.feed(text)
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        if tag == "img":
-            self.images.append(dict(attributes))
-        elif tag != "meta":
-            self._open.append(tag)
-
-    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
-def _color(image: dict[str, str | None]) -> str:
-    """Which of two colours an 8x6 picture inside the page has."""
-    kind, _, data = str(image["src"]).partition(",")
-    assert kind == "data:image/jpeg;base64"
-    with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
-        assert picture.size == (8, 6)
-        pixel = picture.getpixel((7, 5))
+def _color(picture: Image.Image) -> str:
+    """Which of two colours an 8x6 picture has."""
+    assert picture.size == (8, 6)
+    pixel = picture.getpixel((7, 5))
     assert isinstance(pixel, tuple)
     return "red" if pixel[0] > pixel[2] else "blue"
 
@@ -199,7 +166,7 @@ def test_the_page_stands_alone_and_escapes(made: Plan, tmp_path: Path) -> None:
     # For each scene the photograph, and each combination's render and depth for the first seed.
     assert [image["alt"] for image in page.images] == ["photograph", *["render", "depth"] * 3] * 2
     # The photograph is red, renders and depths are blue.
-    assert [_color(image) for image in page.images] == ["red", *["blue"] * 6] * 2
+    assert [_color(picture) for picture in page.pictures()] == ["red", *["blue"] * 6] * 2
     assert "http" not in text
 
 

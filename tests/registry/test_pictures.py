@@ -11,7 +11,7 @@ from PIL import Image
 from core_rasterizer import Rendering
 from registry import RunError
 from registry.camera_path import smooth_path
-from registry.pictures import depth_picture, save_png, side_by_side
+from registry.pictures import depth_picture, grey, nearness_picture, save_png, side_by_side
 from registry.testing import tiny_scene
 from registry.video import write_video
 
@@ -37,6 +37,21 @@ def test_flat_depth_is_a_picture_too(alpha: float) -> None:
     picture = depth_picture(Rendering(torch.zeros(3, 5, 3), maps, maps))
     assert picture.shape == (3, 5, 3)
     assert torch.isfinite(picture).all()
+
+
+def test_nearness_that_is_not_known_changes_no_color() -> None:
+    nearness = torch.tensor([[1.0, 2.0, 3.0, torch.nan], [4.0, 5.0, torch.inf, -1e9]])
+    known = torch.isfinite(nearness) & (nearness > 0)
+    picture = nearness_picture(nearness, known)
+    assert (picture[~known] == 0).all()
+    assert (picture[known].sum(dim=1).diff() > 0).all()
+    assert torch.equal(picture, nearness_picture(nearness.where(known, 7.0), known))
+    assert not nearness_picture(nearness, torch.zeros_like(known)).any()
+
+
+def test_grey_weighs_the_colors() -> None:
+    colors = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]]])
+    torch.testing.assert_close(grey(colors), torch.tensor([[0.299, 0.587, 0.114, 0.5]]))
 
 
 def test_side_by_side() -> None:

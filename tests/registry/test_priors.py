@@ -22,7 +22,6 @@ from registry import (
     Settings,
     StereoPrior,
     View,
-    choose_prior,
 )
 from registry.prior_cache import PriorCache, code_digest, content_key
 from registry.testing import check, tiny_scene
@@ -144,17 +143,17 @@ def test_answers_of_the_wrong_number_or_shape_are_refused() -> None:
 
 def test_the_prior_with_the_capability_is_found_by_name_or_alone() -> None:
     first, second, mono = built(Middle), built(Middle), built(Brightness)
-    assert choose_prior({"a": first, "m": mono}, MultiViewDepthPrior, None) is first
-    assert choose_prior({"a": first, "b": second}, MultiViewDepthPrior, "b") is second
+    assert MultiViewDepthPrior.choose({"a": first, "m": mono}, None) is first
+    assert MultiViewDepthPrior.choose({"a": first, "b": second}, "b") is second
     with pytest.raises(PluginError, match="2 priors have the capability") as many:
-        choose_prior({"a": first, "b": second}, MultiViewDepthPrior, None)
+        MultiViewDepthPrior.choose({"a": first, "b": second}, None)
     assert "a, b" in many.value.fix
     with pytest.raises(PluginError, match="the pipeline has none"):
-        choose_prior({"m": mono}, StereoPrior, None)
+        StereoPrior.choose({"m": mono}, None)
     with pytest.raises(PluginError, match="'m' has the capability 'monocular_depth'"):
-        choose_prior({"m": mono}, StereoPrior, "m")
+        StereoPrior.choose({"m": mono}, "m")
     with pytest.raises(PluginError, match="no prior named 'x'"):
-        choose_prior({}, StereoPrior, "x")
+        StereoPrior.choose({}, "x")
 
 
 @pytest.fixture

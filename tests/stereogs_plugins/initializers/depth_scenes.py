@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, open_device
-from registry import Context, DepthMap, MultiViewDepthPrior, Settings, View
+from registry import Context, DepthMap, MultiViewDepthPrior, PointCloud, Scene, Settings, View
 from stereogs_plugins.initializers._projection import DepthImage
 from stereogs_plugins.initializers._view_depth import ViewDepth
 
@@ -56,3 +56,19 @@ def true_depth(view: View) -> Tensor:
     """The depth that a procedural view knows."""
     assert view.depth is not None
     return view.depth
+
+
+def pixels_of(points: PointCloud, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Column, row and depth of each point, at the nearest edge where it is outside the image."""
+    u, v, depth = camera.project(points.positions)
+    x, y = u.long().clamp(0, camera.width - 1), v.long().clamp(0, camera.height - 1)
+    return x, y, depth
+
+
+def distance_to_surface(scene: Scene, points: PointCloud) -> Tensor:
+    """`[P]` relative depth error in the view that explains each point best."""
+    best = torch.full((len(points),), torch.inf, dtype=torch.float64)
+    for view in scene.train:
+        x, y, depth = pixels_of(points, view.camera)
+        best = torch.minimum(best, (depth / true_depth(view)[y, x] - 1).abs())
+    return best

@@ -21,7 +21,11 @@ from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
-from tests.stereogs_plugins.initializers.depth_scenes import prior_of, true_depth
+from tests.stereogs_plugins.initializers.depth_scenes import (
+    distance_to_surface,
+    prior_of,
+    true_depth,
+)
 
 COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
 
@@ -33,18 +37,6 @@ def scene() -> Scene:
 
 def dense(scene: Scene, depth_of: Any = true_depth, **settings: Any) -> PointCloud:
     return build(ConsistencyDense, **settings).initialize(scene, {"depth": prior_of(depth_of)})
-
-
-def distance_to_surface(scene: Scene, points: PointCloud) -> Tensor:
-    """`[P]` relative depth error in the view that explains each point best."""
-    best = torch.full((len(points),), torch.inf, dtype=torch.float64)
-    for view in scene.train:
-        camera, pose = view.camera, view.camera.world_to_camera
-        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
-        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
-        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
-        best = torch.minimum(best, (local[:, 2] / true_depth(view)[y, x] - 1).abs())
-    return best
 
 
 def test_is_offered_as_consistency_dense() -> None:

@@ -15,6 +15,7 @@ from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
+from tests.stereogs_plugins.initializers.depth_scenes import distance_to_surface, pixels_of
 
 
 @pytest.fixture(scope="module")
@@ -33,25 +34,15 @@ def test_is_offered_as_sfm() -> None:
 
 def test_triangulated_points_lie_on_the_true_surfaces(scene: Scene, points: PointCloud) -> None:
     assert len(points) > 300
-    best = torch.full((len(points),), torch.inf, dtype=torch.float64)
-    for view in scene.train:
-        assert view.depth is not None
-        camera, pose = view.camera, view.camera.world_to_camera
-        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
-        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
-        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
-        best = torch.minimum(best, (local[:, 2] / view.depth[y, x] - 1).abs())
-    assert best.median() < 0.003
-    assert best.quantile(0.9) < 0.02
+    distances = distance_to_surface(scene, points)
+    assert distances.median() < 0.003
+    assert distances.quantile(0.9) < 0.02
 
 
 def test_colors_are_those_of_the_photographs(scene: Scene, points: PointCloud) -> None:
     differences = []
     for view in scene.train:
-        camera, pose = view.camera, view.camera.world_to_camera
-        local = points.positions.double() @ pose[:3, :3].T + pose[:3, 3]
-        x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx).long().clamp(0, camera.width - 1)
-        y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy).long().clamp(0, camera.height - 1)
+        x, y, _ = pixels_of(points, view.camera)
         differences.append((view.image[y, x] - points.colors).abs().mean(dim=1))
     assert torch.stack(differences).amin(dim=0).median() < 0.05
 

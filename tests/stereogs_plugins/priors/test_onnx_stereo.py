@@ -6,12 +6,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
+from benchmarks.priors_stereo import load_pair
 from registry import Disparity, OnnxModel, PluginError
 from registry.testing import check
 from stereogs_plugins.priors.onnx_stereo import OnnxStereo, stereogs_register_priors
@@ -261,25 +260,16 @@ def test_an_output_of_another_size_is_refused(tmp_path: Path) -> None:
 
 def test_two_real_photographs(tmp_path: Path) -> None:
     """Padded from 450x375; a mirrored or shifted answer would agree with the truth nowhere."""
-    folder = data_folder("stereo_cones")
-    left, right = (
-        torch.from_numpy(
-            np.asarray(Image.open(folder / f"{side}.png").convert("RGB")) / 255
-        ).float()
-        for side in ("left", "right")
-    )
-    with np.load(folder / "disp.npz") as file:
-        truth, visible = torch.from_numpy(file["disp"]), torch.from_numpy(file["nonocc"])
+    pair = load_pair(data_folder("stereo_cones"))
     path = graphs.matcher(tmp_path / "m.onnx", shape=(1, 3, 384, 512), candidates=60)
-    of_left, of_right = stereo(path, family="foundation_stereo").both(left, right)
-    judged = visible & torch.isfinite(truth)
-    near = (of_left.values - truth).abs() <= 1.5
-    assert near[judged].float().mean() > 0.75
+    of_left, of_right = stereo(path, family="foundation_stereo").both(pair.left, pair.right)
+    near = (of_left.values - pair.disparity).abs() <= 1.5
+    assert near[pair.known].float().mean() > 0.75
     columns = torch.arange(450)[None].expand(375, 450)
     other = of_right.values.gather(1, (columns - of_left.values.long()).clamp(min=0))
     agrees = (other - of_left.values).abs() <= 1.5
-    assert agrees[judged].float().mean() > 0.8
-    assert near[judged & agrees].float().mean() > 0.85
+    assert agrees[pair.known].float().mean() > 0.8
+    assert near[pair.known & agrees].float().mean() > 0.85
 
 
 def test_files_and_names_are_checked_when_the_prior_is_built(tmp_path: Path) -> None:

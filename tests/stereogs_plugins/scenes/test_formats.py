@@ -85,6 +85,13 @@ def test_bounds_enclose_the_points(case: Case, tmp_path: Path) -> None:
         assert scene.bounds[0] < depth < scene.bounds[1]
 
 
+def test_its_folder_is_recognized_by_no_other_loader(case: Case, tmp_path: Path) -> None:
+    loader, write, world, _ = case
+    folder = write(tmp_path, world)
+    assert [other for other, *_ in CASES.values() if other.recognizes(folder)] == [loader]
+    assert not loader.recognizes(tmp_path / "nowhere")
+
+
 def test_the_contract_of_a_scene_loader(case: Case, tmp_path: Path) -> None:
     loader, write, world, settings = case
     check(loader, path=write(tmp_path, world), **settings)
