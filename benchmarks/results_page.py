@@ -144,10 +144,10 @@ def _method_fact(records: Sequence[Record], title: str) -> str:
     own = [record for record in records if record.method.title == title]
     iterations = sorted({record.run.results["iterations"] for record in own})
     starts = _grouped(own, lambda record: record.run.results["initialization"]["initializer"])
-    said = "; ".join(
-        f"`{name}`" + (f" on {', '.join(_cases(group))}" if len(starts) > 1 else "")
-        for name, group in starts.items()
-    )
+    usual, *others = sorted(starts, key=lambda name: -len(starts[name]))
+    said = f"`{usual}`"
+    for name in others:
+        said += f", but by `{name}` on {', '.join(_cases(starts[name]))}"
     file = own[0].method.file
     return (
         f"*{title}* is `{file.parent.name}/{file.name}`, {', '.join(map(str, iterations))} iterations, "
@@ -169,8 +169,8 @@ def _protocol_fact(name: str, group: Sequence[Record]) -> str:
     published = [scene for scene in scenes if scene.split("_", 1)[-1] in record["scenes"]]
     masks = f"; {record['masks']}" if record["masks"] else ""
     return (
-        f"{text}{masks}. Published averages go over {len(record['scenes'])} scenes, of which "
-        f"{len(published)} are here."
+        f"{text}{masks}. Scenes that published averages go over: {len(record['scenes'])}; of these "
+        f"here: {len(published)}."
     )
 
 

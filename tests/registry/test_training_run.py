@@ -210,7 +210,10 @@ def test_the_scene_is_loaded_anew_by_its_own_settings(
     assert opened.model.digest() == folder.results()["hash"]
 
 
-def test_the_module_writes_with_the_projects_own_plugins(device: Device, tmp_path: Path) -> None:
+def test_the_module_writes_with_the_projects_own_plugins(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
     demo = (Path(training_run.__file__).parent / "data" / "demo.yaml").read_text()
     small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
     chosen = parse_pipeline(demo, Plugins(), overrides=small)
