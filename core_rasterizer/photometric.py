@@ -22,7 +22,7 @@ _BORDER = 5 * _CHANNELS
 """Zeros before and after each row of a filtered map, as in the kernels."""
 _SCRATCH_ROWS = 2 * 4 + 12 * 3
 """Rows of scratch memory a band: lines and ring, as in the kernel."""
-_GPU_GROUP = 128
+_GPU_GROUP = 64
 """Work-items that share an image row on a GPU."""
 _GPU_BAND = 16
 """Image rows a band on a GPU: enough bands for every unit, at the price of computing 26 rows for 16."""

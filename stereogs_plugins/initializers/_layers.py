@@ -13,6 +13,8 @@ from core_rasterizer import Camera
 from ._projection import Floats, Indices, Mask, lift
 from ._view_depth import ViewDepth
 
+SAME_COLOR = 2 / 255
+"""Difference of each channel up to which a colour is the background's."""
 SAME_SURFACE = 0.05
 """Relative depth difference up to which pixels of one cell show one surface."""
 
@@ -37,6 +39,16 @@ class Layer:
     def without(self, dropped: Mask) -> Layer:
         """The points that `dropped` `[P]` does not mark."""
         return Layer(self.positions[~dropped], self.colors[~dropped], self.spacings[~dropped])
+
+
+def is_background(colors: NDArray[np.float32], background: Sequence[float]) -> Mask:
+    """Which colours `[..., 3]` are the scene's background, which is drawn where no Gaussian is.
+
+    A guess of that colour says nothing, and stands in front of what other views may know.
+    """
+    background_color = np.asarray(background, np.float32)
+    result: Mask = (np.abs(colors - background_color) < SAME_COLOR).all(axis=-1)
+    return result
 
 
 def joined(layers: Sequence[Layer]) -> Layer:

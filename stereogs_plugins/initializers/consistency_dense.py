@@ -8,7 +8,7 @@ points behind foreground edges (`back_layer`) and around each image (`margin`). 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from ._geometric_filter import (
     default_min_consistent,
     without_small_patches,
 )
-from ._layers import Layer, joined
+from ._layers import Layer, is_background, joined
 from ._other_views import hides
 from ._projection import DepthImage, lift, pixel_centers
 from ._view_depth import ViewDepth
@@ -69,7 +69,8 @@ class ConsistencyDenseSettings(Settings):
     opacity: float | None = Field(None, gt=0, lt=1)
     """First opacity; null: the pipeline's `training.initial_opacity`."""
     fill: bool = False
-    """Guess depths where none is confirmed, from neighbours of the same colour."""
+    """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
+    the scene's background."""
     back_layer: bool = False
     """Put coarse points of the background's colour behind the edges of the foreground."""
     margin: bool = False
@@ -95,7 +96,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         raw = [np.where(a.valid.numpy(), a.depth.numpy(), np.float32(0)) for a in answers]
         confirmed = self._confirmed(scene, raw, needed)
         views = self._completed(scene, raw, confirmed)
-        return self._point_cloud(self._layers(views), views)
+        return self._point_cloud(self._layers(views, scene.background), views)
 
     def _min_consistent(self, scene: Scene) -> int:
         others = len(scene.train) - 1
@@ -151,16 +152,20 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 filled = fill_holes(view.image.numpy(), confirmed[index])
                 points = lift(view.camera, *pixel_centers(view.camera), filled)
                 filled[hides(points, all_but(cameras, index), all_but(confirmed, index))] = 0
+                filled[is_background(view.image.numpy(), scene.background)] = 0
             views.append(ViewDepth(view, raw[index], confirmed[index], filled))
         return views
 
-    def _layers(self, views: list[ViewDepth]) -> dict[str, Layer]:
+    def _layers(self, views: list[ViewDepth], background: Sequence[float]) -> dict[str, Layer]:
         """Points by kind."""
         layers = surfaces(views, stride=self.settings.stride, merge=self.settings.merge)
+        coarse = {}
         if self.settings.back_layer:
-            layers["back_layer"] = back_layers(views)
+            coarse["back_layer"] = back_layers(views)
         if self.settings.margin:
-            layers["margin"] = margins(views)
+            coarse["margin"] = margins(views)
+        for kind, layer in coarse.items():
+            layers[kind] = layer.without(is_background(layer.colors, background))
         return layers
 
     def _chosen(self, count: int) -> Tensor:
