@@ -100,6 +100,29 @@ def test_completion_fills_what_the_filter_leaves(scene: Scene) -> None:
         np.testing.assert_allclose(facts["depth_quantiles"], truth, rtol=0.1)
 
 
+def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> None:
+    def right_half_unknown(view: View) -> Tensor:
+        depth = true_depth(view).clone()
+        depth[:, depth.shape[1] // 2 :] = 0
+        return depth
+
+    def with_empty_rows(view: View) -> View:
+        image = view.image.clone()
+        image[:60] = 1
+        return replace(view, image=image)
+
+    empty = replace(scene, train=tuple(map(with_empty_rows, scene.train)), background=(1.0, 1, 1))
+    shares = [
+        dense(s, right_half_unknown, **COMPLETE).facts["views"][scene.train[0].name]["filled"]
+        for s in (scene, empty)
+    ]
+    assert shares[0] > 0.4
+    assert shares[1] == pytest.approx(shares[0] * 129 / 189, abs=0.03)
+    layers = dense(empty, right_half_unknown, **COMPLETE)
+    guessed = layers.facts["points_by_kind"]["confirmed"]  # those come first
+    assert ((layers.colors[guessed:] - 1).abs() > 2 / 255).any(dim=1).all()
+
+
 def test_size_follows_distance_stride_and_sigma(scene: Scene) -> None:
     points = dense(scene, stride=4, sigma=0.5)
     view = scene.train[0]
