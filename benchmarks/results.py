@@ -2,8 +2,9 @@
 
 Each run is a `stereogs train` of its own, one at a time, in `benchmarks/out/results/runs`. What is
 finished with the same pipeline is not trained again: the same command goes on where it was stopped.
-A change of the code is not seen; remove the folder to measure anew. With `--write-docs` the page and
-the picture in `docs/` are rewritten once everything is there, except what people wrote on the page.
+A change of the code is not seen; remove the folder to measure anew. With `--write-docs` the page in
+`docs/` is rewritten once everything is there, except what people wrote on it. A picture of test views
+lies beside the runs.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks.results_page import Record, page_text, read_records, write_page
+from benchmarks.results_page import (
+    PAGE,
+    Record,
+    draw_first_views,
+    page_text,
+    read_records,
+    write_page,
+)
 from benchmarks.results_plan import CASES, METHODS, Measurement, check_data, make_measurements
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
@@ -27,6 +35,7 @@ from registry.prior_cache import VARIABLE as PRIOR_CACHE
 
 OUT = Path(__file__).parent / "out" / "results"
 DOCS = Path(__file__).parent.parent / "docs"
+PICTURE = "results.jpg"
 INTERRUPTED = 130
 
 
@@ -79,8 +88,10 @@ def main() -> int:
             console.print("stopped; the same command goes on from here")
             return INTERRUPTED
         console.print(page_text(records))
-        for path in write_page(records, DOCS if arguments.write_docs else arguments.out):
-            console.print(f"written to {path}")
+        page = (DOCS if arguments.write_docs else arguments.out) / PAGE
+        write_page(records, page)
+        draw_first_views(records, arguments.out / PICTURE)
+        console.print(f"written to {page} and {arguments.out / PICTURE}")
     except ExplainedError as error:
         sys.exit(f"results: {error}")
     return 0

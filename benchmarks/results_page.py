@@ -1,4 +1,4 @@
-"""What `benchmarks.results` measured, as a table with a picture; keeps what people wrote around it."""
+"""What `benchmarks.results` measured, as a table; keeps what people wrote around it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from registry.files import write_text
 
 Key = TypeVar("Key")
 
-PAGE, PICTURE = "results.md", "results.jpg"
+PAGE = "results.md"
 BEGIN = "<!-- measured: `make results` rewrites everything from here to the end mark -->"
 END = "<!-- measured: end; what stands outside the marks is kept -->"
 NEW_PAGE = f"# Measured on photographs\n\n{BEGIN}\n{END}\n"
@@ -30,9 +30,8 @@ loading and scoring; nothing came from the cache of prior answers, and one run w
 the most memory that the process took, scoring included. A **mean** is over the data sets that follow one
 protocol.
 
-![The first test view of each row: truth, {order}]({picture})
-
-*The first test view of each row: truth, {order}.*
+`make results` also draws the first test view of each row, truth beside {order}, into
+`benchmarks/out/results/results.jpg`: the photographs are the data sets' own and not ours to publish.
 
 ## How it was measured
 
@@ -80,13 +79,17 @@ def read_records(measurements: Iterable[Measurement], folder: AblationFolder) ->
     return records
 
 
-def write_page(records: Sequence[Record], folder: Path) -> tuple[Path, Path]:
-    """Write the picture, and the page's measured part; return both paths.
+def draw_first_views(records: Sequence[Record], path: Path) -> None:
+    """Write a picture of the first test view of each row: truth, then a render of each pipeline."""
+    draw([(_label(row), [record.run for record in row]) for row in _rows(records)], path)
+
+
+def write_page(records: Sequence[Record], page: Path) -> None:
+    """Write the page's measured part.
 
     Raises:
         RunError: the page that is there lacks the marks.
     """
-    page, picture = folder / PAGE, folder / PICTURE
     text = page.read_text("utf-8") if page.is_file() else NEW_PAGE
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
@@ -96,15 +99,13 @@ def write_page(records: Sequence[Record], folder: Path) -> tuple[Path, Path]:
             where=str(page),
             fix=f"put the lines back, or remove the page:\n{BEGIN}\n{END}",
         )
-    draw([(_label(row), [record.run for record in row]) for row in _rows(records)], picture)
     write_text(page, f"{before}{BEGIN}\n\n{page_text(records)}\n{END}{after}")
-    return page, picture
 
 
 def page_text(records: Sequence[Record]) -> str:
     """The measured part of the page, in Markdown."""
     titles = [record.method.title for record in _rows(records)[0]]
-    notes = NOTES.format(methods=", then ".join(titles), order=", ".join(titles), picture=PICTURE)
+    notes = NOTES.format(methods=", then ".join(titles), order=" and ".join(titles))
     facts = [_method_fact(records, title) for title in titles]
     facts += [_protocol_fact(name, group) for name, group in _by_protocol(records).items()]
     devices = dict.fromkeys(_device(record) for record in records)
