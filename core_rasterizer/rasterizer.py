@@ -91,14 +91,20 @@ class Rasterizer:
             "scan",
             "sort",
             "bin",
-            "blend",
-            "raster_cpu" if self.on_cpu else "raster_gpu",
             "project_backward",
             dtype=dtype,
             DIGIT_BITS=_DIGIT_BITS,
             PROJECT_GROUP=self.group,
             SCAN_GROUP=self.group,
             **macros,
+        )
+        self.raster_program = device.program(
+            "scene",
+            "blend",
+            "raster_cpu" if self.on_cpu else "raster_gpu",
+            dtype=dtype,
+            **macros,
+            **({"LANES": 0} if self.on_cpu else {}),  # as many as the processor has registers for
         )
         self._scratch: dict[str, DeviceArray] = {}
         self._frames: list[Frame] = []
@@ -406,7 +412,7 @@ class Rasterizer:
     def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
         tiles = frame.tiles[0] * frame.tiles[1]
         local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
-        self.program.run(kernel, (tiles * local,), (local,), *arguments)
+        self.raster_program.run(kernel, (tiles * local,), (local,), *arguments)
 
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:

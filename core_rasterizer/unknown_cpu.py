@@ -1,11 +1,13 @@
-"""Makes an old PoCL build kernels on a processor that is newer than its compiler.
+"""Tells an old PoCL which processor it builds kernels for, where its compiler is too old to know.
 
 PoCL asks its LLVM for the name of the host's processor. An LLVM older than the processor answers
 "generic", which the same LLVM then refuses as a target, so every build fails (seen with the PoCL 3.0
-that pip installs, LLVM 14, on Zen 5). PoCL has no setting for the name, but keeps it as a C string on
-the heap, reachable from the device's handle; writing the name of an older processor with the same
-instruction sets over it is enough. Memory is only touched through /proc/self/mem, which answers a bad
-address with an error instead of a crash, and only if exactly one such string is found.
+that pip installs, LLVM 14, on Zen 5); or it takes the processor for its predecessor, so that half of
+the registers lie idle (Zen 4, taken for Zen 3: `raster_backward` needed half as long again). PoCL has
+no setting for the name, but keeps it as a C string on the heap, reachable from the device's handle;
+writing the name of an older processor with the same instruction sets over it is enough. Memory is
+only touched through /proc/self/mem, which answers a bad address with an error instead of a crash, and
+only if exactly one such string is found.
 """
 
 from __future__ import annotations
@@ -17,9 +19,13 @@ from pathlib import Path
 import pyopencl as cl
 
 _UNKNOWN = b"generic\0"
+_WITHOUT_AVX512 = b"znver3\0"
+"""What LLVM 14 calls Zen 4, too."""
 _MEMORY = Path("/proc/self/mem")
 _HANDLE_BYTES = 4096
 """How much of the driver's device structure is searched for a pointer to the name."""
+_AVX512 = frozenset(("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "clwb", "adx"))
+_AVX2 = frozenset(("avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"))
 
 
 def teach_processor_name(device: cl.Device) -> bool:
@@ -31,41 +37,50 @@ def teach_processor_name(device: cl.Device) -> bool:
     """
     if "Portable Computing Language" not in device.platform.name or not _MEMORY.exists():
         return False
-    name = _closest_known_processor()
-    if name is None:
-        return False
+    flags = _processor_flags()
     try:
         with FileIO(_MEMORY, "r+b") as memory:
-            addresses = strings_reachable_from(memory, device.int_ptr)
-            if len(addresses) != 1:
+            found = names_reachable_from(memory, device.int_ptr)
+            better = better_name(found[0][1], flags) if len(found) == 1 else None
+            if better is None:
                 return False
-            memory.seek(addresses[0])
-            memory.write(name)
+            memory.seek(found[0][0])
+            memory.write(better)
     except OSError:  # the system does not allow it; building will say what is wrong
         return False
     return True
 
 
-def _closest_known_processor() -> bytes | None:
-    """A name that LLVM 14 knows, at most seven letters, for this machine's instruction sets."""
-    flags: set[str] = set()
-    for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
-        if line.startswith("flags"):
-            flags = set(line.partition(":")[2].split())
-            break
-    if {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "clwb", "adx"} <= flags:
+def better_name(name: bytes, flags: frozenset[str]) -> bytes | None:
+    """A name that LLVM 14 knows, no longer than `name`, for a processor with these instruction sets.
+
+    Returns:
+        A C string, or None where `name` says as much.
+    """
+    if flags >= _AVX512:
         return b"skx\0"
-    if {"avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"} <= flags:
+    if name == _UNKNOWN and flags >= _AVX2:
         return b"haswell\0"
     return None
 
 
-def strings_reachable_from(memory: FileIO, handle: int) -> list[int]:
-    """Addresses of the string "generic" that the structure at `handle` points to."""
+def _processor_flags() -> frozenset[str]:
+    """Linux's names of this machine's instruction sets."""
+    for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
+        if line.startswith("flags"):
+            return frozenset(line.partition(":")[2].split())
+    return frozenset()
+
+
+def names_reachable_from(memory: FileIO, handle: int) -> list[tuple[int, bytes]]:
+    """Addresses of names that say too little, of those that the structure at `handle` points to."""
     structure = _peek(memory, handle, _HANDLE_BYTES)
     pointers = {value for (value,) in struct.iter_unpack("<Q", structure)}
-    plausible = sorted(p for p in pointers if 0x10000 < p < 1 << 47)
-    return [p for p in plausible if _peek(memory, p, len(_UNKNOWN)) == _UNKNOWN]
+    found = []
+    for pointer in sorted(p for p in pointers if 0x10000 < p < 1 << 47):
+        text = _peek(memory, pointer, len(_UNKNOWN))
+        found += [(pointer, n) for n in (_UNKNOWN, _WITHOUT_AVX512) if text.startswith(n)]
+    return found
 
 
 def _peek(memory: FileIO, address: int, size: int) -> bytes:

@@ -63,8 +63,15 @@ static inline meeting meet(lane exponent, real opacity, lane transmittance)
     return m;
 }
 
+#if REAL_IS_DOUBLE
+#define SIGN_BIT ((real_bits)1 << 63)
+#else
+#define SIGN_BIT ((real_bits)1 << 31)
+#endif
+
 /* The transmittance to keep: the new one, or the old one marked finished. */
 static inline lane keep_transmittance(meeting m, lane transmittance)
 {
-    return m.open ? m.next : (transmittance > (lane)0 ? -transmittance : transmittance);
+    const lane_mask finished = *(const lane_mask *)&transmittance | SIGN_BIT;
+    return m.open ? m.next : *(const lane *)&finished;
 }

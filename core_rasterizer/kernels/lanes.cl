@@ -8,6 +8,17 @@
  * functions and spills every vector register around the call.
  */
 
+/* The rasterizer's vectors are twice as long where there are registers for it: two independent halves
+ * hide what one waits for. */
+#if LANES == 0
+#undef LANES
+#ifdef __AVX512F__
+#define LANES 16
+#else
+#define LANES 8
+#endif
+#endif
+
 #define GLUE_(a, b) a##b
 #define GLUE(a, b) GLUE_(a, b)
 

@@ -1,10 +1,14 @@
 /* Rasterization on a CPU: a work-item owns a tile, pixel state lives in its private arrays, and each
- * Gaussian visits the rows of its box in vectors of LANES pixels at any alignment, a column of
- * vectors at a time. Box rows beat exact spans: the square root and the branch cost more than the
- * lanes that they save. */
-
-#define STRIDE (TILE_WIDTH + LANES) /* a vector that starts inside the tile may end beyond it */
-#define PIXELS (TILE_HEIGHT * STRIDE)
+ * Gaussian visits the rows of its box in vectors, a column of vectors at a time. Box rows beat exact
+ * spans: the square root and the branch cost more than the lanes that they save.
+ *
+ * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: so it may start
+ * at any column, and covers a small Gaussian better than one long row would. */
+#define COLUMNS 8
+#define ROWS (LANES / COLUMNS)
+#define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
+#define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
+#define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
 #define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
 
 typedef struct {
@@ -21,7 +25,7 @@ static inline tile_area area_of(uint tile, int tiles_x, __global const wide *cam
     return area;
 }
 
-/* A Gaussian's box within the tile, in tile coordinates. */
+/* A Gaussian's box within the tile, in tile coordinates; rows begin and end where vectors do. */
 typedef struct {
     int x0, x1, y0, y1;
 } pixel_box;
@@ -31,17 +35,19 @@ static inline pixel_box box_in(__global const real *record, tile_area area)
     pixel_box box;
     box.x0 = max((int)record[REC_X0] - area.x, 0);
     box.x1 = min((int)record[REC_X1] - area.x, area.width);
-    box.y0 = max((int)record[REC_Y0] - area.y, 0);
-    box.y1 = min((int)record[REC_Y1] - area.y, area.height);
+    box.y0 = max((int)record[REC_Y0] - area.y, 0) / ROWS * ROWS;
+    box.y1 = (min((int)record[REC_Y1] - area.y, area.height) + ROWS - 1) / ROWS * ROWS;
     return box;
 }
 
 /* Pixels outside the image start finished, so that no other code knows of the image's edge. */
 static inline void open_pixels(real *transmittance, tile_area area)
 {
-    for (int y = 0; y < TILE_HEIGHT; y++)
-        for (int x = 0; x < STRIDE; x++)
-            transmittance[y * STRIDE + x] = y < area.height && x < area.width ? (real)1 : (real)-1;
+    for (int i = 0; i < PIXELS; i++)
+        transmittance[i] = (real)-1;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++)
+            transmittance[AT(x, y)] = (real)1;
 }
 
 static inline int all_finished(const real *transmittance)
@@ -57,11 +63,14 @@ static inline int all_finished(const real *transmittance)
     return 1;
 }
 
-/* Horizontal distances from the mean to the pixel centres x, x + 1, ... */
-static inline lane distances(real first)
-{
-    return first + (lane)(0, 1, 2, 3, 4, 5, 6, 7);
-}
+/* How far right and down of a vector's first pixel the others are. */
+#if ROWS == 1
+#define ACROSS ((lane)(0, 1, 2, 3, 4, 5, 6, 7))
+#define DOWN ((lane)0)
+#else
+#define ACROSS ((lane)(0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7))
+#define DOWN ((lane)(0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1))
+#endif
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void raster(
@@ -89,12 +98,12 @@ void raster(
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
-        for (int x = box.x0; x < box.x1; x += LANES) {
-            const lane dx = distances((area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X]);
+        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
+        for (int x = box.x0; x < box.x1; x += COLUMNS) {
+            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
             const lane square = a * dx * dx, slope = b * dx;
-            real dy = first_dy;
-            for (int i = box.y0 * STRIDE + x; i < box.y1 * STRIDE; i += STRIDE, dy += 1) {
+            lane dy = first_dy;
+            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
                 const lane before = LOAD(t + i);
                 const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
                 STORE(t + i, keep_transmittance(m, before));
@@ -110,7 +119,7 @@ void raster(
     __global const wide *background = camera + CAMERA_BACKGROUND;
     for (int y = 0; y < area.height; y++)
         for (int x = 0; x < area.width; x++) {
-            const int i = y * STRIDE + x;
+            const int i = AT(x, y);
             const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
             const real left = t[i] < 0 ? -t[i] : t[i];
             rgb[3 * pixel] = red[i] + left * (real)background[0];
@@ -122,12 +131,32 @@ void raster(
         }
 }
 
-/* Adds halves to halves: three steps instead of a chain of eight. */
-static inline real sum_lanes(lane value)
+typedef GLUE(REAL_NAME, 4) quad;
+typedef quad quad_anywhere __attribute__((aligned(sizeof(real))));
+typedef GLUE(REAL_NAME, 8) octet;
+
+static inline octet octet_of(lane a)
 {
-    const __typeof__(value.lo) four = value.lo + value.hi;
-    const __typeof__(four.lo) two = four.lo + four.hi;
-    return two.x + two.y;
+#if LANES == 16
+    return a.lo + a.hi;
+#else
+    return a;
+#endif
+}
+
+/* The sums of four vectors: every step adds lanes of several, where four sums of their own would leave
+ * most lanes idle. */
+static inline quad sum_quad(lane first, lane second, lane third, lane fourth)
+{
+    const octet a = octet_of(first), b = octet_of(second), c = octet_of(third),
+                d = octet_of(fourth);
+    const octet ab = (octet)(a.s0, b.s0, a.s1, b.s1, a.s4, b.s4, a.s5, b.s5)
+        + (octet)(a.s2, b.s2, a.s3, b.s3, a.s6, b.s6, a.s7, b.s7);
+    const octet cd = (octet)(c.s0, d.s0, c.s1, d.s1, c.s4, d.s4, c.s5, d.s5)
+        + (octet)(c.s2, d.s2, c.s3, d.s3, c.s6, d.s6, c.s7, d.s7);
+    const octet abcd = (octet)(ab.s01, cd.s01, ab.s45, cd.s45)
+        + (octet)(ab.s23, cd.s23, ab.s67, cd.s67);
+    return abcd.lo + abcd.hi;
 }
 
 /* Loads what the backward walk needs of the tile: the output gradients, and `rest`: what the
@@ -142,7 +171,7 @@ static inline void load_gradients(
         red[i] = green[i] = blue[i] = z[i] = rest[i] = 0;
     for (int y = 0; y < area.height; y++)
         for (int x = 0; x < area.width; x++) {
-            const int i = y * STRIDE + x;
+            const int i = AT(x, y);
             const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
             red[i] = d_rgb[3 * pixel];
             green[i] = d_rgb[3 * pixel + 1];
@@ -181,16 +210,16 @@ static inline __attribute__((always_inline)) void walk_back(
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const real first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
+        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
         lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
              sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
              sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
-        for (int x = box.x0; x < box.x1; x += LANES) {
-            const lane dx = distances((area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X]);
+        for (int x = box.x0; x < box.x1; x += COLUMNS) {
+            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
             const lane square = a * dx * dx, slope = b * dx;
             lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
-            real dy = first_dy;
-            for (int i = box.y0 * STRIDE + x; i < box.y1 * STRIDE; i += STRIDE, dy += 1) {
+            lane dy = first_dy;
+            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
                 const lane before = LOAD(t + i);
                 const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
                 STORE(t + i, keep_transmittance(m, before));
@@ -222,18 +251,10 @@ static inline __attribute__((always_inline)) void walk_back(
             sum_pxy += column_py * dx;
             sum_pyy += column_pyy;
         }
-        __global real *out = pair_sums + (size_t)pairs[p].y * PAIR;
-        out[PAIR_P] = sum_lanes(sum_p);
-        out[PAIR_PX] = sum_lanes(sum_px);
-        out[PAIR_PY] = sum_lanes(sum_py);
-        out[PAIR_PXX] = sum_lanes(sum_pxx);
-        out[PAIR_PXY] = sum_lanes(sum_pxy);
-        out[PAIR_PYY] = sum_lanes(sum_pyy);
-        out[PAIR_RED] = sum_lanes(sum_red);
-        out[PAIR_GREEN] = sum_lanes(sum_green);
-        out[PAIR_BLUE] = sum_lanes(sum_blue);
-        out[PAIR_Z] = sum_lanes(sum_z);
-        out[PAIR_TOUCHED] = sum_lanes(touched);
+        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR);
+        out[0] = sum_quad(sum_p, sum_px, sum_py, sum_pxx);
+        out[1] = sum_quad(sum_pxy, sum_pyy, sum_red, sum_green);
+        out[2] = sum_quad(sum_blue, sum_z, touched, (lane)0);
     }
     for (; p < end; p++)
         for (int k = 0; k <= PAIR_TOUCHED; k++)

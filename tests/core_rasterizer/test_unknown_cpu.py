@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.unknown_cpu import strings_reachable_from
+from core_rasterizer.unknown_cpu import better_name, names_reachable_from
 
 MEMORY = Path("/proc/self/mem")
 pytestmark = pytest.mark.skipif(not MEMORY.exists(), reason="the system has no /proc/self/mem")
@@ -29,15 +29,28 @@ def structure(*pointers: int) -> ctypes.Array[ctypes.c_char]:
     return block
 
 
-def test_finds_the_string_behind_a_pointer(memory: FileIO) -> None:
-    name = ctypes.create_string_buffer(b"generic")
+AVX2 = frozenset("avx2 fma bmi1 bmi2 movbe f16c".split())
+AVX512 = AVX2 | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl clwb adx".split())
+
+
+@pytest.mark.parametrize("text", [b"generic\0", b"znver3\0"])
+def test_finds_the_string_behind_a_pointer(memory: FileIO, text: bytes) -> None:
+    name = ctypes.create_string_buffer(text + b"behind it")
     other = ctypes.create_string_buffer(b"generics are not it")
     address = ctypes.addressof(name)
     handle = structure(ctypes.addressof(other), address)
-    assert strings_reachable_from(memory, ctypes.addressof(handle)) == [address]
+    assert names_reachable_from(memory, ctypes.addressof(handle)) == [(address, text)]
 
 
 def test_addresses_that_do_not_exist_are_passed_over(memory: FileIO) -> None:
     handle = structure(0, 1, 0x20000, (1 << 47) - 16, 1 << 63, 0xDEADBEEF000)
-    assert strings_reachable_from(memory, ctypes.addressof(handle)) == []
-    assert strings_reachable_from(memory, 0) == []
+    assert names_reachable_from(memory, ctypes.addressof(handle)) == []
+    assert names_reachable_from(memory, 0) == []
+
+
+def test_a_better_name_says_more_and_fits() -> None:
+    assert better_name(b"generic\0", AVX512) == b"skx\0"
+    assert better_name(b"generic\0", AVX2) == b"haswell\0"
+    assert better_name(b"generic\0", frozenset(("sse2",))) is None
+    assert better_name(b"znver3\0", AVX512) == b"skx\0"
+    assert better_name(b"znver3\0", AVX2) is None
