@@ -29,8 +29,10 @@ def structure(*pointers: int) -> ctypes.Array[ctypes.c_char]:
     return block
 
 
-AVX2 = frozenset("avx2 fma bmi1 bmi2 movbe f16c".split())
-AVX512 = AVX2 | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl clwb adx".split())
+AVX2 = frozenset(["avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"])
+AVX512 = AVX2 | frozenset(
+    ["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "clwb", "adx"]
+)
 
 
 @pytest.mark.parametrize("text", [b"generic\0", b"znver3\0"])
