@@ -43,6 +43,13 @@ def split(
     return spread(pool, train_views), test
 
 
+def split_rule(test_every: int) -> str:
+    """What `split` does, in words for the scene's notes."""
+    if not test_every:
+        return "evenly spaced train, none tests"
+    return f"every {test_every}th tests, the others evenly spaced train"
+
+
 def spread(pool: list[int], wanted: int | None) -> list[int]:
     """`wanted` members, evenly over the pool, its ends included; None or 0 takes all."""
     # numpy rounds halves to even, as the published splits do.

@@ -14,20 +14,13 @@ from typing import Annotated, ClassVar, Literal
 import pydantic
 from pydantic import Field
 
-from registry import (
-    Register,
-    Scene,
-    SceneError,
-    SceneLoader,
-    Settings,
-    hookimpl,
-    validate,
-)
+from registry import Register, Scene, SceneError, SceneLoader, Settings, hookimpl
 
 from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
 from ._lens import Lens
+from ._loaded_photos import LoadedPhotos, Notes
 from ._opengl import world_to_camera
-from ._posed_photos import PosedPhoto, facts, load_views, require_one_size
+from ._posed_photos import PosedPhoto
 from ._reading import Finite, Matrix, inside, read_document
 
 STANDARD_VIEWS = (26, 86, 2, 55, 75, 93, 16, 73)
@@ -89,27 +82,13 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         decoder = Decoder(
             at_most(settings.width), settings.resize_filter, BACKGROUNDS[settings.background]
         )
-        views = load_views(photos, decoder)
-        require_one_size(photos, views)
-        bounds = (settings.near, settings.far)
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(views[: len(train_ids)]),
-                test=tuple(views[len(train_ids) :]),
-                bounds=bounds,
-                background=BACKGROUNDS[settings.background],
-                notes={
-                    "format": "blender",
-                    **facts(photos, views, decoder, bounds),
-                    "transparent_pixels": f"laid on {settings.background}",
-                    "split": f"given numbers train, every {settings.test_every}th tests",
-                    "train": train_ids,
-                    "test": test_ids,
-                    "points": 0,
-                },
-            )
-        )
+        loaded = LoadedPhotos.load(photos, decoder, train_ids, test_ids)
+        loaded.require_one_size()
+        notes: Notes = {
+            "transparent_pixels": f"laid on {settings.background}",
+            **loaded.split_notes(f"given numbers train, every {settings.test_every}th tests"),
+        }
+        return loaded.scene("blender", folder, (settings.near, settings.far), None, notes)
 
 
 class _Frame(pydantic.BaseModel):

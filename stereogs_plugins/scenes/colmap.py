@@ -7,14 +7,15 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneLoader, hookimpl, validate
+from registry import Register, Scene, SceneLoader, hookimpl
 
 from ._bounds import estimate_bounds
 from ._colmap_model import ColmapModel, has_model, pose, read_model
 from ._image_source import ImageSourceSettings
-from ._posed_photos import PosedPhoto, facts, load_views
+from ._loaded_photos import LoadedPhotos
+from ._posed_photos import PosedPhoto
 from ._reading import inside, view_names
-from ._splits import SplitSettings, split
+from ._splits import SplitSettings, split, split_rule
 
 _FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
 
@@ -56,32 +57,15 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         )
         all_photos = _photos(model, settings.image_folder(folder))
         photos = [all_photos[index] for index in train + test]
-        decoder = settings.decoder()
-        views = load_views(photos, decoder)
+        loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
         points = None
         if settings.points:
             tracks = model.tracks()
             tracks.check(len(model.images), str(model.folder))
             points = tracks.seen_by(train)
-        cameras = [view.camera for view in views[: len(train)]]
-        bounds = estimate_bounds(cameras, points, str(folder))
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(views[: len(train)]),
-                test=tuple(views[len(train) :]),
-                bounds=bounds,
-                points=points,
-                notes={
-                    "format": "colmap",
-                    **facts(photos, views, decoder, bounds),
-                    "split": f"every {settings.test_every}th tests, the others evenly spaced train",
-                    "train": train,
-                    "test": test,
-                    "points": len(points) if points else 0,
-                },
-            )
-        )
+        bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
+        notes = loaded.split_notes(split_rule(settings.test_every))
+        return loaded.scene("colmap", folder, bounds, points, notes)
 
 
 def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:

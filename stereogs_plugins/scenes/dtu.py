@@ -13,22 +13,14 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from registry import (
-    Register,
-    Scene,
-    SceneError,
-    SceneLoader,
-    Settings,
-    View,
-    hookimpl,
-    validate,
-)
+from registry import Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
 
 from ._bounds import estimate_bounds
 from ._dark_background import blacken
 from ._dtu_cameras import DtuCameras, calibrated, from_colmap, view_number
 from ._images import Decoder, ResizeFilter, at_most, list_images
-from ._posed_photos import PosedPhoto, facts, load_views, require_one_size
+from ._loaded_photos import LoadedPhotos, Notes
+from ._posed_photos import PosedPhoto
 
 TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 """Three, six or nine of these train (PixelNeRF, RegNeRF and the literature since)."""
@@ -81,32 +73,20 @@ class DTUScene(SceneLoader[DTUSettings]):
         found = self._read_cameras(folder, train)
         photos = self._photos(folder, found, [*train, *TEST_VIEWS])
         decoder = Decoder(at_most(settings.width), settings.resize_filter)
-        views = load_views(photos, decoder)
-        require_one_size(photos, views)
-        cameras = [view.camera for view in views[: len(train)]]
-        bounds = found.bounds or estimate_bounds(cameras, found.points, str(folder))
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(self._darkened(view) for view in views[: len(train)]),
-                test=tuple(views[len(train) :]),
-                bounds=bounds,
-                points=found.points,
-                notes={
-                    "format": "dtu",
-                    **facts(photos, views, decoder, bounds),
-                    "cameras": settings.cameras,
-                    "split": f"the standard {settings.train_views} train, the standard 25 test",
-                    "train": train,
-                    "test": list(TEST_VIEWS),
-                    "masks": "metrics inside object masks" if settings.masks else "none",
-                    "dark_background": f"training pixels below {settings.dark_background} black"
-                    if settings.dark_background
-                    else "kept",
-                    "points": len(found.points) if found.points else 0,
-                },
-            )
-        )
+        loaded = LoadedPhotos.load(photos, decoder, train, list(TEST_VIEWS))
+        loaded.require_one_size()
+        bounds = found.bounds or estimate_bounds(loaded.training_cameras, found.points, str(folder))
+        rule = f"the standard {settings.train_views} train, the standard 25 test"
+        notes: Notes = {
+            "cameras": settings.cameras,
+            **loaded.split_notes(rule),
+            "masks": "metrics inside object masks" if settings.masks else "none",
+            "dark_background": f"training pixels below {settings.dark_background} black"
+            if settings.dark_background
+            else "kept",
+        }
+        scene = loaded.scene("dtu", folder, bounds, found.points, notes)
+        return replace(scene, train=tuple(self._darkened(view) for view in scene.train))
 
     def _read_cameras(self, folder: Path, train: list[int]) -> DtuCameras:
         wanted = [*train, *TEST_VIEWS]

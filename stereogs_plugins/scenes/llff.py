@@ -11,23 +11,17 @@ from typing import ClassVar, Literal
 
 import pydantic
 
-from registry import (
-    Register,
-    Scene,
-    SceneError,
-    SceneLoader,
-    hookimpl,
-    validate,
-)
+from registry import Register, Scene, SceneError, SceneLoader, hookimpl
 
 from ._bounds import Bounds, estimate_bounds
 from ._image_source import ImageSourceSettings
 from ._images import list_images
 from ._llff_points import read_points
 from ._llff_poses import PoseRow, read_poses
-from ._posed_photos import PosedPhoto, facts, load_views, require_one_size
+from ._loaded_photos import LoadedPhotos
+from ._posed_photos import PosedPhoto
 from ._reading import inside, read_document
-from ._splits import SplitSettings, split
+from ._splits import SplitSettings, split, split_rule
 
 
 class LLFFSettings(SplitSettings, ImageSourceSettings):
@@ -70,30 +64,14 @@ class LLFFScene(SceneLoader[LLFFSettings]):
         images = _image_of_each_row(folder, settings.image_folder(folder), len(rows))
         train, test = split(len(rows), settings.test_every, settings.train_views, str(folder))
         photos = [_photo(images[index], rows[index]) for index in train + test]
-        views = load_views(photos, settings.decoder())
-        require_one_size(photos, views)
+        loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
+        loaded.require_one_size()
         points = read_points(folder, len(rows), train) if settings.points else None
         bounds = _published_bounds([rows[index] for index in train])
         if settings.bounds == "estimate":
-            cameras = [view.camera for view in views[: len(train)]]
-            bounds = estimate_bounds(cameras, points, str(folder))
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(views[: len(train)]),
-                test=tuple(views[len(train) :]),
-                bounds=bounds,
-                points=points,
-                notes={
-                    "format": "llff",
-                    **facts(photos, views, settings.decoder(), bounds),
-                    "split": f"every {settings.test_every}th tests, the others evenly spaced train",
-                    "train": train,
-                    "test": test,
-                    "points": len(points) if points else 0,
-                },
-            )
-        )
+            bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
+        notes = loaded.split_notes(split_rule(settings.test_every))
+        return loaded.scene("llff", folder, bounds, points, notes)
 
 
 class _Split(pydantic.BaseModel):

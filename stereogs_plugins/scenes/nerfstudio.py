@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 from pydantic import Field
 
 from core_rasterizer import load_points
-from registry import PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl, validate
+from registry import PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 
 from ._bounds import estimate_bounds
 from ._images import Decoder, ResizeFilter, divided_by
+from ._loaded_photos import LoadedPhotos
 from ._nerfstudio_file import Transforms, lens_of, read_transforms
 from ._opengl import world_to_camera
-from ._posed_photos import PosedPhoto, facts, load_views
+from ._posed_photos import PosedPhoto
 from ._reading import inside, view_names
-from ._splits import SplitSettings, split, spread
+from ._splits import SplitSettings, split, split_rule, spread
 
 
 class NerfstudioSettings(SplitSettings):
@@ -57,28 +59,12 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         train, test, rule = self._split(transforms, str(path))
         photos = [all_photos[index] for index in train + test]
         decoder = Decoder(divided_by(settings.downsample), settings.resize_filter)
-        views = load_views(photos, decoder)
+        loaded = LoadedPhotos.load(photos, decoder, train, test)
         points = _read_points(folder, transforms, path) if settings.points else None
-        cameras = [view.camera for view in views[: len(train)]]
-        bounds = estimate_bounds(cameras, points, str(path))
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(views[: len(train)]),
-                test=tuple(views[len(train) :]),
-                bounds=bounds,
-                points=points,
-                notes={
-                    "format": "nerfstudio",
-                    **facts(photos, views, decoder, bounds),
-                    "split": rule,
-                    "train": train,
-                    "test": test,
-                    "points": len(points) if points else 0,
-                    "points_seen_by": "all photographs" if points else "none",
-                },
-            )
-        )
+        bounds = estimate_bounds(loaded.training_cameras, points, str(path))
+        scene = loaded.scene("nerfstudio", folder, bounds, points, loaded.split_notes(rule))
+        seen_by = "all photographs" if points else "none"
+        return replace(scene, notes={**scene.notes, "points_seen_by": seen_by})
 
     def _split(self, transforms: Transforms, where: str) -> tuple[list[int], list[int], str]:
         """Indices into the frames, sorted by file name, and the rule behind them."""
@@ -86,11 +72,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         names = sorted(frame.file_path for frame in transforms.frames)
         if transforms.train_filenames is None or transforms.test_filenames is None:
             train, test = split(len(names), settings.test_every, settings.train_views, where)
-            return (
-                train,
-                test,
-                f"every {settings.test_every}th tests, the others evenly spaced train",
-            )
+            return train, test, split_rule(settings.test_every)
         index = {name: k for k, name in enumerate(names)}
         listed = [*transforms.train_filenames, *transforms.test_filenames]
         unknown = [name for name in listed if name not in index]

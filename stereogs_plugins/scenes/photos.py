@@ -7,15 +7,16 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneLoader, hookimpl, validate
+from registry import Register, Scene, SceneLoader, hookimpl
 
 from ._bounds import estimate_bounds
 from ._colmap_model import ColmapModel, pose
 from ._disconnected import refuse_disconnected
 from ._found_cameras import remembered_model
 from ._images import IMAGE_SUFFIXES, Decoder, ResizeFilter, longest_side
-from ._posed_photos import PosedPhoto, facts, load_views
-from ._splits import SplitSettings, split
+from ._loaded_photos import LoadedPhotos, Notes
+from ._posed_photos import PosedPhoto
+from ._splits import SplitSettings, split, split_rule
 from ._structure_from_motion import image_index, reconstruct
 from ._unposed_photos import UnposedPhoto, read_folder
 
@@ -69,33 +70,19 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         all_photos = _posed(model, found)
         photos = [all_photos[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
-        views = load_views(photos, decoder)
+        loaded = LoadedPhotos.load(photos, decoder, train, test)
         tracks = model.tracks()
         tracks.check(len(found), str(folder))
         points = tracks.seen_by(train)
-        cameras = [view.camera for view in views[: len(train)]]
-        bounds = estimate_bounds(cameras, points, str(folder))
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(views[: len(train)]),
-                test=tuple(views[len(train) :]),
-                bounds=bounds,
-                points=points,
-                notes={
-                    "format": "photos",
-                    **facts(photos, views, decoder, bounds),
-                    "cameras": "found in all photographs by COLMAP",
-                    "lenses": len(model.cameras),
-                    "turned_upright": sum(photo.turned for photo in found),
-                    "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
-                    "split": _rule(settings.test_every),
-                    "train": train,
-                    "test": test,
-                    "points": len(points) if points else 0,
-                },
-            )
-        )
+        bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
+        notes: Notes = {
+            "cameras": "found in all photographs by COLMAP",
+            "lenses": len(model.cameras),
+            "turned_upright": sum(photo.turned for photo in found),
+            "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
+            **loaded.split_notes(split_rule(settings.test_every)),
+        }
+        return loaded.scene("photos", folder, bounds, points, notes)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
         settings = self.settings
@@ -123,12 +110,6 @@ def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
         for _, image in model.images
         for k in [image_index(image.name)]
     ]
-
-
-def _rule(test_every: int) -> str:
-    if not test_every:
-        return "evenly spaced train, none tests"
-    return f"every {test_every}th tests, the others evenly spaced train"
 
 
 @hookimpl
