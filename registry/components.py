@@ -10,11 +10,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self
 
 import pydantic
 import torch
 from torch import Tensor
+from typing_extensions import TypeVar
 
 from core_rasterizer import Device, Edit, GaussianModel, Rendering
 
@@ -32,7 +33,8 @@ class Settings(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
-SettingsType = TypeVar("SettingsType", bound=Settings)
+# With a default, which `typing` offers from Python 3.13 on, `StereoPrior.choose(...)` has a full type.
+SettingsType = TypeVar("SettingsType", bound=Settings, default=Settings)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from .components import Prior, SettingsType
 from .errors import PluginError
 from .pictures import nearness_picture
 from .prior_cache import PriorCache, code_digest, content_key
-from .prior_choice import choose_prior
 from .scene import View
 
 
@@ -56,11 +55,6 @@ class StereoPrior(Prior[SettingsType]):
     """Disparity of a rectified stereo pair."""
 
     capability: ClassVar[str] = "stereo_disparity"
-
-    @classmethod
-    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> StereoPrior[Any]:
-        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
-        return choose_prior(priors, cls, name)
 
     @property
     def max_disparity(self) -> float | None:
@@ -110,11 +104,6 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     """Depth of every view of a set, from all of them and their cameras."""
 
     capability: ClassVar[str] = "multi_view_depth"
-
-    @classmethod
-    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> MultiViewDepthPrior[Any]:
-        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
-        return choose_prior(priors, cls, name)
 
     @abstractmethod
     def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
@@ -169,11 +158,6 @@ class MonocularDepthPrior(Prior[SettingsType]):
     """Relative inverse depth of a single image."""
 
     capability: ClassVar[str] = "monocular_depth"
-
-    @classmethod
-    def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> MonocularDepthPrior[Any]:
-        """See `Prior.choose`; here with a type that does not depend on the prior's settings."""
-        return choose_prior(priors, cls, name)
 
     @abstractmethod
     def estimate(self, image: Tensor) -> Tensor:
