@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import pytest
 import torch
@@ -19,6 +20,7 @@ from registry import (
     MonocularDepthPrior,
     MultiViewDepthPrior,
     PluginError,
+    Prior,
     Settings,
     StereoPrior,
     View,
@@ -74,8 +76,11 @@ class Brightness(MonocularDepthPrior[Settings]):
         return image.mean(dim=2)
 
 
-def built(component: type, name: str = "prior", **settings: object):  # type: ignore[no-untyped-def]
-    return component(component.Settings(**settings), Context(name, 0, open_device()))
+PriorType = TypeVar("PriorType", bound=Prior[Any])
+
+
+def built(component: type[PriorType], name: str = "prior") -> PriorType:
+    return component(component.Settings(), Context(name, 0, open_device()))
 
 
 def textured(width: int = 40) -> Tensor:
