@@ -53,10 +53,10 @@ class AblationFolder:
 
     @contextmanager
     def locked(self) -> Iterator[int | None]:
-        """Keep a second ablation out; gives a file descriptor that child processes should inherit.
+        """Keep a second process out; gives a file descriptor that child processes should inherit.
 
         The lock lasts until all who hold the descriptor have ended, so that it also covers
-        trainings whose ablation was killed.
+        trainings whose starter was killed.
 
         Raises:
             RunError: another one holds it, or the folder cannot be written.
@@ -79,7 +79,7 @@ class AblationFolder:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise RunError(
-                    "another ablation, or a training that one has left behind, is at work here",
+                    "the folder is in use by another process, or by a training that one has left behind",
                     where=str(self.path),
                     fix="wait until it has ended, or choose another --out",
                 ) from error

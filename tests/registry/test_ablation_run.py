@@ -156,7 +156,7 @@ def test_ctrl_c_stops_those_at_work_and_begins_no_other(
     runs = toy_runs(toys, tmp_path)
     folder = AblationFolder(tmp_path / "out")
     with folder.locked() as lock:
-        with pytest.raises(RunError, match="another ablation"), folder.locked():
+        with pytest.raises(RunError, match="in use by another process"), folder.locked():
             pass
         console = Console(file=io.StringIO())
         outcome = train_all(runs, folder, jobs=1, device=None, lock=lock, console=console)
