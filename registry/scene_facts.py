@@ -70,9 +70,7 @@ def points_in_view(scene: Scene, view: View) -> int:
     if scene.points is None:
         return 0
     camera = view.camera
-    local = scene.points.positions.double() @ camera.world_to_camera[:3, :3].T
-    x, y, depth = (local + camera.world_to_camera[:3, 3]).unbind(dim=1)
-    column, row = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+    column, row, depth = camera.project(scene.points.positions)
     inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
     return int((inside & (depth > 0)).sum())
 

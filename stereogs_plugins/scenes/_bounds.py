@@ -57,9 +57,7 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
         return None
     extremes = []
     for camera in cameras:
-        local = points.positions.double() @ camera.world_to_camera[:3, :3].T
-        x, y, depth = (local + camera.world_to_camera[:3, 3]).unbind(dim=1)
-        column, row = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+        column, row, depth = camera.project(points.positions)
         inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
         visible = depth[(depth > 0) & inside & torch.isfinite(depth)].numpy()
         if len(visible) >= MIN_POINTS:
