@@ -32,7 +32,7 @@ def check_loss(loss: Any) -> Tensor:
 def check_opacity_scale(scale: Any, count: int) -> Tensor:
     """A modifier's factors: `[N]`, finite, at least 0."""
     tensor = _per_gaussian("the opacity scale", scale, count)
-    if (tensor < 0).any():
+    if tensor.numel() and tensor.min() < 0:
         raise PluginError("the opacity scale has a negative value", where=_first(tensor < 0))
     return tensor
 
@@ -44,8 +44,8 @@ def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
     if not isinstance(update, OpacityUpdate):
         raise PluginError(f"the answer is a {type(update).__name__}, expected an OpacityUpdate")
     tensor = _per_gaussian("the opacity", update.opacities, count)
-    outside = (tensor < 0) | (tensor > 1)
-    if outside.any():
+    if tensor.numel() and (tensor.min() < 0 or tensor.max() > 1):
+        outside = (tensor < 0) | (tensor > 1)
         raise PluginError("an opacity is outside [0, 1]", where=_first(outside))
     return update
 
@@ -101,6 +101,9 @@ def _tensor(what: str, value: Any) -> Tensor:
 
 
 def _finite(what: str, tensor: Tensor) -> None:
+    # One pass tells whether all is well; only a sum that is not finite is worth a closer look.
+    if math.isfinite(tensor.detach().sum()):
+        return
     bad = ~torch.isfinite(tensor.detach())
     if bad.any():
         raise PluginError(f"{what} is not finite", where=_first(bad) if bad.ndim else "")

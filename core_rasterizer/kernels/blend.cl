@@ -63,15 +63,8 @@ static inline meeting meet(lane exponent, real opacity, lane transmittance)
     return m;
 }
 
-#if REAL_IS_DOUBLE
-#define SIGN_BIT ((real_bits)1 << 63)
-#else
-#define SIGN_BIT ((real_bits)1 << 31)
-#endif
-
 /* The transmittance to keep: the new one, or the old one marked finished. */
 static inline lane keep_transmittance(meeting m, lane transmittance)
 {
-    const lane_mask finished = *(const lane_mask *)&transmittance | SIGN_BIT;
-    return m.open ? m.next : *(const lane *)&finished;
+    return m.open ? m.next : -lane_abs(transmittance);
 }

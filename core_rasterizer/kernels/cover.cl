@@ -1,18 +1,25 @@
 /* Which tiles a Gaussian can touch: 16 bytes, so that binning in depth order, which is random access,
  * stays within the caches where whole records would not. */
 
+/* Tiles that the boxes of a block of Gaussians touch, half open. */
 typedef struct {
-    int x0, x1, y0, y1; /* tiles, half open */
-} tile_box;
+    lane_int x0, x1, y0, y1;
+    lane_mask simple; /* just one tile, and the mean is in it: no test needed */
+} tile_boxes;
 
-static inline tile_box tiles_of(__global const real *record)
+static inline tile_boxes tiles_of_block(const lane *field)
 {
-    tile_box box;
-    box.x0 = (int)record[REC_X0] / TILE_WIDTH;
-    box.x1 = ((int)record[REC_X1] + TILE_WIDTH - 1) / TILE_WIDTH;
-    box.y0 = (int)record[REC_Y0] / TILE_HEIGHT;
-    box.y1 = ((int)record[REC_Y1] + TILE_HEIGHT - 1) / TILE_HEIGHT;
-    return box;
+    tile_boxes boxes;
+    boxes.x0 = TO_INT(field[REC_X0]) / TILE_WIDTH;
+    boxes.x1 = (TO_INT(field[REC_X1]) + (TILE_WIDTH - 1)) / TILE_WIDTH;
+    boxes.y0 = TO_INT(field[REC_Y0]) / TILE_HEIGHT;
+    boxes.y1 = (TO_INT(field[REC_Y1]) + (TILE_HEIGHT - 1)) / TILE_HEIGHT;
+    const lane x = field[REC_X] - FROM_INT(boxes.x0 * TILE_WIDTH);
+    const lane y = field[REC_Y] - FROM_INT(boxes.y0 * TILE_HEIGHT);
+    boxes.simple = (FROM_INT(boxes.x1 - boxes.x0) == (lane)1)
+        & (FROM_INT(boxes.y1 - boxes.y0) == (lane)1) & (x >= (lane)0.5f) & (y >= (lane)0.5f)
+        & (x <= (lane)(TILE_WIDTH - 0.5f)) & (y <= (lane)(TILE_HEIGHT - 0.5f));
+    return boxes;
 }
 
 /* Without it a Gaussian enters every tile that its box touches: the same image, with more pairs. */
@@ -55,20 +62,24 @@ static inline int reaches(__global const real *record, real floor_of_alpha, int 
  * row). A box of more than 64 tiles is tested again where it is walked. */
 #define BOX_BITS 64
 
-static inline uint4 cover_of(__global const real *record, real floor_of_alpha)
+static inline uint4 cover_of(
+    tile_boxes boxes, int l, __global const real *record, real floor_of_alpha)
 {
-    const tile_box box = tiles_of(record);
-    const int width = box.x1 - box.x0, height = box.y1 - box.y0;
+    const int x0 = LANE_AT_INT(boxes.x0, l), x1 = LANE_AT_INT(boxes.x1, l);
+    const int y0 = LANE_AT_INT(boxes.y0, l), y1 = LANE_AT_INT(boxes.y1, l);
+    const int width = x1 - x0, height = y1 - y0;
     ulong mask = 0;
-    if (width > 0 && height > 0 && width * height <= BOX_BITS) {
+    if (LANE_AT_MASK(boxes.simple, l))
+        mask = 1;
+    else if (width > 0 && height > 0 && width * height <= BOX_BITS) {
         ulong bit = 1;
-        for (int y = box.y0; y < box.y1; y++)
-            for (int x = box.x0; x < box.x1; x++, bit <<= 1)
+        for (int y = y0; y < y1; y++)
+            for (int x = x0; x < x1; x++, bit <<= 1)
                 if (reaches(record, floor_of_alpha, x, y))
                     mask |= bit;
     } else if (width > 0 && height > 0)
         mask = ~0ul;
-    return (uint4)(box.x0 | box.y0 << 16, width | height << 16, (uint)mask, (uint)(mask >> 32));
+    return (uint4)(x0 | y0 << 16, width | height << 16, (uint)mask, (uint)(mask >> 32));
 }
 
 /* Calls BODY with `tile` set for every tile that the Gaussian reaches, row by row. */

@@ -51,6 +51,7 @@ typedef int lane_int;
 #define STORE(pointer, value) (*(pointer) = (value))
 #define LANE_AT(value, index) (value)
 #define LANE_AT_MASK(value, index) (value)
+#define LANE_AT_INT(value, index) (value)
 #define TO_INT(x) ((int)(x))
 #define FROM_INT(x) ((real)(x))
 #else
@@ -63,14 +64,27 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_GLOBAL(pointer) (*(__global const lane_anywhere *)(pointer))
 #define STORE_GLOBAL(pointer, value) (*(__global lane_anywhere *)(pointer) = (value))
 #define STORE(pointer, value) (*(lane_anywhere *)(pointer) = (value))
+#define LOAD_BYTES(pointer)                                                                       \
+    __builtin_convertvector(*(__global const GLUE(uchar, LANES) *)(pointer), lane_mask)
 #define LANE_AT(value, index) (((real *)&(value))[index])
 #define LANE_AT_MASK(value, index) (((const real_bits *)&(value))[index])
+#define LANE_AT_INT(value, index) (((const int *)&(value))[index])
 #define TO_INT(x) __builtin_convertvector((x), lane_int)
 #define FROM_INT(x) __builtin_convertvector((x), lane)
 #endif
 #if LANES == 1
 #define LOAD_GLOBAL(pointer) (*(pointer))
 #define STORE_GLOBAL(pointer, value) (*(pointer) = (value))
+#define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
+#endif
+
+/* Asks a CPU for a cache line that will be read, or written, soon. Any address will do. */
+#if LANES > 1
+#define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
+#define PREFETCH_TO_WRITE(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 1)
+#else
+#define PREFETCH(pointer)
+#define PREFETCH_TO_WRITE(pointer)
 #endif
 
 /* Positions on the image are computed in double where the device can: in float the transform to camera
@@ -95,7 +109,35 @@ typedef GLUE(WIDE_NAME, LANES) wide_lane;
 
 #define LANE_MIN(a, b) ((a) < (b) ? (a) : (b))
 #define LANE_MAX(a, b) ((a) > (b) ? (a) : (b))
-#define LANE_ABS(a) ((a) < (lane)0 ? -(a) : (a))
+
+static inline lane lane_abs(lane x)
+{
+#if LANES == 1
+    return x < 0 ? -x : x;
+#else
+    const lane_mask all_but_sign = ~((lane_mask)1 << (8 * (int)sizeof(real) - 1));
+    const lane_mask bits = *(const lane_mask *)&x & all_but_sign;
+    return *(const lane *)&bits;
+#endif
+}
+
+#if LANES == 8
+/* Rows become columns. Three times, row k and row k + 4 are merged element by element: in the 6 bits of
+ * an element's row and column that is a rotation by one, and rotation by three swaps the two. */
+static inline void transpose(lane *rows)
+{
+    for (int round = 0; round < 3; round++) {
+        lane merged[8];
+        for (int k = 0; k < 4; k++) {
+            const lane a = rows[k], b = rows[k + 4];
+            merged[2 * k] = (lane)(a.s0, b.s0, a.s1, b.s1, a.s2, b.s2, a.s3, b.s3);
+            merged[2 * k + 1] = (lane)(a.s4, b.s4, a.s5, b.s5, a.s6, b.s6, a.s7, b.s7);
+        }
+        for (int k = 0; k < 8; k++)
+            rows[k] = merged[k];
+    }
+}
+#endif
 
 static inline lane lane_sqrt(lane x)
 {

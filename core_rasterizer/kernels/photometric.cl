@@ -156,7 +156,7 @@ static inline void dissimilarity(
 
         const lane d = LOAD_GLOBAL(image + start) - LOAD_GLOBAL(target + start);
         const lane own = start == block ? (lane)1 : last;
-        absolute += own * LANE_ABS(d);
+        absolute += own * lane_abs(d);
         structural += own * lost;
     }
     if (sums) {
@@ -216,7 +216,7 @@ static inline void gradient(
         const lane slope
             = l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + b * by_product);
         /* Values beyond 1e12 may overflow on the way; what is undefined is no gradient. */
-        STORE_GLOBAL(result + start, LANE_ABS(slope) < (lane)REAL_LARGEST ? slope : (lane)0);
+        STORE_GLOBAL(result + start, lane_abs(slope) < (lane)REAL_LARGEST ? slope : (lane)0);
     }
 }
 

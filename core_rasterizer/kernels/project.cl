@@ -3,9 +3,17 @@
 /* Writes the block's lanes one record after another. */
 static inline void store_records(__global real *records, size_t i, const lane *field)
 {
-    for (int l = 0; l < LANES; l++)
-        for (int k = 0; k < RECORD; k++)
-            records[(i + l) * RECORD + k] = LANE_AT(field[k], l);
+#if LANES == 1
+    for (int k = 0; k < RECORD; k++)
+        records[i * RECORD + k] = field[k];
+#else
+    transpose(field);
+    transpose(field + LANES);
+    for (int l = 0; l < LANES; l++) {
+        STORE_GLOBAL(records + (i + l) * RECORD, field[l]);
+        STORE_GLOBAL(records + (i + l) * RECORD + LANES, field[LANES + l]);
+    }
+#endif
 }
 
 static inline void shade(
@@ -65,7 +73,7 @@ void project(
     const real big = REAL_LARGEST, width = camera[CAMERA_WIDTH], height = camera[CAMERA_HEIGHT];
     lane_mask visible = (g.z > (lane)(real)camera[CAMERA_NEAR]) & (g.z < (lane)big);
     visible &= (ratio >= (lane)1) & (ratio < (lane)big);
-    visible &= (g.determinant < (lane)big) & (LANE_ABS(a) < (lane)big) & (LANE_ABS(c) < (lane)big);
+    visible &= (g.determinant < (lane)big) & (lane_abs(a) < (lane)big) & (lane_abs(c) < (lane)big);
     visible &= (mean_x + reach_x > (lane)0.5f) & (mean_x - reach_x < (lane)(width - 0.5f));
     visible &= (mean_y + reach_y > (lane)0.5f) & (mean_y - reach_y < (lane)(height - 0.5f));
 
@@ -78,12 +86,14 @@ void project(
     lane field[RECORD], color[3];
     shade(color, parameters, capacity, i, camera, degree);
     for (int channel = 0; channel < 3; channel++) {
-        visible &= LANE_ABS(color[channel]) < (lane)big;
+        visible &= lane_abs(color[channel]) < (lane)big;
         color[channel] = LANE_MAX(color[channel], (lane)0);
     }
+    lane_mask dark = (lane_mask)0;
+    for (int channel = 0; channel < 3; channel++)
+        dark |= color[channel] <= (lane)0 ? (lane_mask)(1 << channel) : (lane_mask)0;
     for (int l = 0; l < LANES; l++)
-        clamped[i + l] = (LANE_AT(color[0], l) <= 0) | (LANE_AT(color[1], l) <= 0) << 1
-            | (LANE_AT(color[2], l) <= 0) << 2;
+        clamped[i + l] = LANE_AT_MASK(dark, l);
 
     field[REC_X] = mean_x;
     field[REC_Y] = mean_y;
@@ -101,11 +111,13 @@ void project(
     field[REC_Y1] = LANE_MIN(mean_y + reach_y + (real)0.5, (lane)height);
     field[REC_REST_X] = g.rest_x;
     field[REC_REST_Y] = g.rest_y;
+    const tile_boxes boxes = tiles_of_block(field);
     store_records(records, i, field);
     lane floor_of_alpha = -level * LOG2_E; /* the exponent of 2 at which alpha is the cut-off */
     for (int l = 0; l < LANES; l++)
         if (LANE_AT_MASK(visible, l) && i + l < count) {
-            const uint4 cover = cover_of(records + (i + l) * RECORD, LANE_AT(floor_of_alpha, l));
+            const uint4 cover = cover_of(
+                boxes, l, records + (i + l) * RECORD, LANE_AT(floor_of_alpha, l));
             covers[i + l] = cover;
             if (cover.z | cover.w)
                 keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */

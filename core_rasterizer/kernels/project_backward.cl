@@ -5,21 +5,27 @@ static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, size_t i)
 {
-    real totals[LANES][PAIR];
+    for (int k = 0; k < PAIR; k++)
+        sums[k] = (lane)0;
     for (int l = 0; l < LANES; l++) {
-        for (int k = 0; k < PAIR; k++)
-            totals[l][k] = 0;
-        const uint slots = slot_count[i + l];
-        if (!slots) /* slot_start is undefined */
-            continue;
-        __global const real *slot = pair_sums + (size_t)slot_start[i + l] * PAIR;
+        const uint slots = slot_count[i + l]; /* where it is 0, slot_start is undefined */
+        __global const real *slot = pair_sums + (size_t)(slots ? slot_start[i + l] : 0) * PAIR;
         for (uint s = 0; s < slots; s++, slot += PAIR)
-            for (int k = 0; k < PAIR; k++)
-                totals[l][k] += slot[k];
+            for (int k = 0; k < PAIR / LANES; k++)
+                sums[k * LANES + l] += LOAD_GLOBAL(slot + k * LANES);
     }
-    for (int k = 0; k <= PAIR_TOUCHED; k++)
-        for (int l = 0; l < LANES; l++)
-            LANE_AT(sums[k], l) = totals[l][k];
+#if LANES > 1
+    transpose(sums);
+    transpose(sums + LANES);
+#endif
+}
+
+/* Slots are in depth order, Gaussians are not: without this a third of the kernel's time is waiting. An
+ * undefined slot_start does no harm here. */
+static inline void prefetch_slots(__global const real *pair_sums, __global const uint *slot_start)
+{
+    for (int l = 0; l < LANES; l++)
+        PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR);
 }
 
 /* What overflowed is no gradient: it becomes 0, so that no step of an optimizer can be undefined. */
@@ -27,7 +33,7 @@ static inline void put(__global real *row, lane value, int accumulate)
 {
     if (accumulate)
         value += LOAD_GLOBAL(row);
-    STORE_GLOBAL(row, LANE_ABS(value) < (lane)REAL_LARGEST ? value : (lane)0);
+    STORE_GLOBAL(row, lane_abs(value) < (lane)REAL_LARGEST ? value : (lane)0);
 }
 
 /* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`. */
@@ -142,7 +148,8 @@ void project_backward(
         return;
     }
     prefetch_rows(parameters, stride, i, rows);
-    lane sums[PAIR_TOUCHED + 1];
+    prefetch_slots(pair_sums, slot_start + (i + LANES < count ? i + LANES : i));
+    lane sums[PAIR];
     sum_pairs(sums, pair_sums, slot_start, slot_count, i);
     /* Sums are exactly zero where nothing was touched; selecting by them keeps whatever an unseen or
      * undefined Gaussian computes below from reaching a gradient (0 times infinity is not 0). */
@@ -179,12 +186,9 @@ void project_backward(
     for (int k = 0; k < 3; k++)
         d_mean[k] = r[k] * d_camera[0] + r[3 + k] * d_camera[1] + r[6 + k] * d_camera[2];
 
-    for (int channel = 0; channel < 3; channel++) { /* a clamped colour has no gradient */
-        d_color[channel] = sums[PAIR_RED + channel];
-        for (int l = 0; l < LANES; l++)
-            if (clamped[i + l] >> channel & 1)
-                LANE_AT(d_color[channel], l) = 0;
-    }
+    const lane_mask dark = LOAD_BYTES(clamped + i);
+    for (int channel = 0; channel < 3; channel++) /* a clamped colour has no gradient */
+        d_color[channel] = (dark & 1 << channel) == 0 ? sums[PAIR_RED + channel] : (lane)0;
     color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate, d_mean);
 
     for (int k = 0; k < 3; k++) {

@@ -23,11 +23,9 @@ typedef struct {
 /* Sixty rows are more streams than a processor foresees. Reaching beyond a row's end does no harm. */
 static inline void prefetch_rows(__global const real *rows, size_t capacity, size_t i, int count)
 {
-#if LANES > 1
-    if (i % 16 == 0) /* a cache line */
+    if (LANES > 1 && i % 16 == 0) /* a cache line */
         for (int row = 0; row < count; row++)
-            __builtin_prefetch((const void *)(size_t)(rows + row * capacity + i + AHEAD));
-#endif
+            PREFETCH(rows + row * capacity + i + AHEAD);
 }
 
 /* Opacity and its slope: the parameter is a logit, or the opacity itself where `activated`. */
@@ -40,7 +38,7 @@ static inline void read_opacity(
         return;
     }
     /* Both sigmoid(x) and 1 - sigmoid(x) without cancellation. */
-    const lane decay = lane_exp(-LANE_ABS(parameter));
+    const lane decay = lane_exp(-lane_abs(parameter));
     const lane near_one = 1 / (1 + decay), near_zero = decay / (1 + decay);
     g->opacity = (parameter > (lane)0 ? near_one : near_zero) * modifier;
     g->opacity_slope = near_one * near_zero * modifier;
@@ -48,7 +46,7 @@ static inline void read_opacity(
 
 static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, lane *rotation)
 {
-    lane largest = LANE_MAX(LANE_MAX(LANE_ABS(w), LANE_ABS(x)), LANE_MAX(LANE_ABS(y), LANE_ABS(z)));
+    lane largest = LANE_MAX(LANE_MAX(lane_abs(w), lane_abs(x)), LANE_MAX(lane_abs(y), lane_abs(z)));
     const lane_mask zero = largest < (lane)SMALLEST_QUATERNION;
     largest = zero ? (lane)1 : largest;
     w /= largest, x /= largest, y /= largest, z /= largest;
@@ -84,8 +82,9 @@ static inline void project_block(
     const wide_lane x = w[0] * wide_x + w[1] * wide_y + w[2] * wide_z + w[9];
     const wide_lane y = w[3] * wide_x + w[4] * wide_y + w[5] * wide_z + w[10];
     const wide_lane z = w[6] * wide_x + w[7] * wide_y + w[8] * wide_z + w[11];
-    const wide_lane image_x = camera[CAMERA_FX] * (x / z) + camera[CAMERA_CX];
-    const wide_lane image_y = camera[CAMERA_FY] * (y / z) + camera[CAMERA_CY];
+    const wide_lane per_z = 1 / z;
+    const wide_lane image_x = camera[CAMERA_FX] * (x * per_z) + camera[CAMERA_CX];
+    const wide_lane image_y = camera[CAMERA_FY] * (y * per_z) + camera[CAMERA_CY];
     g->x = FROM_WIDE(x);
     g->y = FROM_WIDE(y);
     g->z = FROM_WIDE(z);
