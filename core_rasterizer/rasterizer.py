@@ -19,6 +19,7 @@ from .camera import Camera
 from .device import Device, DeviceArray
 from .errors import ExplainedError
 from .frames import Block, Frame, Lease, View, make_room
+from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
@@ -34,9 +35,6 @@ OVERRIDES = frozenset(
     )
 )
 """Macros of the kernels that a `Rasterizer` may be built with instead of their defaults."""
-
-_DIGIT_BITS = 11
-_BUCKETS = 1 << _DIGIT_BITS
 
 
 class Rasterizer:
@@ -77,26 +75,23 @@ class Rasterizer:
         width, height = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
         macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, **overrides}
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
-        self.chunks = min(16, 2 * device.compute_units) if self.on_cpu else 64
         self.group = 16 if self.on_cpu else 64
         self.budget = Budget(
-            memory_budget or device.memory_bytes // 2, dtype, _BUCKETS, self.chunks
+            memory_budget or device.memory_bytes // 2, dtype, BUCKETS, chunks_of(device)
         )
+        self._lists = TileLists(device)
         self.program = device.program(
             "scene",
             "harmonics",
             "projection",
             "cover",
             "project",
-            "scan",
-            "sort",
-            "bin",
             "project_backward",
+            *SOURCES,
             dtype=dtype,
-            DIGIT_BITS=_DIGIT_BITS,
             PROJECT_GROUP=self.group,
-            SCAN_GROUP=self.group,
             **macros,
+            **self._lists.macros,
         )
         self.raster_program = device.program(
             "scene",
@@ -128,9 +123,9 @@ class Rasterizer:
         frame.view = view
         self._prepare(frame, block, view)
         self._project(frame, block, view)
-        self._sort(frame, block)
+        self._lists.sort(self.program, frame, block.count)
         while True:
-            self._bin(frame)
+            self._lists.bin(self.program, frame, self._capacity_of(frame))
             images = self._blend(frame, view.camera)
             counters = frame.arrays["counters"].read()
             frame.visible, frame.pairs = int(counters[0]), int(counters[1])
@@ -233,12 +228,7 @@ class Rasterizer:
         self._fit(frame, "counters", torch.int64, 4)
         self._fit(frame, "transmittance", self.dtype, camera.width * camera.height)
         self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
-        for name in ("keys", "keys_a", "order_a", "keys_b", "order_b"):
-            self._reserve(name, torch.int32, capacity)
-        self._reserve("covers", torch.int32, 4 * capacity)
-        self._reserve("counts", torch.int32, self.chunks * max(_BUCKETS, tiles))
-        self._reserve("totals", torch.int32, _BUCKETS + 1)
-        self._reserve("chunk_pairs", torch.int32, self.chunks + 1)
+        self._lists.reserve(capacity, tiles)
         frame.arrays["camera"].write(view.camera_block())
         if view.modifiers is not None:
             self._fit(frame, "modifiers", self.dtype, capacity)
@@ -256,77 +246,15 @@ class Rasterizer:
             arrays["modifiers"] if modified else block.parameters,
             arrays["camera"],
             arrays["records"],
-            self._scratch["keys"],
+            self._lists.keys,
             arrays["slot_count"],
             arrays["clamped"],
-            self._scratch["covers"],
+            self._lists.covers,
             np.uint32(block.count),
             np.uint32(block.capacity),
             np.int32(view.sh_degree),
             np.int32(block.activated),
             np.int32(modified),
-        )
-
-    def _sort(self, frame: Frame, block: Block) -> None:
-        """Leave the visible Gaussians, nearest first, in the scratch array `order_a`."""
-        scratch, counters = self._scratch, frame.arrays["counters"]
-        counts, totals = scratch["counts"], scratch["totals"]
-        passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
-        for number, (keys, order, out) in enumerate(passes):
-            settings = (
-                np.uint32(block.count),
-                np.uint32(number * _DIGIT_BITS),
-                np.uint32(number == 0),
-            )
-            self._run_chunks("count_digits", scratch[keys], counts, counters, *settings)
-            self._scan(counts, totals, _BUCKETS, counters, counter=0)
-            self._run_chunks(
-                "scatter_digits",
-                scratch[keys],
-                scratch[order],
-                scratch[f"keys_{out}"],
-                scratch[f"order_{out}"],
-                counts,
-                totals,
-                counters,
-                *settings,
-            )
-
-    def _bin(self, frame: Frame) -> None:
-        arrays, scratch = frame.arrays, self._scratch
-        counters, counts, order = arrays["counters"], scratch["counts"], scratch["order_a"]
-        tiles = frame.tiles[0] * frame.tiles[1]
-        size = (np.uint32(tiles), np.int32(frame.tiles[0]))
-        chunk_pairs = scratch["chunk_pairs"]
-        self._run_chunks(
-            "count_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            chunk_pairs,
-            counters,
-            *size,
-            np.uint32(frame.pair_limit),
-        )
-        self._scan(counts, arrays["tile_starts"], tiles, counters, counter=2)
-        self.program.run(
-            "scan_buckets", (1,), (1,), chunk_pairs, counters, np.uint32(self.chunks), np.uint32(1)
-        )
-        self._run_chunks(
-            "fill_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            arrays["tile_starts"],
-            chunk_pairs,
-            arrays["pairs"],
-            arrays["slot_start"],
-            arrays["slot_count"],
-            counters,
-            *size,
-            np.uint32(self._capacity_of(frame)),
         )
 
     def _blend(self, frame: Frame, camera: Camera) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
@@ -379,35 +307,10 @@ class Rasterizer:
     def _reserve(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
         return make_room(self._scratch, self.device, name, dtype, elements)
 
-    def _scan(
-        self,
-        counts: DeviceArray,
-        totals: DeviceArray,
-        buckets: int,
-        counters: DeviceArray,
-        counter: int,
-    ) -> None:
-        size = -(-buckets // self.group) * self.group
-        self.program.run(
-            "scan_chunks",
-            (size,),
-            (self.group,),
-            counts,
-            totals,
-            np.uint32(buckets),
-            np.uint32(self.chunks),
-        )
-        self.program.run(
-            "scan_buckets", (1,), (1,), totals, counters, np.uint32(buckets), np.uint32(counter)
-        )
-
     def _run_blocks(self, kernel: str, capacity: int, *arguments: Any) -> None:
         blocks = capacity // self.device.lanes
         size = -(-blocks // self.group) * self.group
         self.program.run(kernel, (size,), (self.group,), *arguments)
-
-    def _run_chunks(self, kernel: str, *arguments: Any) -> None:
-        self.program.run(kernel, (self.chunks,), (1,), *arguments)
 
     def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
         tiles = frame.tiles[0] * frame.tiles[1]

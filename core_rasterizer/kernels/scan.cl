@@ -18,16 +18,30 @@ void scan_chunks(__global uint *counts, __global uint *totals, uint buckets, uin
     totals[bucket] = sum;
 }
 
-/* One work-item. Turns totals into exclusive starts and stores the grand total, in 64 bits. */
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+/* One work-group. Turns totals into exclusive starts and stores the grand total, in 64 bits. Each
+ * work-item adds up a share of neighbouring buckets, then all those before it. */
+__kernel __attribute__((reqd_work_group_size(SCAN_ITEMS, 1, 1)))
 void scan_buckets(__global uint *totals, __global ulong *counters, uint buckets, uint counter)
 {
+    __local ulong shares[SCAN_ITEMS];
+    const uint id = get_local_id(0);
+    const uint begin = (uint)((ulong)buckets * id / SCAN_ITEMS);
+    const uint end = (uint)((ulong)buckets * (id + 1) / SCAN_ITEMS);
     ulong sum = 0;
-    for (uint bucket = 0; bucket < buckets; bucket++) {
+    for (uint bucket = begin; bucket < end; bucket++)
+        sum += totals[bucket];
+    shares[id] = sum;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    sum = 0;
+    for (uint before = 0; before < id; before++)
+        sum += shares[before];
+    for (uint bucket = begin; bucket < end; bucket++) {
         const uint here = totals[bucket];
         totals[bucket] = (uint)sum;
         sum += here;
     }
-    totals[buckets] = (uint)sum;
-    counters[counter] = sum;
+    if (id == SCAN_ITEMS - 1) {
+        totals[buckets] = (uint)sum;
+        counters[counter] = sum;
+    }
 }

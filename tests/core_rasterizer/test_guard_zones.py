@@ -65,7 +65,7 @@ def test_the_zones_catch_a_kernel_that_strays(device: Device, pattern: int) -> N
     inside = GuardedDevice(device, pattern)
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
-    program = inside.program("scan", dtype=torch.float32, SCAN_GROUP=16)
+    program = inside.program("scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     arguments = (np.uint32(15), np.uint32(1))
     program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
     assert inside.check() == 2
