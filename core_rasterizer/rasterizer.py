@@ -30,6 +30,7 @@ OVERRIDES = frozenset(
         "EARLY_STOP",
         "EXACT_TILE_TEST",
         "EXP2_DEGREE",
+        "RASTER_LANES",
         "TILE_HEIGHT",
         "TILE_WIDTH",
     )
@@ -73,7 +74,8 @@ class Rasterizer:
         # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
         few_cores = self.on_cpu and device.compute_units <= 4
         width, height = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
-        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, **overrides}
+        # No number of lanes: as many as the processor has registers for.
+        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self.group = 16 if self.on_cpu else 64
         self.budget = Budget(
@@ -99,7 +101,7 @@ class Rasterizer:
             "raster_cpu" if self.on_cpu else "raster_gpu",
             dtype=dtype,
             **macros,
-            **({"LANES": 0} if self.on_cpu else {}),  # as many as the processor has registers for
+            LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
         )
         self._scratch: dict[str, DeviceArray] = {}
         self._frames: list[Frame] = []

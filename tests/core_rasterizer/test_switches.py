@@ -151,19 +151,23 @@ def test_each_degree_of_the_exponential_has_its_error(device: Device) -> None:
 @pytest.mark.parametrize(
     ("dtype", "bound"), [(torch.float32, 1e-6), (torch.float64, 1e-12)], ids=["float", "double"]
 )
-def test_tiles_of_any_size_give_the_same_images_and_gradients(
+def test_tiles_and_vectors_of_any_size_give_the_same_images_and_gradients(
     device: Device, dtype: torch.dtype, bound: float
 ) -> None:
     sizes = [(32, 16), (64, 64)] if device.variant == "cpu" else [(8, 8), (16, 8)]
+    others: list[Overrides] = [{"TILE_WIDTH": w, "TILE_HEIGHT": h} for w, h in sizes]
+    if device.variant == "cpu":
+        others += [{"RASTER_LANES": lanes} for lanes in (8, 16)]
+        others.append({"RASTER_LANES": 16, "TILE_WIDTH": 24, "TILE_HEIGHT": 15})
     ours = outcome(device, {}, dtype)
-    for width, height in sizes:
-        theirs = outcome(device, {"TILE_WIDTH": width, "TILE_HEIGHT": height}, dtype)
+    for overrides in others:
+        theirs = outcome(device, overrides, dtype)
         for name in ours:
             errors = (theirs[name] - ours[name]).abs().flatten() / ours[name].abs().max()
             # In float a value within rounding of a threshold may fall on its other side.
             most = bound if name in ("rgb", "depth", "alpha") else 20 * bound
-            assert errors.sort().values[int(0.999 * len(errors))] < most, name
-            assert errors.max() < 1e4 * bound, name
+            assert errors.sort().values[int(0.999 * len(errors))] < most, (overrides, name)
+            assert errors.max() < 1e4 * bound, (overrides, name)
 
 
 def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -> None:
