@@ -1,0 +1,92 @@
+"""The lists of Gaussians by tile: complete, in order, and the same however the work is shared out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core_rasterizer import Device, GaussianModel
+from core_rasterizer.budget import RECORD
+from core_rasterizer.frames import View
+from tests.core_rasterizer.test_model import parameters, view
+
+CUT = 1 / 255
+
+
+class Lists(NamedTuple):
+    """What a render leaves behind, on the host."""
+
+    records: NDArray[np.float32]
+    """`[N, 16]`, see `kernels/scene.cl`."""
+    pairs: NDArray[np.int32]
+    """`[P, 2]`: Gaussian, slot."""
+    starts: NDArray[np.int32]
+    """`[tiles + 1]`: where each tile's pairs begin."""
+    tile: tuple[int, int]
+    tiles_across: int
+
+
+def lists_of(device: Device) -> Lists:
+    model, camera = GaussianModel(parameters(300), device), view()
+    rasterizer = model.rasterizer
+    frame = rasterizer.forward(model.block, View(camera, (0.0, 0.0, 0.0), 3))[3].frame
+    tiles = frame.tiles[0] * frame.tiles[1]
+    arrays = {
+        name: frame.arrays[name].read().numpy() for name in ("records", "pairs", "tile_starts")
+    }
+    return Lists(
+        arrays["records"].reshape(-1, RECORD).copy(),
+        arrays["pairs"][: 2 * frame.pairs].reshape(-1, 2).copy(),
+        arrays["tile_starts"][: tiles + 1].copy(),
+        rasterizer.tile,
+        frame.tiles[0],
+    )
+
+
+def touches(record: NDArray[np.float32], x0: int, y0: int, width: int, height: int) -> bool:
+    """Whether alpha reaches 1/255 at a pixel of a tile well inside the cut-off."""
+    x = x0 + np.arange(width) + 0.5 - record[0]
+    y = (y0 + np.arange(height) + 0.5 - record[1])[:, None]
+    exponent = record[2] * x * x + record[3] * x * y + record[4] * y * y
+    return bool((record[5] * np.exp2(np.minimum(exponent, 0)) > 1.001 * CUT).any())
+
+
+def test_each_list_is_complete_and_nearest_first(device: Device) -> None:
+    lists = lists_of(device)
+    width, height = lists.tile
+    camera = view()
+    shown = set(lists.pairs[:, 0].tolist())
+    assert len(shown) > 100
+    for tile in range(len(lists.starts) - 1):
+        row, column = divmod(tile, lists.tiles_across)
+        x0, y0 = column * width, row * height
+        size = min(width, camera.width - x0), min(height, camera.height - y0)
+        listed = lists.pairs[lists.starts[tile] : lists.starts[tile + 1], 0].tolist()
+        assert len(set(listed)) == len(listed)
+        depths = [(float(lists.records[g, 9]), g) for g in listed]
+        assert depths == sorted(depths)
+        for g in shown - set(listed):
+            assert not touches(lists.records[g], x0, y0, *size), (tile, g)
+
+
+def test_slots_of_a_gaussian_are_neighbours_and_no_two_pairs_share_one(device: Device) -> None:
+    pairs = lists_of(device).pairs
+    assert sorted(pairs[:, 1].tolist()) == list(range(len(pairs)))
+    for g in np.unique(pairs[:, 0]):
+        slots = np.sort(pairs[pairs[:, 0] == g, 1])
+        assert (np.diff(slots) == 1).all()
+
+
+@pytest.mark.parametrize("chunks", [1, 7, 500])
+def test_the_number_of_chunks_changes_nothing(
+    device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = lists_of(device)
+    for module in ("tile_lists", "rasterizer"):
+        monkeypatch.setattr(f"core_rasterizer.{module}.chunks_of", lambda device: chunks)
+    lists = lists_of(device)
+    assert np.array_equal(lists.pairs, expected.pairs)
+    assert np.array_equal(lists.starts, expected.starts)
