@@ -248,11 +248,16 @@ class DeviceArray:
             cl.enqueue_copy(self.device.queue, self.buffer, values.numpy(), dst_offset=offset)
             self.device.bytes_moved += values.nbytes
 
-    def fill(self, value: int) -> None:
-        """Set every element to `value`."""
-        pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
-        size = max(1, int(np.prod(self.shape, dtype=np.int64))) * self.dtype.itemsize
-        cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, 0, size)
+    def fill(self, value: int, first: int = 0, last: int | None = None) -> None:
+        """Set every element of rows `[first, last)` to `value`; by default all."""
+        _, begin, end = self._rows(first, last)
+        if self._host is not None:
+            self._map(self._host, cl.map_flags.WRITE)
+            self._host[begin:end] = value
+        elif begin < end:
+            pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
+            begin, end = begin * self.dtype.itemsize, end * self.dtype.itemsize
+            cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, begin, end - begin)
 
     def _rows(self, first: int, last: int | None) -> tuple[tuple[int, ...], int, int]:
         """Shape of a range of rows, and where its elements begin and end."""

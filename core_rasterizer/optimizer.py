@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyopencl as cl
 import torch
 from torch import Tensor
 
@@ -119,17 +118,8 @@ class Adam:
                 fix=f"use one of {', '.join(PARAMETER_GROUPS)}",
             )
         first, last = PARAMETER_GROUPS[name]
-        row_bytes = self._model.capacity * self._model.dtype.itemsize
-        begin, end = first * row_bytes, (last or self._model.rows) * row_bytes
-        if begin < end:
-            for moments in (self.first_moments, self.second_moments):
-                cl.enqueue_fill_buffer(
-                    self._model.device.queue,
-                    moments.buffer,
-                    np.zeros(1, np.uint32),
-                    begin,
-                    end - begin,
-                )
+        for moments in (self.first_moments, self.second_moments):
+            moments.fill(0, first, last)
 
     def state(self) -> dict[str, Tensor]:
         """Everything needed to continue: copies on the host, for a checkpoint.

@@ -1,6 +1,6 @@
 /* Forward, stage 1: cull, project, colour, and pack one record a Gaussian. */
 
-/* Writes the block's lanes one record after another. */
+/* Writes the lanes of a block one record after another; `field` is used up. */
 static inline void store_records(__global real *records, size_t i, const lane *field)
 {
 #if LANES == 1
