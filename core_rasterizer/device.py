@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -203,7 +204,7 @@ class DeviceArray:
         self.shape = shape
         self.dtype = dtype
         # OpenCL has no empty buffers, so an empty array keeps one element in reserve.
-        elements = max(1, int(np.prod(shape, dtype=np.int64)))
+        elements = max(1, math.prod(shape))
         self.buffer, self._host = device.allocate(elements, dtype, over)
         if self._host is None:
             self.fill(0)
@@ -216,7 +217,7 @@ class DeviceArray:
     @property
     def nbytes(self) -> int:
         """Bytes that the array's elements take."""
-        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+        return math.prod(self.shape) * self.dtype.itemsize
 
     def read(self, first: int = 0, last: int | None = None) -> Tensor:
         """Wait for the device and return rows `[first, last)` of the contents; by default all.
@@ -262,7 +263,7 @@ class DeviceArray:
     def _rows(self, first: int, last: int | None) -> tuple[tuple[int, ...], int, int]:
         """Shape of a range of rows, and where its elements begin and end."""
         last = self.shape[0] if last is None else last
-        row = int(np.prod(self.shape[1:], dtype=np.int64))
+        row = math.prod(self.shape[1:])
         return (last - first, *self.shape[1:]), first * row, last * row
 
     def _map(self, host: Tensor, flags: Any) -> None:

@@ -118,7 +118,7 @@ class _Workspace:
     ) -> tuple[float, Tensor | None]:
         """The loss and, if asked for, its gradient image."""
         image, reference, result = self._bind(rgb, target)
-        values = int(np.prod(self._shape))
+        values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
         self._program.run(
             "photometric",
