@@ -1,7 +1,7 @@
 /* Forward, stage 1: cull, project, colour, and pack one record a Gaussian. */
 
 /* Writes the lanes of a block one record after another; `field` is used up. */
-static inline void store_records(__global real *records, size_t i, const lane *field)
+static inline void store_records(__global real *records, size_t i, lane *field)
 {
 #if LANES == 1
     for (int k = 0; k < RECORD; k++)
