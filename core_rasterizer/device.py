@@ -22,7 +22,8 @@ Kind = Literal["cpu", "gpu", "accelerator"]
 Variant = Literal["cpu", "gpu"]
 
 CPU_LANES = 8
-"""Vector width of kernels on a CPU: eight floats fill an AVX register; wider brought nothing."""
+"""Vector width of kernels on a CPU: eight floats fill an AVX register. Wider brought nothing, but to the
+rasterizer, which chooses for itself (`kernels/lanes.cl`)."""
 
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-no-signed-zeros")
 _NUMPY_TYPES = {

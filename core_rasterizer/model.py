@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +13,7 @@ from torch.autograd.function import once_differentiable
 from .camera import Camera
 from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
+from .finite import undefined_places
 from .frames import NEAR_PLANE, ROWS_BEFORE_SH, Block, View, padded
 from .gaussians import Gaussians, sh_coefficients
 from .rasterizer import Rasterizer
@@ -105,9 +105,9 @@ class GaussianModel:
                 f"the shape is {tuple(values.shape)}, expected {expected}", field=name
             )
         values = values.to(self.dtype).reshape(self.count, last - first)
-        # One pass tells whether all is well; only a sum that is not finite is worth a closer look.
-        if not math.isfinite(values.sum()):
-            _refuse_undefined(values, name)
+        undefined = undefined_places(values)
+        if len(undefined):
+            raise GaussianError("a value is not finite", field=name, index=int(undefined[0, 0]))
         updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
         # numpy, because torch takes twenty times as long to copy what is transposed.
         updated.numpy()[:, : self.count] = values.detach().numpy().T
@@ -263,13 +263,6 @@ class GaussianModel:
         if name == "sh":
             return values.T.reshape(self.count, values.shape[0] // 3, 3)
         return values.T
-
-
-def _refuse_undefined(values: Tensor, name: str) -> None:
-    """Refuse values `[N, ...]` of which one is a NaN or an infinity."""
-    undefined = (~torch.isfinite(values)).nonzero()
-    if len(undefined):
-        raise GaussianError("a value is not finite", field=name, index=int(undefined[0, 0]))
 
 
 def rows_from(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:

@@ -13,6 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from .device import Device, DeviceArray, open_device
 from .errors import ExplainedError
+from .finite import undefined_places
 
 SSIM_WEIGHT = 0.2
 """The share of D-SSIM in the loss of 3DGS."""
@@ -154,7 +155,7 @@ class _Workspace:
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
     """What made the loss a value that is not finite."""
     for name, image in (("rgb", rgb), ("target", target)):
-        bad = (~torch.isfinite(image)).nonzero()
+        bad = undefined_places(image)
         if len(bad):
             y, x, channel = bad[0].tolist()
             return ExplainedError(

@@ -6,7 +6,6 @@ This module knows buffers and kernels. Autograd lives in `model.py` (device-resi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,6 +17,7 @@ from .budget import RECORD, Budget
 from .camera import Camera
 from .device import Device, DeviceArray
 from .errors import ExplainedError
+from .finite import undefined_places
 from .frames import Block, Frame, Lease, View, make_room
 from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
 
@@ -294,9 +294,7 @@ class Rasterizer:
         if gradient is None:
             return self._reserve(f"no_{name}", self.dtype, size)
         gradient = gradient.to(self.dtype).contiguous()
-        # One pass tells whether all is well; only a sum that is not finite is worth a closer look.
-        if not math.isfinite(gradient.sum()):
-            _refuse_undefined(gradient, name)
+        _refuse_undefined(gradient, name)
         if self.device.shares_memory:
             return DeviceArray(self.device, (size,), self.dtype, over=gradient)
         array = self._reserve(f"d_{name}", self.dtype, size)
@@ -322,7 +320,7 @@ class Rasterizer:
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:
     """Refuse the gradient of an image that holds a NaN or an infinity."""
-    undefined = (~torch.isfinite(gradient)).nonzero()
+    undefined = undefined_places(gradient)
     if len(undefined):
         place = ", ".join(str(index) for index in undefined[0].tolist())
         raise ExplainedError(

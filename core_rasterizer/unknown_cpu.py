@@ -3,7 +3,7 @@
 PoCL asks its LLVM for the name of the host's processor. An LLVM older than the processor answers
 "generic", which the same LLVM then refuses as a target, so every build fails (seen with the PoCL 3.0
 that pip installs, LLVM 14, on Zen 5); or it takes the processor for its predecessor, so that half of
-the registers lie idle (Zen 4, taken for Zen 3: `raster_backward` needed half as long again). PoCL has
+the registers lie idle (Zen 4, taken for Zen 3: `raster_backward` took a third longer). PoCL has
 no setting for the name, but keeps it as a C string on the heap, reachable from the device's handle;
 writing the name of an older processor with the same instruction sets over it is enough. Memory is
 only touched through /proc/self/mem, which answers a bad address with an error instead of a crash, and

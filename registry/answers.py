@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Edit
+from core_rasterizer.finite import undefined_places
 
 from .components import OpacityUpdate, Unavailable
 from .errors import PluginError
@@ -101,12 +102,10 @@ def _tensor(what: str, value: Any) -> Tensor:
 
 
 def _finite(what: str, tensor: Tensor) -> None:
-    # One pass tells whether all is well; only a sum that is not finite is worth a closer look.
-    if math.isfinite(tensor.detach().sum()):
-        return
-    bad = ~torch.isfinite(tensor.detach())
-    if bad.any():
-        raise PluginError(f"{what} is not finite", where=_first(bad) if bad.ndim else "")
+    undefined = undefined_places(tensor)
+    if len(undefined):
+        where = f"Gaussian {int(undefined[0, 0])}" if tensor.ndim else ""
+        raise PluginError(f"{what} is not finite", where=where)
 
 
 def _first(bad: Tensor) -> str:

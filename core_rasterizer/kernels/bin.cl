@@ -5,7 +5,7 @@
  * are neighbours, so that its gradient is a sum over contiguous memory in a fixed order. */
 
 #define LOT (1u << 20)
-#define EARLY 16 /* Gaussians: depth order is random order in memory, so a CPU is told in advance */
+#define ORDER_AHEAD 16 /* Gaussians: depth order is random order in memory, so a CPU is told in advance */
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void count_tiles(
@@ -23,8 +23,8 @@ void count_tiles(
     volatile __global uint *lots = chunk_pairs + chunks;
     ulong pairs = 0, reported = 0;
     for (size_t r = visible * chunk / chunks; r < end && *lots <= pair_limit / LOT; r++) {
-        if (r + EARLY < end)
-            PREFETCH(covers + order[r + EARLY]);
+        if (r + ORDER_AHEAD < end)
+            PREFETCH(covers + order[r + ORDER_AHEAD]);
         const uint4 cover = covers[order[r]];
         FOR_EACH_TILE(cover, records + (size_t)order[r] * RECORD, {
             mine[tile]++;
@@ -57,10 +57,10 @@ void fill_tiles(
     uint slot = chunk_starts[chunk];
     for (size_t r = visible * chunk / chunks; r < end; r++) {
         const uint gaussian = order[r];
-        if (r + EARLY < end) {
-            PREFETCH(covers + order[r + EARLY]);
-            PREFETCH_TO_WRITE(slot_start + order[r + EARLY]);
-            PREFETCH_TO_WRITE(slot_count + order[r + EARLY]);
+        if (r + ORDER_AHEAD < end) {
+            PREFETCH(covers + order[r + ORDER_AHEAD]);
+            PREFETCH_TO_WRITE(slot_start + order[r + ORDER_AHEAD]);
+            PREFETCH_TO_WRITE(slot_count + order[r + ORDER_AHEAD]);
         }
         const uint4 cover = covers[gaussian];
         slot_start[gaussian] = slot;

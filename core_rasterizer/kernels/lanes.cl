@@ -8,8 +8,8 @@
  * functions and spills every vector register around the call.
  */
 
-/* The rasterizer's vectors are twice as long where there are registers for it: two independent halves
- * hide what one waits for. */
+/* LANES = 0, which the rasterizer on a CPU asks for: as many as there are registers for. Of twice as long a
+ * vector, two independent halves hide what one waits for. */
 #if LANES == 0
 #undef LANES
 #ifdef __AVX512F__

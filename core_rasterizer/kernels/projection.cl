@@ -18,14 +18,14 @@ typedef struct {
     lane opacity_slope;       /* d opacity / d parameter */
 } projected;
 
-#define AHEAD 64 /* Gaussians */
+#define ROWS_AHEAD 64 /* Gaussians */
 
 /* Sixty rows are more streams than a processor foresees. Reaching beyond a row's end does no harm. */
 static inline void prefetch_rows(__global const real *rows, size_t capacity, size_t i, int count)
 {
     if (LANES > 1 && i % 16 == 0) /* a cache line */
         for (int row = 0; row < count; row++)
-            PREFETCH(rows + row * capacity + i + AHEAD);
+            PREFETCH(rows + row * capacity + i + ROWS_AHEAD);
 }
 
 /* Opacity and its slope: the parameter is a logit, or the opacity itself where `activated`. */

@@ -9,7 +9,7 @@
 #define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
 #define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
 #define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
-#define AHEAD 12 /* Gaussians: what they need is scattered over memory, and fetched so early */
+#define PAIRS_AHEAD 12 /* Gaussians: what they need is scattered over memory, and fetched so early */
 #define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
 
 typedef struct {
@@ -94,8 +94,8 @@ void raster(
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
             break;
         __global const real *g = records + (size_t)pairs[p].x * RECORD;
-        if (p + AHEAD < end)
-            PREFETCH(records + (size_t)pairs[p + AHEAD].x * RECORD);
+        if (p + PAIRS_AHEAD < end)
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
         const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
@@ -206,9 +206,9 @@ static inline __attribute__((always_inline)) void walk_back(
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
             break;
         __global const real *g = records + (size_t)pairs[p].x * RECORD;
-        if (p + AHEAD < end) {
-            PREFETCH(records + (size_t)pairs[p + AHEAD].x * RECORD);
-            PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + AHEAD].y * PAIR);
+        if (p + PAIRS_AHEAD < end) {
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
+            PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + PAIRS_AHEAD].y * PAIR);
         }
         const pixel_box box = box_in(g, area);
         const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];

@@ -89,7 +89,8 @@ def pose_errors(found: list[Camera], truth: list[Camera]) -> tuple[Array, Array]
     lines = [p[first] - p[second] for p in (center[0] @ turn.T, center[1])]
     lines = [line / np.linalg.norm(line, axis=1, keepdims=True) for line in lines]
     along = (lines[0] * lines[1]).sum(axis=1)
-    return tuple(np.degrees(np.arccos(np.clip(c, -1, 1))) for c in (cosines, along))  # type: ignore[return-value]
+    rotations, directions = (np.degrees(np.arccos(np.clip(c, -1, 1))) for c in (cosines, along))
+    return rotations, directions
 
 
 def test_is_offered_as_photos() -> None:
