@@ -31,7 +31,7 @@ from registry import RunError
 from registry.ablation.folder import AblationFolder
 from registry.ablation.runner import train_all
 from registry.plugins import Plugins
-from registry.prior_cache import VARIABLE as PRIOR_CACHE
+from registry.priors.prior_cache import VARIABLE as PRIOR_CACHE
 
 OUT = Path(__file__).parent / "out" / "results"
 DOCS = Path(__file__).parent.parent / "docs"

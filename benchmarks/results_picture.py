@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from registry.comparison import FinishedRun
+from registry.comparing.comparison import FinishedRun
 from registry.files import replacing
 
 THUMBNAIL = (160, 120)

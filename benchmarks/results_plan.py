@@ -10,11 +10,11 @@ from pathlib import Path
 from registry import RunError
 from registry.ablation.plan import Combination, PlannedRun
 from registry.ablation.planning import pipeline_digest
-from registry.pipeline import build_pipeline
-from registry.pipeline_edits import apply_override
+from registry.pipeline.edits import apply_override
+from registry.pipeline.pipeline import build_pipeline
+from registry.pipeline.yaml_source import read
 from registry.plugins import Plugins
 from registry.suggestions import listing
-from registry.yaml_source import read
 
 DATA = "STEREOGS_DATA"
 PIPELINES = Path(__file__).parent.parent / "pipelines"

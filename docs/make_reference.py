@@ -10,10 +10,10 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from registry import Settings
-from registry.hook_points import HOOK_POINTS
+from registry.contract.hook_points import HOOK_POINTS
+from registry.pipeline.schedule import HostSettings
+from registry.pipeline.training_settings import LearningRates, TrainingSettings
 from registry.plugins import Offer, Plugins
-from registry.schedule import HostSettings
-from registry.training_settings import LearningRates, TrainingSettings
 
 PAGE = Path(__file__).parent / "components.md"
 PACKAGE = "stereogs-plugins"

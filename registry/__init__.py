@@ -14,9 +14,8 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 """
 
 from . import web_page
-from .components import (
-    Component,
-    Context,
+from .contract.component import Component, Context, Settings
+from .contract.components import (
     Densification,
     Exporter,
     Initializer,
@@ -24,31 +23,30 @@ from .components import (
     Modifier,
     OpacityPolicy,
     OpacityUpdate,
-    Prior,
     Regularizer,
     Report,
     SceneLoader,
-    Settings,
-    Step,
     Unavailable,
     ViewMetric,
 )
+from .contract.hook_points import API_VERSION
+from .contract.hooks import Register, hookimpl
+from .contract.prior import Prior
+from .contract.scene import PointCloud, Scene, View, validate
+from .contract.step import Step
+from .drawing.pictures import grey, nearness_picture, side_by_side
 from .errors import PipelineError, PluginError, RunError, SceneError
-from .hook_points import API_VERSION
-from .hooks import Register, hookimpl
-from .model_file import Sha256, read_model_file
-from .onnx_model import OnnxModel, OnnxTensor
-from .onnx_session import OnnxProvider
-from .pictures import grey, nearness_picture, side_by_side
-from .prior_cache import cache_folder
-from .priors import (
+from .priors.capabilities import (
     DepthMap,
     Disparity,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     StereoPrior,
 )
-from .scene import PointCloud, Scene, View, validate
+from .priors.model_file import Sha256, read_model_file
+from .priors.onnx_model import OnnxModel, OnnxTensor
+from .priors.onnx_session import OnnxProvider
+from .priors.prior_cache import cache_folder
 
 __all__ = [
     "API_VERSION",

@@ -12,10 +12,10 @@ from typing import Any
 
 import pluggy
 
-from . import hooks
-from .components import Component, Settings
+from .contract import hooks
+from .contract.component import Component, Settings
+from .contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
 from .errors import PluginError
-from .hook_points import API_VERSION, HOOK_POINTS, HookPoint
 from .suggestions import did_you_mean, listing
 
 GROUP = "stereogs.plugins"

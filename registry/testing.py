@@ -34,22 +34,25 @@ from core_rasterizer import (
     photometric_loss,
 )
 
-from .answers import (
+from .contract.answers import (
     check_edit,
     check_loss,
     check_opacity_scale,
     check_opacity_update,
     check_score,
 )
-from .components import Component, Context, Prior, Settings, Step, Unavailable
-from .hook_points import HOOK_POINTS
-from .initial_model import initial_gaussians
+from .contract.component import Component, Context, Settings
+from .contract.components import Unavailable
+from .contract.hook_points import HOOK_POINTS
+from .contract.prior import Prior
+from .contract.scene import PointCloud, Scene, View, validate
+from .contract.step import Step
+from .pipeline.training_settings import TrainingSettings
 from .plugins import check_offer
-from .prior_cache import VARIABLE
-from .priors import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
-from .scene import PointCloud, Scene, View, validate
-from .step_rendering import StepRenderer
-from .training_settings import TrainingSettings
+from .priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+from .priors.prior_cache import VARIABLE
+from .training.initial_model import initial_gaussians
+from .training.step_rendering import StepRenderer
 
 _WIDTH, _HEIGHT = 32, 24
 

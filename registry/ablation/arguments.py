@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ..errors import PipelineError
-from ..pipeline_edits import apply_override
-from ..yaml_source import Node, Place, parse
+from ..pipeline.edits import apply_override
+from ..pipeline.yaml_source import Node, Place, parse
 from .description import Description, Toggle, seed_count
 from .variations import Variation, values
 

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import PipelineError
-from ..pipeline_edits import TOP_LEVEL
-from ..settings_check import plain
+from ..pipeline.edits import TOP_LEVEL
+from ..pipeline.settings_check import plain
+from ..pipeline.yaml_source import Node, Place, read
 from ..suggestions import did_you_mean, listing
-from ..yaml_source import Node, Place, read
 from .variations import Variation, alternatives, values
 
 KEYS = ("pipeline", "toggles", "vary", "scenes", "seeds")

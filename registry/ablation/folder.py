@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..run import RunFolder
+from ..runs.folder import RunFolder
 from .plan import PlannedRun
 
 try:

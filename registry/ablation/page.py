@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from ..results import RENDERS
+from ..runs.results import RENDERS
 from ..web_page import Cell, figure, grid, image, note, page, score_table, section
 from . import table
 from .folder import AblationFolder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..pipeline import Pipeline
+from ..pipeline.pipeline import Pipeline
 from .variations import Choice, Variation
 
 

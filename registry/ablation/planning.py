@@ -10,10 +10,10 @@ from copy import deepcopy
 from dataclasses import replace
 
 from ..errors import PipelineError
-from ..pipeline import Pipeline, build_pipeline
-from ..pipeline_edits import set_value
+from ..pipeline.edits import set_value
+from ..pipeline.pipeline import Pipeline, build_pipeline
+from ..pipeline.yaml_source import Node, Place
 from ..plugins import Plugins
-from ..yaml_source import Node, Place
 from .description import Description
 from .plan import Combination, Plan, PlannedRun
 from .scenes import AblatedScene, find_scenes

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from rich.console import Console
 
-from ..interrupt import stop_on_interrupt
+from ..runs.interrupt import stop_on_interrupt
 from .folder import AblationFolder
 from .plan import PlannedRun
 from .progress import AblationProgress

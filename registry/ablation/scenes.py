@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from ..errors import PipelineError
-from ..pipeline_edits import item_names
-from ..yaml_source import Node
+from ..pipeline.edits import item_names
+from ..pipeline.yaml_source import Node
 from .variations import Change
 
 DATA = "STEREOGS_DATA"

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import PipelineError
-from ..pipeline_edits import SECTIONS, component_items, item_names
+from ..pipeline.edits import SECTIONS, component_items, item_names
+from ..pipeline.yaml_source import Node, Place, parse
 from ..suggestions import did_you_mean, listing
-from ..yaml_source import Node, Place, parse
 from .description import Toggle
 from .variations import Change
 

@@ -9,11 +9,11 @@ import signal
 import subprocess
 import sys
 
-from ..checkpoint import load_checkpoint
 from ..errors import RunError
 from ..files import write_text
-from ..run import METRICS, RunFolder
-from ..training_run import CHECKPOINT
+from ..runs.folder import METRICS, RunFolder
+from ..runs.training_run import CHECKPOINT
+from ..training.checkpoint import load_checkpoint
 from .plan import PlannedRun
 
 _TAIL_BYTES = 8192

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import PipelineError
-from ..pipeline_edits import item_names
-from ..yaml_source import Node, resolve
+from ..pipeline.edits import item_names
+from ..pipeline.yaml_source import Node, resolve
 
 
 @dataclass(frozen=True)

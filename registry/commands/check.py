@@ -7,12 +7,12 @@ from pathlib import Path
 
 from core_rasterizer import open_device
 
+from ..drawing.pictures import save_png
 from ..errors import RunError
-from ..pictures import save_png
+from ..inspection.scene_facts import facts, notes, warnings
+from ..inspection.scene_picture import scene_picture
+from ..inspection.scene_source import load_data
 from ..plugins import Plugins
-from ..scene_facts import facts, notes, warnings
-from ..scene_picture import scene_picture
-from ..scene_source import load_data
 from .output import Verbs, add_device, add_verb, console
 
 _EPILOG = """\

@@ -9,18 +9,12 @@ from pathlib import Path
 from rich import box
 from rich.table import Table
 
-from ..comparability import check_comparable
-from ..comparison import (
-    FinishedRun,
-    MethodMean,
-    method_means,
-    metric_names,
-    read_run,
-)
+from ..comparing.comparability import check_comparable
+from ..comparing.comparison import FinishedRun, MethodMean, method_means, metric_names, read_run
+from ..comparing.paper_tables import PUBLISHED_METRICS, PaperTables, paper_tables
 from ..errors import RunError
-from ..paper_tables import PUBLISHED_METRICS, PaperTables, paper_tables
-from ..protocols import load_protocol
-from ..results import ABSENT
+from ..pipeline.protocols import load_protocol
+from ..runs.results import ABSENT
 from ..suggestions import did_you_mean, listing
 from .output import Verbs, add_verb, console
 

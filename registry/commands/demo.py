@@ -12,10 +12,10 @@ from pathlib import Path
 from core_rasterizer import open_device
 
 from ..files import replacing
-from ..pipeline import parse_pipeline
+from ..pipeline.pipeline import parse_pipeline
 from ..plugins import Plugins
-from ..results import RENDERS
-from ..training_run import start
+from ..runs.results import RENDERS
+from ..runs.training_run import start
 from .output import Verbs, add_device, add_verb, console
 from .train import conclude
 

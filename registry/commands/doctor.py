@@ -6,7 +6,7 @@ import argparse
 
 from core_rasterizer import Device, DeviceError, list_devices, open_device
 
-from ..self_test import self_test
+from ..inspection.self_test import self_test
 from .output import Verbs, add_device, add_verb, console
 
 FAULT = 1

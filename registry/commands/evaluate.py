@@ -7,10 +7,10 @@ from pathlib import Path
 
 from core_rasterizer import open_device
 
-from ..metrics_log import jsonable
 from ..plugins import Plugins
-from ..results import RENDERS, describe, results_table, score
-from ..training_run import open_run
+from ..runs.metrics_log import jsonable
+from ..runs.results import RENDERS, describe, results_table, score
+from ..runs.training_run import open_run
 from .output import Verbs, add_device, add_verb, console
 
 _EPILOG = """\

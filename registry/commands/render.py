@@ -9,13 +9,13 @@ import torch
 
 from core_rasterizer import open_device
 
-from ..camera_path import smooth_path
-from ..evaluation import render_view
-from ..pictures import save_view_pictures
+from ..drawing.camera_path import smooth_path
+from ..drawing.pictures import save_view_pictures
+from ..drawing.video import write_video
 from ..plugins import Plugins
-from ..results import RENDERS
-from ..training_run import open_run
-from ..video import write_video
+from ..runs.evaluation import render_view
+from ..runs.results import RENDERS
+from ..runs.training_run import open_run
 from .output import Verbs, add_device, add_verb, console
 
 PATH = "path"

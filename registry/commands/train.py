@@ -12,11 +12,11 @@ from rich.console import Console
 from core_rasterizer import open_device
 
 from ..errors import RunError
-from ..pipeline import load_pipeline
+from ..pipeline.pipeline import load_pipeline
 from ..plugins import Plugins
-from ..results import RENDERS, results_table
-from ..run import RunFolder
-from ..training_run import resume, start
+from ..runs.folder import RunFolder
+from ..runs.results import RENDERS, results_table
+from ..runs.training_run import resume, start
 from .output import Verbs, add_device, add_verb, console
 
 INTERRUPTED = 130

@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from core_rasterizer import load_points
-from registry import (
-    Initializer,
-    PointCloud,
-    Prior,
-    Register,
-    Scene,
-    SceneError,
-    Settings,
-    hookimpl,
-)
+from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
 
 
 class PlySettings(Settings):

@@ -8,16 +8,7 @@ from typing import Any, Literal
 import torch
 from pydantic import Field
 
-from registry import (
-    Initializer,
-    PointCloud,
-    Prior,
-    Register,
-    Scene,
-    SceneError,
-    Settings,
-    hookimpl,
-)
+from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
 
 from ._triangulation import Triangulation, triangulate
 

@@ -10,15 +10,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from registry import (
-    Context,
-    DepthMap,
-    MultiViewDepthPrior,
-    PluginError,
-    Register,
-    View,
-    hookimpl,
-)
+from registry import Context, DepthMap, MultiViewDepthPrior, PluginError, Register, View, hookimpl
 
 from ._fitting import Fit, full_size_maps, stretched
 from ._model_settings import ModelSettings

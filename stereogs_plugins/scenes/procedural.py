@@ -14,16 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from core_rasterizer import Camera
-from registry import (
-    PointCloud,
-    Register,
-    Scene,
-    SceneLoader,
-    Settings,
-    View,
-    hookimpl,
-    validate,
-)
+from registry import PointCloud, Register, Scene, SceneLoader, Settings, View, hookimpl, validate
 
 from ._procedural_room import furnish
 from ._ray_casting import Surface, cast

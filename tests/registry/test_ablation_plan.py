@@ -9,7 +9,7 @@ import pytest
 from core_rasterizer import ExplainedError
 from registry import PipelineError
 from registry.ablation.plan import Plan
-from registry.pipeline import parse_pipeline
+from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
 
 from .ablating import plan, write

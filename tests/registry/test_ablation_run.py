@@ -24,9 +24,9 @@ from registry.ablation.progress import AblationProgress
 from registry.ablation.runner import train_all
 from registry.ablation.training_process import training_arguments
 from registry.cli import main
-from registry.metrics_log import MetricsLog
 from registry.plugins import SELECTION, Plugins
-from registry.training_run import start
+from registry.runs.metrics_log import MetricsLog
+from registry.runs.training_run import start
 
 from .ablating import plan, write
 

@@ -20,8 +20,8 @@ from registry.ablation.page import as_page
 from registry.ablation.plan import Plan
 from registry.ablation.plots import plots
 from registry.ablation.table import as_csv, as_text, rows
+from registry.drawing.pictures import save_png, side_by_side
 from registry.files import write_json
-from registry.pictures import save_png, side_by_side
 from registry.plugins import Plugins
 
 from ..html_page import Page

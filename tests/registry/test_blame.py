@@ -4,8 +4,8 @@ import pytest
 
 from core_rasterizer import CameraError
 from registry import PluginError, SceneError
-from registry.blame import blame
-from registry.pipeline import Item, parse_pipeline
+from registry.pipeline.blame import blame
+from registry.pipeline.pipeline import Item, parse_pipeline
 from registry.plugins import Plugins
 
 PIPELINE = "name: a\nscene: toy_scene\ninitializer: toy_points\nmetrics:\n  - psnr\n"

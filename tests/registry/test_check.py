@@ -13,8 +13,7 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
-from registry.plugins import Plugins
-from registry.scene_facts import (
+from registry.inspection.scene_facts import (
     facts,
     notes,
     points_in_view,
@@ -22,10 +21,11 @@ from registry.scene_facts import (
     typical_depth,
     warnings,
 )
-from registry.scene_picture import TEST_COLOR, TRAIN_COLOR, WIDTH, scene_picture
-from registry.scene_source import recognize
+from registry.inspection.scene_picture import TEST_COLOR, TRAIN_COLOR, WIDTH, scene_picture
+from registry.inspection.scene_source import recognize
+from registry.inspection.top_view import make_plan, round_step
+from registry.plugins import Plugins
 from registry.testing import tiny_scene
-from registry.top_view import make_plan, round_step
 
 from .conftest import Install
 

@@ -12,16 +12,12 @@ import pytest
 
 from registry import RunError
 from registry.cli import build_parser, main
-from registry.comparability import check_comparable
-from registry.comparison import (
-    FinishedRun,
-    method_means,
-    read_run,
-)
-from registry.protocol_rules import AppliedProtocol
-from registry.protocols import load_protocol
-from registry.run import RunFolder
-from registry.yaml_source import to_yaml
+from registry.comparing.comparability import check_comparable
+from registry.comparing.comparison import FinishedRun, method_means, read_run
+from registry.pipeline.protocol_rules import AppliedProtocol
+from registry.pipeline.protocols import load_protocol
+from registry.pipeline.yaml_source import to_yaml
+from registry.runs.folder import RunFolder
 
 from .conftest import Install
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import registry
-from registry import hooks
-from registry.hook_points import HOOK_POINTS
+from registry.contract import hooks
+from registry.contract.hook_points import HOOK_POINTS
 from registry.plugins import Plugins
 from registry.testing import check
 

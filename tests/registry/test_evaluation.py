@@ -12,19 +12,19 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, GaussianModel, Rendering
-from registry.average_error import average_error
-from registry.components import Context
-from registry.evaluation import Scores, averaged, evaluate
-from registry.hook_points import HOOK_POINTS
-from registry.initial_model import initial_gaussians
-from registry.parts import Part
-from registry.pipeline import Item
+from registry.contract.component import Context
+from registry.contract.hook_points import HOOK_POINTS
+from registry.pipeline.parts import Part
+from registry.pipeline.pipeline import Item
+from registry.pipeline.schedule import HostSettings
+from registry.pipeline.training_settings import TrainingSettings
+from registry.pipeline.yaml_source import Place
 from registry.plugins import Offer
-from registry.results import results_table
-from registry.schedule import HostSettings
+from registry.runs.average_error import average_error
+from registry.runs.evaluation import Scores, averaged, evaluate
+from registry.runs.results import results_table
 from registry.testing import tiny_scene
-from registry.training_settings import TrainingSettings
-from registry.yaml_source import Place
+from registry.training.initial_model import initial_gaussians
 
 PLACE = Place("a.yaml", 3)
 METRICS = next(point for point in HOOK_POINTS if point.section == "metrics")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.pipeline import Item, Pipeline, load_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, load_pipeline
 from registry.plugins import SELECTION, Plugins
 
 PIPELINES = Path(__file__).parents[2] / "pipelines"

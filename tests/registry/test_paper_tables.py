@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from registry.paper_tables import Triple, paper_tables
-from registry.protocols import protocol_names
+from registry.comparing.paper_tables import Triple, paper_tables
+from registry.pipeline.protocols import protocol_names
 
 TABLES = paper_tables()
 

@@ -10,10 +10,10 @@ from PIL import Image
 
 from core_rasterizer import Rendering
 from registry import RunError
-from registry.camera_path import smooth_path
-from registry.pictures import depth_picture, grey, nearness_picture, save_png, side_by_side
+from registry.drawing.camera_path import smooth_path
+from registry.drawing.pictures import depth_picture, grey, nearness_picture, save_png, side_by_side
+from registry.drawing.video import write_video
 from registry.testing import tiny_scene
-from registry.video import write_video
 
 
 def test_png_is_rounded_and_clamped(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from registry import PipelineError, PluginError
-from registry.pipeline import Pipeline, load_pipeline, parse_pipeline
+from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins import Plugins
 
 MINIMAL = """\

@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.hook_points import HOOK_POINTS, HookPoint
+from registry.contract.hook_points import HOOK_POINTS, HookPoint
 from registry.plugins import GROUP, SELECTION, Plugins
 
 from .conftest import TOY, Install

@@ -25,7 +25,7 @@ from registry import (
     StereoPrior,
     View,
 )
-from registry.prior_cache import PriorCache, code_digest, content_key
+from registry.priors.prior_cache import PriorCache, code_digest, content_key
 from registry.testing import check, tiny_scene
 
 

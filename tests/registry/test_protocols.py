@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-import registry.protocols as protocols
+import registry.pipeline.protocols as protocols
 from registry import PipelineError
-from registry.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins import Plugins
-from registry.protocols import load_protocol, protocol_names
 
 NAMES = (
     *("blender-8", "dtu-3", "dtu-6", "dtu-9", "llff-3", "llff-6", "llff-9"),

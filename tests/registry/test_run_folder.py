@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from registry import RunError
-from registry.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from registry.files import new_folder, replacing, write_text
-from registry.metrics_log import MetricsLog
-from registry.run import RunFolder, default_folder
-from registry.trainer import Iteration
+from registry.runs.folder import RunFolder, default_folder
+from registry.runs.metrics_log import MetricsLog
+from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from registry.training.trainer import Iteration
 
 
 def names(folder: Path) -> list[str]:

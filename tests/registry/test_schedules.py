@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from registry.learning_rates import learning_rates
-from registry.schedule import Schedule, active_sh_degree
-from registry.seeding import derived_seed
-from registry.training_settings import LearningRates, TrainingSettings
-from registry.view_order import ViewOrder
+from registry.pipeline.schedule import Schedule, active_sh_degree
+from registry.pipeline.seeding import derived_seed
+from registry.pipeline.training_settings import LearningRates, TrainingSettings
+from registry.training.learning_rates import learning_rates
+from registry.training.view_order import ViewOrder
 
 
 def due(schedule: Schedule, last: int) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from registry import PipelineError
-from registry.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 
 TEXT = """\

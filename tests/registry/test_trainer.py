@@ -8,13 +8,13 @@ import torch
 
 from core_rasterizer import Device, Edit, ExplainedError, GaussianModel, Gaussians
 from registry import RunError
-from registry.initial_model import initial_gaussians
-from registry.parts import Parts
-from registry.pipeline import parse_pipeline
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
 from registry.testing import tiny_scene
-from registry.topology_rules import limited, not_finite
-from registry.trainer import Iteration, Trainer
+from registry.training.initial_model import initial_gaussians
+from registry.training.topology_rules import limited, not_finite
+from registry.training.trainer import Iteration, Trainer
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
 

@@ -10,14 +10,14 @@ import pytest
 import torch
 from rich.console import Console
 
-import registry.training_run as training_run
+import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import PluginError, RunError, SceneError
-from registry.metrics_log import MetricsLog
-from registry.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
-from registry.run import RunFolder
-from registry.training_run import open_run, resume, start
+from registry.runs.folder import RunFolder
+from registry.runs.metrics_log import MetricsLog
+from registry.runs.training_run import open_run, resume, start
 
 TEXT = """\
 name: toy

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from registry import PipelineError
-from registry.settings_check import escape_variables, plain
-from registry.yaml_source import parse, read, resolve, to_yaml
+from registry.pipeline.settings_check import escape_variables, plain
+from registry.pipeline.yaml_source import parse, read, resolve, to_yaml
 
 
 def value(text: str) -> Any:

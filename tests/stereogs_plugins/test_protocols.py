@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import open_device
-from registry.parts import Parts
-from registry.pipeline import parse_pipeline
+from registry.contract.scene import Scene
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import parse_pipeline
+from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins import Plugins
-from registry.protocols import load_protocol, protocol_names
-from registry.scene import Scene
-from registry.training_run import load_scene
+from registry.runs.training_run import load_scene
 from tests.data import data_folder
 
 TEXT = """\

@@ -8,7 +8,7 @@ import torch
 from core_rasterizer import Gaussians
 from registry import OpacityUpdate, Step
 from registry.testing import check
-from registry.trainer import OPACITY_MARGIN
+from registry.training.trainer import OPACITY_MARGIN
 from stereogs_plugins.opacity.gradient_aware_decay import (
     GradientAwareDecay,
     stereogs_register_opacity_policies,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.pipeline import parse_pipeline
+from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
 from stereogs_plugins.priors import _mvs_families, _stereo_families, onnx_mono
 

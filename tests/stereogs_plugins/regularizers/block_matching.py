@@ -10,7 +10,7 @@ from torch.nn.functional import avg_pool2d
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Scene, Settings, Step, StereoPrior, View
-from registry.step_rendering import StepRenderer
+from registry.training.step_rendering import StepRenderer
 
 WIDTH, HEIGHT, FOCAL = 96, 48, 80.0
 DEPTH = 4.0

@@ -10,8 +10,8 @@ import torch
 
 from core_rasterizer import Rendering
 from registry import RunError
-from registry.pictures import save_png, save_view_pictures
-from registry.run import RunFolder
+from registry.drawing.pictures import save_png, save_view_pictures
+from registry.runs.folder import RunFolder
 from registry.testing import check, tiny_scene
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
 from tests.html_page import Page

@@ -13,7 +13,7 @@ from PIL import Image
 
 from core_rasterizer import Camera
 from registry import Scene, SceneError
-from registry.pictures import to_bytes
+from registry.drawing.pictures import to_bytes
 from registry.testing import check
 from stereogs_plugins.scenes._disconnected import refuse_disconnected
 from stereogs_plugins.scenes._found_cameras import remembered_model

@@ -1,0 +1,1 @@
+"""Setting finished runs side by side, and beside published numbers."""

@@ -1,0 +1,104 @@
+"""Whether the scores of runs mean the same; a refusal with the reason if not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..errors import RunError
+from .comparison import FinishedRun, metric_names
+
+NOT_ABOUT_SCORES = {"points", "near", "far", "image_memory_mb", "dark_background"}
+"""Facts of a scene that may differ between runs whose scores can be compared."""
+
+
+def check_comparable(runs: Sequence[FinishedRun]) -> None:
+    """Refuse runs whose scores do not mean the same.
+
+    Raises:
+        RunError: two runs follow different protocols, or follow none and show different scenes; the
+            same scene was split or prepared in two ways; a metric was measured with other settings.
+    """
+    for other in runs[1:]:
+        _check_protocol(runs[0], other)
+    for index, run in enumerate(runs):
+        for other in runs[:index]:
+            _check_metrics(other, run)
+            if run.scene == other.scene:
+                _check_scene(other, run)
+
+
+def _check_protocol(first: FinishedRun, other: FinishedRun) -> None:
+    if first.protocol != other.protocol:
+        raise _refusal(
+            first, other, f"one follows {_said(first.protocol)}, the other {_said(other.protocol)}"
+        )
+    if first.protocol is None:
+        if first.scene != other.scene:
+            raise _refusal(
+                first,
+                other,
+                f"they show {first.scene!r} and {other.scene!r} and follow no protocol",
+                fix="name a protocol in the pipeline, for example --set protocol=llff-3",
+            )
+        return
+    key = _first_difference(first.results["protocol"], other.results["protocol"])
+    if key is not None:
+        what = f"the protocol {first.protocol!r} had another `{key}` when the other was run"
+        raise _refusal(first, other, what, fix="run the older one again")
+
+
+def _said(protocol: str | None) -> str:
+    return "no protocol" if protocol is None else f"the protocol {protocol!r}"
+
+
+def _check_scene(first: FinishedRun, other: FinishedRun) -> None:
+    one, two = (
+        {k: v for k, v in run.results["scene"].items() if k not in NOT_ABOUT_SCORES}
+        for run in (first, other)
+    )
+    key = _first_difference(one, two)
+    if key is not None:
+        raise _refusal(
+            first,
+            other,
+            f"the scene {first.scene!r} differs in `{key}`: {one.get(key)} and {two.get(key)}",
+        )
+
+
+def _check_metrics(first: FinishedRun, other: FinishedRun) -> None:
+    for name in metric_names([first]):
+        if first.scores[name] is None or other.scores.get(name) is None:
+            continue  # there are no two numbers to confuse
+        one, two = (run.results["metrics"].get(name, {}) for run in (first, other))
+        key = _first_difference(one, two)
+        if key is not None:
+            raise _refusal(
+                first,
+                other,
+                f"{name} was measured with `{key}` {one.get(key)!r} and {two.get(key)!r}",
+                fix="measure both alike; for example name one protocol in both pipelines",
+            )
+
+
+def _first_difference(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:
+    """The first key whose values differ by more than the last digits of a number."""
+    for key in dict.fromkeys([*one, *two]):
+        if key not in one or key not in two or not _alike(one[key], two[key]):
+            return key
+    return None
+
+
+def _alike(one: Any, two: Any) -> bool:
+    if isinstance(one, float) and isinstance(two, float):
+        return math.isclose(one, two, rel_tol=1e-6)
+    return bool(one == two)
+
+
+def _refusal(first: FinishedRun, other: FinishedRun, what: str, fix: str = "") -> RunError:
+    return RunError(
+        f"these runs cannot be compared: {what}",
+        where=f"{first.folder} and {other.folder}",
+        fix=fix or "compare runs of one protocol and one preparation of the scene at a time",
+    )

@@ -1,0 +1,153 @@
+"""One base class a hook point: what a plugin derives from, and what it answers.
+
+A component *returns* what it wants (a loss, an edit, new opacities) and changes nothing itself: the
+host applies the answer to parameters, optimizer moments and every component's per-Gaussian state.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from torch import Tensor
+
+from core_rasterizer import Edit, GaussianModel, Rendering
+
+from .component import Component, SettingsType
+from .prior import Prior
+from .scene import PointCloud, Scene, View
+from .step import Step
+
+
+class SceneLoader(Component[SettingsType], ABC):
+    """Reads photographs and cameras.
+
+    `recognized_by` says what a folder of this format holds, for people, for example
+    "transforms.json"; a loader that leaves it empty is never guessed.
+    """
+
+    recognized_by: ClassVar[str] = ""
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether a folder, which exists, holds what `recognized_by` says; `stereogs check` asks."""
+        return False
+
+    @abstractmethod
+    def load(self) -> Scene:
+        """Return the scene that the settings describe. The host validates it afterwards."""
+
+
+class Initializer(Component[SettingsType], ABC):
+    """Makes the points that Gaussians start from."""
+
+    @abstractmethod
+    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+        """Return at least one point. May look at the training views only."""
+
+
+class Regularizer(Component[SettingsType], ABC):
+    """Adds a term to the loss. Its weight and schedule belong to the pipeline, not to it."""
+
+    @abstractmethod
+    def loss(self, step: Step) -> Tensor:
+        """Return a scalar that takes part in autograd, finite."""
+
+
+class Modifier(Component[SettingsType], ABC):
+    """Changes the opacities of one render, for example dropout."""
+
+    @abstractmethod
+    def opacity_scale(self, step: Step) -> Tensor:
+        """Return `[N]` factors >= 0 for the activated opacities of the training render."""
+
+
+class Densification(Component[SettingsType], ABC):
+    """Decides where Gaussians are added and removed."""
+
+    @abstractmethod
+    def refine(self, step: Step) -> Edit | None:
+        """Return the edit that is due, or None. Called after the backward pass, when scheduled.
+
+        Any edit, an empty one too, starts the densification statistics anew; None leaves them.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class OpacityUpdate:
+    """New activated opacities.
+
+    Args:
+        opacities: `[N]` float32 in [0, 1]; the host stores logit(clamp(opacities, 1e-6, 1 - 1e-6)).
+        reset_moments: also zero the optimizer's moments of the opacities.
+    """
+
+    opacities: Tensor
+    reset_moments: bool = False
+
+
+class OpacityPolicy(Component[SettingsType], ABC):
+    """Keeps opacities honest: resets or decays them."""
+
+    @abstractmethod
+    def update(self, step: Step) -> OpacityUpdate | None:
+        """Return the update that is due, or None. Called after the backward pass, when scheduled."""
+
+
+@dataclass(frozen=True)
+class Unavailable:
+    """A metric's answer when there is nothing to measure with: no model file, no true depth.
+
+    Args:
+        reason: one sentence, for the results.
+    """
+
+    reason: str
+
+
+class ViewMetric(Component[SettingsType], ABC):
+    """Scores one rendered view against whatever the scene knows about it."""
+
+    higher_is_better: ClassVar[bool] = True
+    unit: ClassVar[str] = ""
+
+    @abstractmethod
+    def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
+        """Return the score of a render of `view`, without gradients, colours in [0, 1]."""
+
+
+class Metric(ViewMetric[SettingsType]):
+    """Scores one rendered image against its photograph."""
+
+    @abstractmethod
+    def measure(
+        self, rendered: Tensor, photograph: Tensor, mask: Tensor | None
+    ) -> float | Unavailable:
+        """Return the score of `rendered` `[H, W, 3]` in [0, 1] against `photograph`, same shape.
+
+        Args:
+            mask: `[H, W]` bool, True where pixels count; None where all do.
+        """
+
+    def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
+        """`measure` the view's colours."""
+        return self.measure(rendering.rgb, view.image, view.mask)
+
+
+class Exporter(Component[SettingsType], ABC):
+    """Writes the trained Gaussians for other programs."""
+
+    @abstractmethod
+    def export(self, model: GaussianModel, scene: Scene, folder: Path) -> list[Path]:
+        """Write into `folder`, which exists, and return the files written."""
+
+
+class Report(Component[SettingsType], ABC):
+    """Turns a finished run into something that a person looks at."""
+
+    @abstractmethod
+    def write(self, folder: Path, scene: Scene) -> list[Path]:
+        """Read the run folder's results and renders; write into it and return the files written."""

@@ -1,0 +1,79 @@
+"""Every hook on one screen. A plugin module implements those that it has something for.
+
+Each hook receives `register(name, component_class)` and calls it once for each component that the
+plugin offers. A name is what users write after `use:` in a pipeline; it is unique within its hook
+point. Nothing else is dispatched through hooks: the host builds the components that a pipeline names
+and calls their methods directly.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeVar
+
+import pluggy
+
+from . import components as c
+from .component import Component
+from .prior import Prior
+
+PROJECT = "stereogs"
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+ComponentType = TypeVar("ComponentType", bound=Component[Any], contravariant=True)
+
+
+class Register(Protocol[ComponentType]):
+    """What a hook is given: call it once for each component."""
+
+    def __call__(self, name: str, component: type[ComponentType], /) -> None: ...
+
+
+@hookspec
+def stereogs_register_scenes(register: Register[c.SceneLoader[Any]]) -> None:
+    """Offer scene loaders: photographs and cameras in, a `Scene` out."""
+
+
+@hookspec
+def stereogs_register_initializers(register: Register[c.Initializer[Any]]) -> None:
+    """Offer initializers: a scene in, the points that Gaussians start from out."""
+
+
+@hookspec
+def stereogs_register_priors(register: Register[Prior[Any]]) -> None:
+    """Offer prior models: frozen estimators of depth, disparity, flow or matches."""
+
+
+@hookspec
+def stereogs_register_regularizers(register: Register[c.Regularizer[Any]]) -> None:
+    """Offer loss terms beside the photometric one."""
+
+
+@hookspec
+def stereogs_register_modifiers(register: Register[c.Modifier[Any]]) -> None:
+    """Offer modifiers of the training render's opacities."""
+
+
+@hookspec
+def stereogs_register_densifications(register: Register[c.Densification[Any]]) -> None:
+    """Offer policies that clone, split and prune."""
+
+
+@hookspec
+def stereogs_register_opacity_policies(register: Register[c.OpacityPolicy[Any]]) -> None:
+    """Offer policies that reset or decay opacities."""
+
+
+@hookspec
+def stereogs_register_metrics(register: Register[c.ViewMetric[Any]]) -> None:
+    """Offer scores of a rendered view against its photograph."""
+
+
+@hookspec
+def stereogs_register_exporters(register: Register[c.Exporter[Any]]) -> None:
+    """Offer file formats for the trained Gaussians."""
+
+
+@hookspec
+def stereogs_register_reports(register: Register[c.Report[Any]]) -> None:
+    """Offer pages and pictures made from a finished run."""

@@ -1,0 +1,228 @@
+"""What a scene loader returns, and the one check that every loader ends in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import Camera
+
+from ..errors import SceneError
+
+_ROTATION_TOLERANCE = 1e-4
+_FARTHEST = 1e9
+"""World units; beyond, squares and products of positions leave single precision."""
+_FOCAL_RANGE = (1e-2, 1e4)
+"""In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points that Gaussians start from.
+
+    Args:
+        positions: `[P, 3]` float32, world units.
+        colors: `[P, 3]` float32 in [0, 1].
+        scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
+            the distance to the three nearest neighbours.
+        opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
+        facts: what the maker of the points wants people to know; goes into the results.
+        pictures: `[H, W, 3]` in [0, 1] by file name without ending; the run keeps them as PNG.
+    """
+
+    positions: Tensor
+    colors: Tensor
+    scales: Tensor | None = None
+    opacities: Tensor | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.positions.shape[0])
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photograph and the camera that took it.
+
+    Args:
+        name: unique within the scene; used as a file name for renders.
+        camera: pose and intrinsics; its size is the size of `image`.
+        image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background.
+        mask: `[H, W]` bool, True where pixels count in metrics; None where all do.
+        depth: `[H, W]` float32 true z-depth where a data set knows it (0 = unknown); for
+            evaluation only, no component trains on it.
+    """
+
+    name: str
+    camera: Camera
+    image: Tensor
+    mask: Tensor | None = None
+    depth: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Photographs with known cameras, split into training and test views.
+
+    Args:
+        name: for titles and tables.
+        train: the views that training may look at; at least one.
+        test: the views that are rendered and scored; may be empty.
+        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
+        points: sparse points seen by the training views alone, or None.
+        background: colour behind the scene, three numbers in [0, 1].
+        notes: facts about the protocol (resolution, split, source) that go into the results.
+    """
+
+    name: str
+    train: tuple[View, ...]
+    test: tuple[View, ...]
+    bounds: tuple[float, float]
+    points: PointCloud | None = None
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: dict[str, str | int | float | list[int]] = field(default_factory=dict)
+
+    @property
+    def extent(self) -> float:
+        """1.1 times the largest distance of a training camera from their mean (3DGS), world units.
+
+        A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
+        so that learning rates do not vanish.
+        """
+        centers = torch.stack([view.camera.center for view in self.train])
+        radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
+
+
+def validate(scene: Scene) -> Scene:
+    """Refuse a scene that training could not use; return it unchanged otherwise.
+
+    Raises:
+        SceneError: no training view; a repeated or unsafe name; two training views from one pose; a
+            rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
+            size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
+            bool, does not fit or leaves no pixel; a depth that does not fit or is not finite; points
+            that are not finite or have colours outside [0, 1]; bounds out of order.
+    """
+    if not scene.train:
+        raise SceneError(
+            "the scene has no training view", where=scene.name, fix="check the folder and the split"
+        )
+    seen: set[str] = set()
+    for view in (*scene.train, *scene.test):
+        _validate_view(view, scene.name)
+        if view.name in seen:
+            raise SceneError(f"two views are named {view.name!r}", where=scene.name)
+        seen.add(view.name)
+    _refuse_equal_poses(scene)
+    near, far = scene.bounds
+    if not 0 < near < far < float("inf"):
+        raise SceneError(
+            f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
+            where=scene.name,
+        )
+    if scene.points is not None:
+        _validate_points(scene.points, scene.name)
+    return scene
+
+
+def _validate_view(view: View, scene_name: str) -> None:
+    where = f"{scene_name}, view {view.name!r}"
+    if not _is_plain(view.name):
+        raise SceneError("a view's name must be a plain file name", where=where)
+    _validate_camera(view.camera, where)
+    camera, image = view.camera, view.image
+    if image.shape != (camera.height, camera.width, 3):
+        raise SceneError(
+            f"the image has shape {tuple(image.shape)} but its camera is "
+            f"{camera.width}x{camera.height}",
+            where=where,
+            fix="use images of one size, the size that the poses were made for",
+        )
+    low, high = image.aminmax()  # one pass; a NaN becomes both and compares as false
+    if not 0 <= low <= high <= 1:
+        raise SceneError("the image has values outside [0, 1] or not finite", where=where)
+    _validate_maps(view, where)
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name can be a file's, with an ending added, on any usual system."""
+    separators = "/" in name or "\\" in name
+    return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200
+
+
+def _validate_camera(camera: Camera, where: str) -> None:
+    """What `Camera` lets pass and no photograph has."""
+    rotation = camera.world_to_camera[:3, :3]
+    residual = float((rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max())
+    if residual > _ROTATION_TOLERANCE:
+        raise SceneError(
+            f"the rotation is not orthonormal (off by {residual:.2g})",
+            where=where,
+            fix="write poses with more digits, and without scale",
+        )
+    if camera.world_to_camera[:3, 3].abs().max() > _FARTHEST:
+        raise SceneError("the camera stands too far away for single precision", where=where)
+    size = max(camera.width, camera.height)
+    for name in ("fx", "fy"):
+        focal = getattr(camera, name)
+        if not size * _FOCAL_RANGE[0] < focal < size * _FOCAL_RANGE[1]:
+            raise SceneError(
+                f"the focal length {name} is {focal:g} px for an image of "
+                f"{camera.width}x{camera.height}",
+                where=where,
+                fix="check whether the focal length belongs to another image size or unit",
+            )
+
+
+def _validate_maps(view: View, where: str) -> None:
+    """The mask and the depth."""
+    for name, array in (("mask", view.mask), ("depth", view.depth)):
+        if array is not None and array.shape != view.image.shape[:2]:
+            raise SceneError(
+                f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
+                where=where,
+            )
+    if view.mask is not None and view.mask.dtype != torch.bool:
+        raise SceneError(f"the mask is {view.mask.dtype}, not bool", where=where)
+    if view.mask is not None and not view.mask.any():
+        raise SceneError(
+            "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
+        )
+    if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
+        raise SceneError("the depth has values that are negative or not finite", where=where)
+
+
+def _refuse_equal_poses(scene: Scene) -> None:
+    """Two photographs from one pose have no parallax; one of the poses is most likely a copy."""
+    for index, view in enumerate(scene.train):
+        for other in scene.train[:index]:
+            first, second = view.camera.world_to_camera, other.camera.world_to_camera
+            if torch.allclose(first, second, rtol=1e-9, atol=1e-9):
+                raise SceneError(
+                    f"the training views {other.name!r} and {view.name!r} have the same pose: "
+                    "two photographs from one place say nothing about depth",
+                    where=scene.name,
+                    fix="leave one of them out, or correct its pose",
+                )
+
+
+def _validate_points(points: PointCloud, scene_name: str) -> None:
+    for name in ("positions", "colors"):
+        array: Tensor = getattr(points, name)
+        if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] != len(points):
+            raise SceneError(
+                f"the points' {name} have shape {tuple(array.shape)}, not ({len(points)}, 3)",
+                where=scene_name,
+            )
+        finite = torch.isfinite(array).all(dim=1)
+        if not finite.all():
+            first = int((~finite).nonzero()[0])
+            raise SceneError(f"points.{name}[{first}] is not finite", where=scene_name)
+    if len(points) and not 0 <= points.colors.min() <= points.colors.max() <= 1:
+        raise SceneError("the points have colours outside [0, 1]", where=scene_name)

@@ -1,0 +1,1 @@
+"""What a scene or a machine is like, before anything is trained."""

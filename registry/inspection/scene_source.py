@@ -1,0 +1,120 @@
+"""Scenes by themselves: the loader for a folder of data or for a pipeline file, without training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from core_rasterizer import Device
+
+from ..contract.components import SceneLoader
+from ..contract.hook_points import HOOK_POINTS
+from ..contract.scene import Scene, validate
+from ..errors import SceneError
+from ..pipeline.blame import blame
+from ..pipeline.edits import apply_override, expand
+from ..pipeline.parts import build_part
+from ..pipeline.pipeline import Item, load_pipeline
+from ..pipeline.schedule import HostSettings
+from ..pipeline.settings_check import escape_variables, validate_settings
+from ..pipeline.yaml_source import Node, Place
+from ..plugins import Offer, Plugins
+
+_SCENE = next(point for point in HOOK_POINTS if point.section == "scene")
+_PIPELINE_SUFFIXES = (".yaml", ".yml")
+
+
+def load_data(
+    data: Path,
+    plugins: Plugins,
+    device: Device,
+    *,
+    format_name: str | None = None,
+    changes: Sequence[str] = (),
+) -> tuple[Item, Scene]:
+    """The scene in a folder, or of a pipeline file, and the loader that read it.
+
+    Args:
+        data: a folder, or a pipeline's YAML file.
+        format_name: the loader to use for a folder; None asks the loaders which one knows it.
+        changes: `key=value` or `scene.key=value`, settings of the loader.
+
+    Raises:
+        ExplainedError: nothing is there, no loader or several know the folder, or what the loader says.
+    """
+    overrides = [_qualified(text) for text in changes]
+    seed = 0
+    if data.suffix.lower() in _PIPELINE_SUFFIXES and not data.is_dir():
+        if format_name is not None:
+            raise SceneError(
+                "a pipeline file names its own loader",
+                where=f"--format {format_name}",
+                fix="leave --format out, or give the folder of the data",
+            )
+        pipeline = load_pipeline(data, plugins, overrides=overrides)
+        item, seed = pipeline.one(_SCENE.section), pipeline.training.seed
+    else:
+        item = _folder_item(data, plugins, format_name, overrides)
+    part = build_part(item, seed, device)
+    with blame(item):
+        return item, validate(part.component.load())
+
+
+def recognize(folder: Path, plugins: Plugins) -> Offer:
+    """The one loader that knows a folder by its content.
+
+    Raises:
+        SceneError: it is no folder, or none or several know it; says what each looks for.
+    """
+    if not folder.is_dir():
+        raise SceneError(
+            "there is no such folder of data",
+            where=str(folder),
+            fix="give a folder of photographs or of a data set, or a pipeline file (.yaml)",
+        )
+    loaders: list[tuple[Offer, type[SceneLoader[Any]]]] = [
+        (offer, offer.component)
+        for offer in plugins.all()
+        if offer.point is _SCENE and issubclass(offer.component, SceneLoader)
+    ]
+    found = [offer for offer, loader in loaders if loader.recognizes(folder)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = ", ".join(offer.name for offer in found)
+        raise SceneError(
+            f"the folder may be of several formats: {names}",
+            where=str(folder),
+            fix=f"say which, for example --format {found[0].name}",
+        )
+    lines = ["the folder's format is not known. These were looked for:"]
+    lines += [f"  {o.name}: {k.recognized_by}" for o, k in loaders if k.recognized_by]
+    lines += [f"not asked: {error.what}" for error in plugins.broken.values()]
+    raise SceneError(
+        "\n".join(lines),
+        where=str(folder),
+        fix="give the folder that holds one of them, or name the loader with --format",
+    )
+
+
+def _qualified(text: str) -> str:
+    start = f"{_SCENE.section}."
+    return text if text.startswith(start) else start + text
+
+
+def _folder_item(
+    data: Path, plugins: Plugins, format_name: str | None, overrides: Sequence[str]
+) -> Item:
+    """The item that a pipeline would have with `scene: {use: ..., path: ..., ...}`."""
+    offer = recognize(data, plugins) if format_name is None else plugins.find(_SCENE, format_name)
+    place = Place("the command line")
+    path = Node(escape_variables(str(data)), place)
+    root = Node({_SCENE.section: Node({"path": path}, place)}, place)
+    for text in overrides:
+        apply_override(root, text)
+    assert isinstance(root.content, dict)
+    settings = validate_settings(
+        offer.settings_type, Node({**expand(root.content[_SCENE.section])}, place), _SCENE.section
+    )
+    return Item(offer.name, settings, HostSettings(use=offer.name), offer, place)

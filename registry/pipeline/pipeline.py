@@ -1,0 +1,276 @@
+"""A pipeline: which components, with which settings, in which order. From YAML, checked, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..contract.component import Settings
+from ..contract.hook_points import HOOK_POINTS, HookPoint
+from ..errors import PipelineError, PluginError
+from ..plugins import Offer, Plugins
+from ..suggestions import did_you_mean, listing
+from .edits import TOP_LEVEL, apply_override, disable, expand
+from .protocol_rules import AppliedProtocol, apply_protocol
+from .schedule import HostSettings, Schedule, in_iterations
+from .settings_check import escape_variables, plain, validate_settings
+from .training_settings import TrainingSettings
+from .yaml_source import Node, Place, parse, read, to_yaml
+
+
+@dataclass(frozen=True)
+class Item:
+    """One component as a pipeline chose it.
+
+    Args:
+        name: unique in its section.
+        settings: the component's own settings, complete.
+        host: what the host lends: schedule, weight.
+        offer: where the component comes from.
+        place: where the pipeline names it.
+    """
+
+    name: str
+    settings: Settings
+    host: HostSettings
+    offer: Offer = field(compare=False)
+    place: Place = field(compare=False)
+
+    @property
+    def point(self) -> HookPoint:
+        """The hook point that it fills."""
+        return self.offer.point
+
+    @property
+    def schedule(self) -> Schedule:
+        """When it is due."""
+        return self.host
+
+    @property
+    def qualified_name(self) -> str:
+        """Unique in the pipeline, for example "regularizers.stereo_depth"."""
+        return f"{self.point.section}.{self.name}"
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """What a run does, complete and checked; only components that are enabled.
+
+    Args:
+        name: for titles and for the run folder.
+        items: the components of each section, in the order of the file.
+        training: the loop's settings.
+        protocol: what fixes the split, the images and the metrics; None leaves them to the pipeline.
+    """
+
+    name: str
+    items: dict[str, tuple[Item, ...]]
+    training: TrainingSettings
+    protocol: AppliedProtocol | None = None
+
+    def __iter__(self) -> Iterator[Item]:
+        """All components, section by section."""
+        return (item for section in self.items.values() for item in section)
+
+    def one(self, section: str) -> Item:
+        """The component of a section that holds exactly one: "scene" or "initializer"."""
+        (item,) = self.items[section]
+        return item
+
+    def to_yaml(self) -> str:
+        """The pipeline with every default written out; `parse_pipeline` reads the same one back."""
+        tree: dict[str, Any] = {"name": self.name}
+        if self.protocol is not None:
+            tree["protocol"] = self.protocol.written
+        for point in HOOK_POINTS:
+            written = [_written(item) for item in self.items[point.section]]
+            if point.many:
+                tree[point.section] = written
+            else:
+                tree[point.section] = written[0] if written else None
+        tree["training"] = self.training.model_dump(mode="json")
+        return to_yaml(escape_variables(tree))
+
+
+def load_pipeline(
+    path: Path,
+    plugins: Plugins,
+    *,
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
+) -> Pipeline:
+    """Read and check a pipeline file.
+
+    Args:
+        overrides: `a.b=value`, as for `--set`; applied before `disabled`.
+        disabled: names of components to switch off, as for `--disable`.
+
+    Raises:
+        PipelineError: anything wrong with the file or the changes, with its line.
+        PluginError: a component that it names cannot be loaded.
+    """
+    return build_pipeline(read(path), plugins, overrides, disabled)
+
+
+def parse_pipeline(
+    text: str,
+    plugins: Plugins,
+    *,
+    source: str = "pipeline",
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
+) -> Pipeline:
+    """`load_pipeline` for YAML text; `source` stands for the file name in errors."""
+    return build_pipeline(parse(text, source), plugins, overrides, disabled)
+
+
+def build_pipeline(
+    root: Node,
+    plugins: Plugins,
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
+) -> Pipeline:
+    """`load_pipeline` for a tree that is read already; the changes are made in it."""
+    if not isinstance(root.content, dict):
+        raise PipelineError(
+            f"a pipeline is a mapping of sections, not {root.kind}",
+            where=str(root.place),
+            fix=f"sections: {listing(TOP_LEVEL)}",
+        )
+    for text in overrides:
+        apply_override(root, text)
+    for name in disabled:
+        disable(root, name)
+    sections = root.content
+    for key, node in sections.items():
+        if key not in TOP_LEVEL:
+            raise PipelineError(
+                f"a pipeline has no section {key!r}{did_you_mean(key, TOP_LEVEL)}",
+                where=str(node.place),
+                fix=f"sections: {listing(TOP_LEVEL)}",
+            )
+    protocol = apply_protocol(sections)
+    written = sections.get("training", Node({}, root.place))
+    if written.content is None:
+        written = Node({}, written.place)
+    training = validate_settings(TrainingSettings, _mapping(written, "training"), "training")
+    items = {
+        point.section: _section(
+            point, sections.get(point.section), root.place, plugins, training.iterations
+        )
+        for point in HOOK_POINTS
+    }
+    return Pipeline(_name(sections.get("name"), root.place), items, training, protocol)
+
+
+def _name(node: Node | None, start: Place) -> str:
+    name = plain(node) if node else None
+    if not isinstance(name, str) or not name.strip():
+        raise PipelineError(
+            "the pipeline needs a name, a text",
+            where=str(node.place if node else start),
+            fix="write for example `name: my-experiment` at the top",
+        )
+    return name
+
+
+def _section(
+    point: HookPoint, node: Node | None, start: Place, plugins: Plugins, iterations: int
+) -> tuple[Item, ...]:
+    if node is None or node.content is None:
+        written: list[Node] = []
+    elif not point.many:
+        if isinstance(node.content, list):
+            raise PipelineError(
+                f"{point.section} holds a single {point.title}, not a list",
+                where=str(node.place),
+                fix="write one component; set its `use` and settings without a dash",
+            )
+        written = [node]
+    elif isinstance(node.content, list):
+        written = node.content
+    else:
+        raise PipelineError(
+            f"{point.section} must be a list, not {node.kind}",
+            where=str(node.place),
+            fix=f"put a dash in front of each {point.title}",
+        )
+    items: dict[str, Item] = {}
+    for component in written:
+        item = _item(point, component, plugins, iterations)
+        if item is None:
+            continue
+        if item.name in items:
+            raise PipelineError(
+                f"two {point.section} are named {item.name!r}; the first is at "
+                f"{items[item.name].place}",
+                where=str(item.place),
+                fix="give one of them a `name` of its own",
+            )
+        items[item.name] = item
+    if point.required and not items:
+        raise PipelineError(
+            f"the pipeline has no {point.title}, and cannot do without",
+            where=str(node.place if node else start),
+            fix=f"write {point.section}: {{use: ...}}; `stereogs plugins` lists what there is",
+        )
+    return tuple(items.values())
+
+
+def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> Item | None:
+    """One component, or None if it is switched off."""
+    mapping = expand(node)
+    label = _label(point, mapping)
+    lent_nodes = {k: v for k, v in mapping.items() if k in point.host_settings}
+    host = Node(in_iterations(lent_nodes, iterations), node.place)
+    lent = point.host_settings
+    if "use" not in mapping:
+        raise PipelineError(
+            f"{label} does not say which {point.title} to use",
+            where=str(node.place),
+            fix="add `use: NAME`; `stereogs plugins` lists the names",
+        )
+    settings = validate_settings(HostSettings, host, label)
+    if not settings.enabled:
+        return None
+    try:
+        offer = plugins.find(point, settings.use)
+    except PluginError as error:
+        place = str(mapping["use"].place)
+        where = f"{place}; {error.where}" if error.where else place
+        raise PluginError(error.what, where=where, fix=error.fix) from error
+    own = Node({k: v for k, v in mapping.items() if k not in lent}, node.place)
+    return Item(
+        name=settings.name or settings.use,
+        settings=validate_settings(offer.settings_type, own, label, lent),
+        host=settings,
+        offer=offer,
+        place=mapping["use"].place,
+    )
+
+
+def _label(point: HookPoint, mapping: dict[str, Node]) -> str:
+    """The component's path in the pipeline, for messages: "scene", "regularizers.stereo_depth"."""
+    if not point.many:
+        return point.section
+    name = next((mapping[key].content for key in ("name", "use") if key in mapping), None)
+    return f"{point.section}.{name}" if isinstance(name, str) else point.section
+
+
+def _mapping(node: Node, name: str) -> Node:
+    if not isinstance(node.content, dict):
+        raise PipelineError(
+            f"{name} must be a mapping of settings, not {node.kind}", where=str(node.place)
+        )
+    return node
+
+
+def _written(item: Item) -> dict[str, Any]:
+    lent = item.host.model_dump(mode="json", include=set(item.point.host_settings))
+    del lent["enabled"]
+    if lent["name"] is None:
+        del lent["name"]
+    first = {key: lent[key] for key in item.point.host_settings if key in lent}
+    return {**first, **item.settings.model_dump(mode="json")}

@@ -1,0 +1,90 @@
+"""When a component is due, and how many spherical-harmonic bands are in use."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+import pydantic
+
+from ..contract.component import Settings
+from .yaml_source import Node
+
+_SHARE = re.compile(r"(\d+(?:\.\d+)?)%")
+
+
+class Schedule(Settings):
+    """The iterations in which a component is called.
+
+    Due exactly when start <= iteration <= stop and iteration is a multiple of `every`. Iterations
+    count from 1. With `start: 500, every: 100` the first call is at 500. In a pipeline, all three may
+    also be written as a share of `training.iterations`, such as `50%`.
+    """
+
+    start: Annotated[int, pydantic.Field(ge=1)] = 1
+    """The first iteration that may be due."""
+    stop: Annotated[int, pydantic.Field(ge=1)] | None = None
+    """The last iteration that may be due; null means the end of training."""
+    every: Annotated[int, pydantic.Field(ge=1)] = 1
+    """Due only in multiples of this."""
+
+    @pydantic.model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.stop is not None and self.stop < self.start:
+            raise ValueError(f"stop ({self.stop}) is before start ({self.start})")
+        return self
+
+    def due(self, iteration: int) -> bool:
+        """Whether the component is called in this iteration."""
+        return iteration % self.every == 0 and iteration >= self.start and not self.over(iteration)
+
+    def over(self, iteration: int) -> bool:
+        """Whether neither this iteration nor a later one is due."""
+        return self.stop is not None and iteration > self.stop
+
+
+class HostSettings(Schedule):
+    """What the host lends to a component beside the component's own settings."""
+
+    use: str
+    """The component's name, as its plugin registered it."""
+    name: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
+    """What this component is called in the pipeline; `use` unless given."""
+    enabled: bool = True
+    """False switches the component off, as if it were not written."""
+    weight: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 1.0
+    """Factor of a regularizer's term in the loss."""
+
+
+def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
+    """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down.
+
+    In a run so short that a share ends before the start, the component is never due: it is disabled.
+    """
+    result = dict(settings)
+    shares: list[Node] = []
+    for name in ("start", "stop", "every"):
+        node = settings.get(name)
+        share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
+        if node and share:
+            moment = math.floor(float(share[1]) / 100 * iterations)
+            result[name] = Node(max(1, moment), node.place)
+            shares.append(result[name])
+    start, stop = (result[name].content if name in result else None for name in ("start", "stop"))
+    if shares and isinstance(start, int) and isinstance(stop, int) and stop < start:
+        del result["start"], result["stop"]
+        result["enabled"] = Node(False, shares[0].place)
+    return result
+
+
+def active_sh_degree(iteration: int, sh_degree: int, every: int) -> int:
+    """Bands in use: degree 0 at first, one more in each multiple of `every` (3DGS: 1000).
+
+    Args:
+        iteration: 1-based.
+        sh_degree: the highest degree, 0 to 3.
+        every: iterations between two bands, >= 1.
+    """
+    return min(sh_degree, iteration // every)

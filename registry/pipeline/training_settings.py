@@ -1,0 +1,59 @@
+"""The host's own settings: the `training` section of a pipeline. Defaults are those of 3DGS."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ..contract.component import Settings
+
+Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[int, Field(ge=1)]
+
+
+class LearningRates(Settings):
+    """Adam's step sizes (Kerbl et al. 2023, the authors' code)."""
+
+    position: Rate = 1.6e-4
+    """Of the means at the first iteration, in units of the scene's extent."""
+    position_final: Rate = 1.6e-6
+    """Of the means after `position_steps`; between the two the logarithm is linear."""
+    position_steps: Positive | None = None
+    """Iterations until `position_final`; null means all of training."""
+    sh_constant: Rate = 2.5e-3
+    """Of the constant colour band."""
+    sh_rest: Rate = 1.25e-4
+    """Of the other colour bands."""
+    opacity: Rate = 0.05
+    """Of the opacity logits."""
+    scale: Rate = 5e-3
+    """Of the logarithms of the scales."""
+    rotation: Rate = 1e-3
+    """Of the quaternions."""
+
+
+class TrainingSettings(Settings):
+    """The training loop."""
+
+    iterations: Positive = 30_000
+    """How many training views are rendered and learnt from, one each."""
+    seed: Count = 0
+    """Every random number of the run derives from it."""
+    sh_degree: Annotated[int, Field(ge=0, le=3)] = 3
+    """Highest spherical-harmonic band of the colours."""
+    sh_every: Positive = 1000
+    """Iterations until the next band comes into use."""
+    ssim_weight: Annotated[float, Field(ge=0, le=1)] = 0.2
+    """Share of D-SSIM in the photometric loss; the rest is L1."""
+    initial_opacity: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """Of the first Gaussians, where the initializer gives none."""
+    learning_rates: LearningRates = LearningRates()
+    """Adam's step sizes."""
+    max_gaussians: Positive | None = None
+    """No densification goes beyond this number; null means no limit."""
+    checkpoint_every: Count = 0
+    """Iterations between checkpoints; 0 writes one at the end only."""
+    evaluate_every: Count = 0
+    """Iterations between evaluations of the test views; 0 evaluates at the end only."""

@@ -1,0 +1,217 @@
+"""YAML as a tree that knows where each value stands, read without YAML's traps.
+
+Plain scalars follow YAML 1.2's core rules, not PyYAML's older ones: `yes`, `no`, `on` and `off` are
+text, `1e-3` is a number, `012` is twelve and `1:30` is text. A repeated key, an alias and a tag such
+as `!!python/object` are refused. `to_yaml` writes text that `parse` reads back unchanged.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import PipelineError
+
+Scalar = str | int | float | bool | None
+
+_WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
+_WORDS |= {word.capitalize(): _WORDS[word] for word in ("null", "true", "false")}
+_WORDS |= {word.upper(): _WORDS[word] for word in ("null", "true", "false")}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_CORE_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
+_MAX_DEPTH = 32
+_MAX_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value was written: a line of a file, or the command line.
+
+    Args:
+        source: the file as the user named it, or the option, for example "--set training.seed=1".
+        line: 1-based, or None for the command line.
+    """
+
+    source: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.line is None else f"{self.source}:{self.line}"
+
+
+@dataclass
+class Node:
+    """A value with its place. `content` is a scalar, a list of nodes, or nodes by key."""
+
+    content: Scalar | list[Node] | dict[str, Node]
+    place: Place
+
+    @property
+    def kind(self) -> str:
+        """For messages: "a mapping", "a list", or the scalar itself."""
+        if isinstance(self.content, dict):
+            return "a mapping"
+        if isinstance(self.content, list):
+            return "a list"
+        return "empty" if self.content is None else repr(self.content)
+
+    def at(self, path: tuple[str | int, ...]) -> Node:
+        """The node at a path of keys and indices, or the last one on the way that exists."""
+        node = self
+        for step in path:
+            if isinstance(node.content, dict) and step in node.content:
+                node = node.content[str(step)]
+            elif isinstance(node.content, list) and isinstance(step, int):
+                node = node.content[step] if step < len(node.content) else node
+            else:
+                break
+        return node
+
+
+def read(path: Path) -> Node:
+    """Read a YAML file.
+
+    Raises:
+        PipelineError: it is missing, not text, or not the YAML described above; with its line.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PipelineError(
+            f"the pipeline file cannot be read: {error.strerror or error}",
+            where=str(path),
+            fix="give the path of a pipeline file, for example pipelines/3dgs.yaml",
+        ) from error
+    if len(data) > _MAX_BYTES:
+        raise PipelineError("the file is too large to be a pipeline", where=str(path))
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise PipelineError(
+            "the file is not UTF-8 text", where=f"{path}:{line}", fix="save it as UTF-8"
+        ) from error
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
+    """Parse YAML text.
+
+    Args:
+        source: named in errors.
+        has_lines: False for a value from the command line, whose place has no line.
+
+    Raises:
+        PipelineError: see `read`.
+    """
+    try:
+        root = yaml.compose(text, Loader=yaml.BaseLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line + 1 if mark and has_lines else None
+        problem = " ".join(filter(None, (error.context, error.problem)))
+        fix = "check the indentation, colons and quotes at this line"
+        if mark and "${" in text.splitlines()[mark.line]:
+            fix = "within { } put quotes around a value that contains ${...}"
+        raise PipelineError(
+            f"this is not valid YAML: {problem}", where=str(Place(source, line)), fix=fix
+        ) from error
+    except yaml.YAMLError as error:  # a character that YAML does not allow
+        raise PipelineError(f"this is not valid YAML: {error}", where=source) from error
+    except RecursionError as error:
+        raise PipelineError("the YAML is nested too deeply", where=source) from error
+    if root is None:
+        return Node(None, Place(source, 1 if has_lines else None))
+    return _Converter(source, has_lines).convert(root)
+
+
+class _Converter:
+    """PyYAML's nodes to ours."""
+
+    def __init__(self, source: str, has_lines: bool) -> None:
+        self._source, self._has_lines = source, has_lines
+        self._seen: set[int] = set()
+
+    def convert(self, node: yaml.Node, depth: int = 0) -> Node:
+        place = self._place(node)
+        if id(node) in self._seen:
+            raise PipelineError(
+                "anchors and aliases (& and *) are not supported in pipelines",
+                where=str(place),
+                fix="write the value out where it is used",
+            )
+        self._seen.add(id(node))
+        if depth > _MAX_DEPTH:
+            raise PipelineError("the YAML is nested too deeply", where=str(place))
+        if node.tag not in _CORE_TAGS:
+            raise PipelineError(
+                f"the tag {node.tag} is not supported in pipelines",
+                where=str(place),
+                fix="remove the tag; values get their type from what reads them",
+            )
+        if isinstance(node, yaml.MappingNode):
+            return Node(self._mapping(node, depth), place)
+        if isinstance(node, yaml.SequenceNode):
+            return Node([self.convert(item, depth + 1) for item in node.value], place)
+        quoted = isinstance(node, yaml.ScalarNode) and node.style
+        return Node(node.value if quoted else resolve(node.value), place)
+
+    def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Node]:
+        result: dict[str, Node] = {}
+        for key, value in node.value:
+            place = self._place(key)
+            if not isinstance(key, yaml.ScalarNode):
+                raise PipelineError("a key must be a plain word", where=str(place))
+            if key.value in result:
+                raise PipelineError(
+                    f"the key {key.value!r} is written twice",
+                    where=str(place),
+                    fix=f"remove one of them; the first is at {result[key.value].place}",
+                )
+            child = self.convert(value, depth + 1)
+            result[key.value] = Node(child.content, place)
+        return result
+
+    def _place(self, node: yaml.Node) -> Place:
+        return Place(self._source, node.start_mark.line + 1 if self._has_lines else None)
+
+
+def resolve(text: str) -> Scalar:
+    """What an unquoted scalar means under YAML 1.2's core rules."""
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INTEGER.fullmatch(text) and len(text) <= 20:
+        return int(text)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _SPECIAL.fullmatch(text):
+        return float(text.replace(".", ""))
+    return text
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes every text that `resolve` would read as something else, and writes no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = None if resolve(text) == text else "'"
+    if not text.isprintable():
+        style = '"'  # the only style with escapes: others fold line breaks and lose U+0085
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+def to_yaml(value: Any) -> str:
+    """Plain dicts, lists and scalars as YAML, keys in their order."""
+    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100))

@@ -1,0 +1,191 @@
+"""A neural network in a local ONNX file: named by path and hash, run by onnxruntime.
+
+Nothing is ever downloaded and nothing unpickled. A model is one file, so that one hash names all of
+it; weights kept in a second file beside it are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import PluginError
+from .model_file import read_model_file
+from .onnx_session import (
+    OnnxProvider,
+    check_in_one_file,
+    choose_provider,
+    first_line,
+    open_session,
+    running_provider,
+)
+
+_TYPES = {
+    "tensor(float)": torch.float32,
+    "tensor(float16)": torch.float16,
+    "tensor(double)": torch.float64,
+    "tensor(uint8)": torch.uint8,
+    "tensor(int32)": torch.int32,
+    "tensor(int64)": torch.int64,
+    "tensor(bool)": torch.bool,
+}
+
+
+@dataclass(frozen=True)
+class OnnxTensor:
+    """What a model says of one of its inputs or outputs.
+
+    Args:
+        name: in the graph.
+        shape: sizes; None where the graph leaves one open.
+        dtype: the type inside the graph; `OnnxModel.run` converts.
+    """
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: torch.dtype
+
+    def __str__(self) -> str:
+        sizes = ", ".join("?" if size is None else str(size) for size in self.shape)
+        return f"{self.name} {str(self.dtype).removeprefix('torch.')}[{sizes}]"
+
+
+class OnnxModel:
+    """An ONNX model, loaded and ready; the same question gets the same bits on one provider.
+
+    Args:
+        path: the `.onnx` file.
+        sha256: 64 hexadecimal digits that the file must have, or None: any file is taken.
+        provider: what runs it, or None: the first of `OnnxProvider` that is installed.
+
+    Attributes:
+        path: the file.
+        sha256: the file's own hash, 64 hexadecimal digits.
+        provider: what runs it, one of `OnnxProvider`.
+        inputs, outputs: in the graph's order.
+
+    Raises:
+        PluginError: a missing file, another hash, no ONNX model, weights in a second file, a type
+            that cannot be converted, or a provider that is not installed or cannot start.
+    """
+
+    def __init__(
+        self, path: str | Path, sha256: str | None = None, provider: OnnxProvider | None = None
+    ) -> None:
+        self.path = Path(path).expanduser()
+        file = read_model_file(self.path, sha256)
+        check_in_one_file(file.content, self.path)
+        self.sha256 = file.sha256
+        chosen = choose_provider(provider)
+        self._session = open_session(file.content, self.path, chosen)
+        self.provider = running_provider(self._session, provider)
+        self.inputs = _described(self._session.get_inputs(), self.path)
+        self.outputs = _described(self._session.get_outputs(), self.path)
+
+    @property
+    def fingerprint(self) -> str:
+        """What answers depend on: the file's hash, what runs it and in which version."""
+        import onnxruntime
+
+        return f"{self.sha256} {self.provider} onnxruntime {onnxruntime.__version__}"
+
+    def input(self, name: str | None = None) -> OnnxTensor:
+        """The input of this name, or for None the only one.
+
+        Raises:
+            PluginError: there is no such input, or None does not say which.
+        """
+        return self._find("input", self.inputs, name)
+
+    def output(self, name: str | None = None) -> OnnxTensor:
+        """The output of this name, or for None the only one.
+
+        Raises:
+            PluginError: see `input`.
+        """
+        return self._find("output", self.outputs, name)
+
+    def run(self, inputs: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """All outputs, float32, on the CPU; they may hold values that are not finite.
+
+        Args:
+            inputs: float32 by name, one for each of the graph's inputs; for a graph that takes whole
+                numbers they are rounded, for uint8 also clamped to [0, 255].
+
+        Raises:
+            PluginError: a name or shape that is not the graph's, or a failure inside the model.
+        """
+        unknown = [name for name in inputs if name not in {spec.name for spec in self.inputs}]
+        missing = [spec.name for spec in self.inputs if spec.name not in inputs]
+        if unknown or missing:
+            raise self._mismatch(
+                "the model's inputs have other names: "
+                f"given without being asked {unknown}, asked for and not given {missing}"
+            )
+        feed = {spec.name: self._converted(spec, inputs[spec.name]) for spec in self.inputs}
+        try:
+            answers = self._session.run(None, feed)
+        except Exception as error:  # onnxruntime's exceptions have no base of their own
+            raise PluginError(
+                f"the model failed: {first_line(error)}",
+                where=str(self.path),
+                fix="check that the graph fits the images' size; make them smaller if memory ran out",
+            ) from error
+        return {
+            spec.name: torch.from_numpy(np.array(answer, dtype=np.float32))
+            for spec, answer in zip(self.outputs, answers, strict=True)
+        }
+
+    def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
+        shape = tuple(value.shape)
+        fits = len(shape) == len(spec.shape) and all(
+            wanted in (None, got) for wanted, got in zip(spec.shape, shape, strict=True)
+        )
+        if not fits:
+            raise self._mismatch(f"the input {spec.name!r} cannot have the shape {list(shape)}")
+        value = value.detach().to("cpu", torch.float32)
+        if not spec.dtype.is_floating_point:
+            value = value.round()
+        if spec.dtype == torch.uint8:
+            value = value.clamp(0, 255)
+        return value.to(spec.dtype).contiguous().numpy()
+
+    def _find(self, kind: str, specs: Sequence[OnnxTensor], name: str | None) -> OnnxTensor:
+        if name is None and len(specs) == 1:
+            return specs[0]
+        for spec in specs:
+            if spec.name == name:
+                return spec
+        what = f"no {kind} {name!r}" if name else f"{len(specs)} {kind}s; which one is not said"
+        raise self._mismatch(f"the model has {what}")
+
+    def _mismatch(self, what: str) -> PluginError:
+        has = "; ".join(
+            f"{kind}: {', '.join(str(spec) for spec in specs) or 'none'}"
+            for kind, specs in (("inputs", self.inputs), ("outputs", self.outputs))
+        )
+        return PluginError(
+            what,
+            where=str(self.path),
+            fix=f"choose the settings that fit this graph, which has {has}",
+        )
+
+
+def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
+    described = []
+    for spec in specs:
+        if spec.type not in _TYPES:
+            raise PluginError(
+                f"{spec.name!r} of the model has the type {spec.type}, which is not supported",
+                where=str(path),
+                fix=f"export it with one of {', '.join(_TYPES)}",
+            )
+        sizes = (s if isinstance(s, int) and s > 0 else None for s in spec.shape)
+        described.append(OnnxTensor(spec.name, tuple(sizes), _TYPES[spec.type]))
+    return tuple(described)

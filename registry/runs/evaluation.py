@@ -1,0 +1,110 @@
+"""Scores of rendered views against their photographs, and pictures of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from core_rasterizer import GaussianModel, Rendering
+
+from ..contract.answers import check_score
+from .average_error import AVERAGE_ERROR, average_error
+from ..pipeline.blame import blame
+from ..contract.components import Unavailable
+from ..pipeline.parts import Part
+from ..drawing.pictures import save_view_pictures
+from ..pipeline.pipeline import Item
+from ..contract.scene import Scene, View
+
+_AVERAGED = (("psnr",), ("ssim", "ssim_skimage"), ("lpips",))
+"""The metrics that `avge` is made of."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Metrics of some views.
+
+    Args:
+        views: each view's scores by metric; None where a metric is not available.
+        unavailable: why, by metric; the first view's reason stands for all.
+    """
+
+    views: dict[str, dict[str, float | None]]
+    unavailable: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def mean(self) -> dict[str, float | None]:
+        """Each metric's mean over the views that have it, None if none has; empty without views."""
+        rows = list(self.views.values())
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        return {name: _mean([row.get(name) for row in rows]) for name in names}
+
+
+def evaluate(
+    model: GaussianModel,
+    scene: Scene,
+    views: Sequence[View],
+    metrics: Sequence[Part],
+    pictures: Path | None = None,
+) -> Scores:
+    """Render views and score them, colours clamped to [0, 1].
+
+    A view that has PSNR, SSIM and LPIPS also gets `avge` (`average_error`).
+
+    Args:
+        metrics: the pipeline's metric components.
+        pictures: a folder for `save_view_pictures`; None writes none.
+
+    Raises:
+        PluginError: a metric failed, or its answer is no number.
+    """
+    scores: dict[str, dict[str, float | None]] = {}
+    unavailable: dict[str, str] = {}
+    for view in views:
+        rendering = render_view(model, scene, view)
+        row: dict[str, float | None] = {}
+        for part in metrics:
+            with blame(part.item):
+                score = check_score(part.component.measure_view(rendering, view, scene))
+            if isinstance(score, Unavailable):
+                unavailable.setdefault(part.item.name, score.reason)
+                row[part.item.name] = None
+            else:
+                row[part.item.name] = score
+        scores[view.name] = row | _average_error(row, metrics)
+        if pictures is not None:
+            save_view_pictures(rendering, view, pictures)
+    return Scores(scores, unavailable)
+
+
+def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:
+    """The three metrics that `avge` is made of, the pipeline's first of each; empty if one lacks."""
+    firsts = [next((i for i in metrics if i.offer.name in uses), None) for uses in _AVERAGED]
+    found = tuple(item for item in firsts if item is not None)
+    return found if len(found) == len(_AVERAGED) else ()
+
+
+def _average_error(
+    row: Mapping[str, float | None], metrics: Sequence[Part]
+) -> dict[str, float | None]:
+    """AVGE of one view; empty if a metric for it is missing or not available, or if a metric is called so."""
+    scores = [row[item.name] for item in averaged([part.item for part in metrics])]
+    known = [score for score in scores if score is not None]
+    if len(known) < len(_AVERAGED) or AVERAGE_ERROR in row:
+        return {}
+    return {AVERAGE_ERROR: average_error(*known)}
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def render_view(model: GaussianModel, scene: Scene, view: View) -> Rendering:
+    """One view without gradients, colours clamped to [0, 1]."""
+    with torch.no_grad():
+        rendering = model.render(view.camera, background=scene.background)
+    return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)

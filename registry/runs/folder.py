@@ -1,0 +1,182 @@
+"""The run folder: everything that a run leaves behind, and nothing if it could not begin.
+
+pipeline.yaml     the pipeline with every default written out
+provenance.json   versions, device, platform, seed, command line
+initialization/   what the initializer reports: facts.json and pictures
+metrics.jsonl     one line every few iterations
+checkpoint/       to resume from (see checkpoint.py)
+renders/          the test views; exports/  what the exporters wrote
+results.json      scores and measurements, once training has ended
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from ..errors import RunError
+from ..files import new_folder, write_json, write_text
+from ..drawing.pictures import save_png
+
+PIPELINE = "pipeline.yaml"
+PROVENANCE = "provenance.json"
+INITIALIZATION = "initialization"
+METRICS = "metrics.jsonl"
+RESULTS = "results.json"
+
+
+class RunFolder:
+    """A run's folder. Constructing it touches nothing; `create` and `existing` do.
+
+    Args:
+        path: where it is, or will be.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @staticmethod
+    def existing(path: Path) -> RunFolder:
+        """The folder of a run that was started earlier.
+
+        Raises:
+            RunError: there is none.
+        """
+        run = RunFolder(path)
+        if not run.pipeline.is_file():
+            raise RunError(
+                "this is not a run folder: it has no pipeline.yaml",
+                where=str(path),
+                fix="give a folder that `stereogs train` wrote",
+            )
+        return run
+
+    @staticmethod
+    def check_vacant(path: Path) -> None:
+        """Refuse a place where no run can be created; creates nothing itself.
+
+        Raises:
+            RunError: the folder has content, is a file, or cannot be written.
+        """
+        if path.is_dir() and any(path.iterdir()):
+            raise RunError(
+                "the folder is not empty",
+                where=str(path),
+                fix=f"choose another --out, or continue with `stereogs train --resume {path}`",
+            )
+        if path.exists() and not path.is_dir():
+            raise RunError("a file is in the way", where=str(path), fix="choose another --out")
+        parent = path.absolute().parent
+        while not parent.exists():
+            parent = parent.parent
+        if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+            raise RunError(
+                f"nothing can be written in {parent}", where=str(path), fix="choose another --out"
+            )
+
+    def create(self, pipeline_yaml: str, provenance: dict[str, Any]) -> None:
+        """Make the folder with its first two files; both or nothing.
+
+        Raises:
+            RunError: see `check_vacant`; or the disk refused.
+        """
+        self.check_vacant(self.path)
+        try:
+            with new_folder(self.path) as folder:
+                write_text(folder / PIPELINE, pipeline_yaml)
+                write_json(folder / PROVENANCE, provenance)
+        except OSError as error:
+            raise RunError(
+                f"the run folder cannot be created: {error.strerror or error}",
+                where=str(self.path),
+                fix="choose another --out",
+            ) from error
+
+    @property
+    def pipeline(self) -> Path:
+        """The resolved pipeline."""
+        return self.path / PIPELINE
+
+    def folder(self, name: str) -> Path:
+        """A folder inside, created if need be."""
+        folder = self.path / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def write_results(self, results: dict[str, Any]) -> None:
+        """Replace results.json."""
+        write_json(self.path / RESULTS, results)
+
+    def results(self) -> dict[str, Any]:
+        """What results.json holds; empty before the run has ended.
+
+        Raises:
+            RunError: it is not JSON.
+        """
+        return _read_json(self.path / RESULTS)
+
+    def write_initialization(self, facts: dict[str, Any], pictures: Mapping[str, Tensor]) -> None:
+        """Keep what the initializer reports.
+
+        Args:
+            pictures: `[H, W, 3]` in [0, 1] by file name without ending.
+        """
+        folder = self.folder(INITIALIZATION)
+        write_json(folder / "facts.json", facts)
+        for name, picture in pictures.items():
+            save_png(picture, folder / f"{name}.png")
+
+    def initialization(self) -> dict[str, Any]:
+        """The facts that `write_initialization` kept; empty if there are none."""
+        return _read_json(self.path / INITIALIZATION / "facts.json")
+
+    def append_metrics(self, line: dict[str, Any]) -> None:
+        """Add one line to metrics.jsonl."""
+        with (self.path / METRICS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def forget_metrics_after(self, iteration: int) -> None:
+        """Drop the lines of iterations that a resumed run will do again."""
+        path = self.path / METRICS
+        if not path.is_file():
+            return
+        kept = [line for line in path.read_text("utf-8").splitlines() if _until(line, iteration)]
+        write_text(path, "".join(f"{line}\n" for line in kept))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """The content of a JSON file; empty if there is none."""
+    if not path.is_file():
+        return {}
+    try:
+        content: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise RunError(f"{path.name} is damaged: {error}", where=str(path)) from error
+    return content
+
+
+def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Path:
+    """runs/<name>, or runs/<name>-2, -3, ... if that exists.
+
+    Args:
+        name: any text; what does not belong in a file name becomes "-".
+    """
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "run"
+    candidate, number = Path("runs", plain), 1
+    while taken(candidate):
+        number += 1
+        candidate = Path("runs", f"{plain}-{number}")
+    return candidate
+
+
+def _until(line: str, iteration: int) -> bool:
+    try:
+        return bool(json.loads(line)["iteration"] <= iteration)
+    except (ValueError, KeyError, TypeError):  # a line cut off by a power failure
+        return False

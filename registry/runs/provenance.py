@@ -1,0 +1,54 @@
+"""Where a result comes from: versions, machine, device, seed, command line."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from core_rasterizer import Device
+
+from ..pipeline.pipeline import Pipeline
+
+_PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "pluggy", "pydantic")
+
+
+def provenance(pipeline: Pipeline, device: Device, command: list[str]) -> dict[str, Any]:
+    """Facts that are needed to repeat a run, as plain JSON values.
+
+    Args:
+        command: the command line as typed.
+    """
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": command,
+        "seed": pipeline.training.seed,
+        "device": describe_device(device),
+        "platform": platform.platform(),
+        "processor": platform.machine(),
+        "python": sys.version.split()[0],
+        "packages": {name: _version(name) for name in _PACKAGES},
+        "plugins": {
+            item.qualified_name: f"{item.offer.distribution} {item.offer.version}"
+            for item in pipeline
+        },
+    }
+
+
+def describe_device(device: Device) -> dict[str, str]:
+    """The OpenCL device as plain JSON values."""
+    return {
+        "name": device.name,
+        "platform": device.platform,
+        "kind": device.kind,
+        "driver": device.driver,
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

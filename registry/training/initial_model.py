@@ -1,0 +1,88 @@
+"""From points to the first Gaussians."""
+
+from __future__ import annotations
+
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from core_rasterizer import Gaussians
+
+from ..contract.scene import PointCloud
+from ..errors import SceneError
+from ..pipeline.training_settings import TrainingSettings
+
+NEIGHBOURS = 3
+"""A Gaussian starts as large as its distance to so many nearest points (3DGS)."""
+MIN_SQUARED_DISTANCE = 1e-7
+"""Square world units; points at one place still get a size (3DGS)."""
+
+
+def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussians:
+    """Isotropic Gaussians at the points, coloured like them.
+
+    Args:
+        points: at least one.
+
+    Raises:
+        SceneError: there is no point, or one with a position, colour, scale or opacity that cannot be.
+    """
+    _check(points)
+    count = len(points)
+    scales = points.scales
+    if scales is None:
+        scales = mean_squared_distances(points.positions).sqrt().float()
+    opacities = points.opacities
+    if opacities is None:
+        opacities = torch.full((count,), settings.initial_opacity)
+    return Gaussians.from_points(
+        points.positions, points.colors, scales, opacities, settings.sh_degree
+    )
+
+
+def mean_squared_distances(positions: Tensor) -> Tensor:
+    """Mean squared distance to the three nearest other points, `[N]` float64, at least 1e-7.
+
+    With fewer than four points the mean is over those that there are; a single point gets the
+    smallest value.
+
+    Args:
+        positions: `[N, 3]`, world units, N >= 1.
+    """
+    count = positions.shape[0]
+    neighbours = min(NEIGHBOURS, count - 1)
+    if neighbours == 0:
+        return torch.full((1,), MIN_SQUARED_DISTANCE, dtype=torch.float64)
+    array = positions.double().numpy()
+    distances, _ = KDTree(array).query(array, k=neighbours + 1)
+    # The nearest is the point itself, or a duplicate: at distance 0 either way.
+    squared = torch.from_numpy(distances[:, 1:] ** 2)
+    return squared.mean(dim=1).clamp(min=MIN_SQUARED_DISTANCE)
+
+
+def _check(points: PointCloud) -> None:
+    count = len(points)
+    if count == 0:
+        raise SceneError(
+            "the initializer found no points to start from",
+            fix="use more or better overlapping views, or another one: --set initializer.use=random",
+        )
+    for name, shape in (
+        ("positions", (count, 3)),
+        ("colors", (count, 3)),
+        ("scales", (count,)),
+        ("opacities", (count,)),
+    ):
+        values: Tensor | None = getattr(points, name)
+        if values is None:
+            continue
+        if tuple(values.shape) != shape:
+            raise SceneError(f"points.{name} has the shape {tuple(values.shape)}, expected {shape}")
+        good = torch.isfinite(values)
+        if name == "scales":
+            good &= values > 0
+        elif name == "opacities":
+            good &= (values > 0) & (values < 1)
+        if not good.all():
+            index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
+            raise SceneError(f"points.{name}[{index}] is {values[index].tolist()}, which cannot be")
