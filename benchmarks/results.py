@@ -28,8 +28,8 @@ from benchmarks.results_page import (
 from benchmarks.results_plan import CASES, METHODS, Measurement, check_data, make_measurements
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.ablation.folder import AblationFolder
-from registry.ablation.runner import train_all
+from registry.ablation.running.folder import AblationFolder
+from registry.ablation.running.runner import train_all
 from registry.plugins import Plugins
 from registry.priors.prior_cache import VARIABLE as PRIOR_CACHE
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from benchmarks.results_picture import draw
 from benchmarks.results_plan import Case, Measurement, Method
 from registry import RunError
-from registry.ablation.folder import AblationFolder
+from registry.ablation.running.folder import AblationFolder
 from registry.comparing.comparability import check_comparable
 from registry.comparing.comparison import FinishedRun, read_run
 from registry.files import write_text

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from registry import RunError
-from registry.ablation.plan import Combination, PlannedRun
-from registry.ablation.planning import pipeline_digest
+from registry.ablation.planning.making import pipeline_digest
+from registry.ablation.planning.plan import Combination, PlannedRun
 from registry.pipeline.edits import apply_override
 from registry.pipeline.pipeline import build_pipeline
 from registry.pipeline.yaml_source import read

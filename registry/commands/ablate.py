@@ -9,16 +9,16 @@ from rich.console import Console
 
 from core_rasterizer import open_device
 
-from ..ablation.arguments import with_arguments
-from ..ablation.description import read_description
-from ..ablation.folder import AblationFolder
-from ..ablation.jobs import default_jobs
-from ..ablation.page import as_page
-from ..ablation.plan import Plan
-from ..ablation.planning import make_plan
-from ..ablation.runner import Outcome, train_all
-from ..ablation.scores import Results
-from ..ablation.table import as_csv, as_text
+from ..ablation.planning.arguments import with_arguments
+from ..ablation.planning.description import read_description
+from ..ablation.planning.making import make_plan
+from ..ablation.planning.plan import Plan
+from ..ablation.running.folder import AblationFolder
+from ..ablation.running.jobs import default_jobs
+from ..ablation.running.runner import Outcome, train_all
+from ..ablation.showing.page import as_page
+from ..ablation.showing.scores import Results
+from ..ablation.showing.table import as_csv, as_text
 from ..errors import RunError
 from ..files import write_text
 from ..plugins import Plugins

@@ -15,7 +15,7 @@ from benchmarks import results
 from benchmarks.results_page import BEGIN, END, Record, draw_first_views, page_text, write_page
 from benchmarks.results_plan import CASES, METHODS, Case, Measurement, Method, make_measurements
 from registry import RunError
-from registry.ablation.folder import AblationFolder
+from registry.ablation.running.folder import AblationFolder
 from registry.plugins import Plugins
 
 ROOM = Case(

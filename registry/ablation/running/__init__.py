@@ -1,0 +1,1 @@
+"""Training what was planned, each run in a process of its own."""

@@ -1,0 +1,1 @@
+"""What came of it: scores, tables, plots and a page."""

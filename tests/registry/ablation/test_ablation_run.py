@@ -1,0 +1,244 @@
+"""Trainings of an ablation: real ones in processes of their own, and what decides about them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from core_rasterizer import Device
+from registry import RunError
+from registry.ablation.planning.plan import PlannedRun
+from registry.ablation.running import jobs
+from registry.ablation.running.folder import AblationFolder
+from registry.ablation.running.progress import AblationProgress
+from registry.ablation.running.runner import train_all
+from registry.ablation.running.training_process import training_arguments
+from registry.cli import main
+from registry.plugins import SELECTION, Plugins
+from registry.runs.metrics_log import MetricsLog
+from registry.runs.training_run import start
+
+from .ablating import plan, write
+
+TINY = """\
+name: tiny
+scene: {use: procedural, width: 32, height: 24, test_views: 1, points: 100}
+initializer: sfm
+modifiers: [dropout]
+metrics: [psnr]
+training: {iterations: 5, sh_degree: 0}
+"""
+
+
+def table(folder: Path) -> dict[str, dict[str, str]]:
+    """The CSV's rows by the dropout's state."""
+    rows = csv.DictReader(io.StringIO((folder / "ablation.csv").read_text()))
+    return {row["dropout"]: row for row in rows}
+
+
+def test_an_ablation_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
+    pipeline, out = tmp_path / "tiny.yaml", tmp_path / "out"
+    pipeline.write_text(TINY)
+    command = ["ablate", str(pipeline), "--toggle", "dropout", "--out", str(out)]
+    assert main([*command, "--jobs", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "2 combinations x 1 scene x 1 seed = 2 runs, 0 of them finished; 2 at a time" in printed
+    first = table(out)
+    for row in first.values():
+        results = json.loads((out / row["folder"] / "results.json").read_text())
+        assert float(row["psnr"]) == results["test"]["psnr"]
+        assert row["hash"] == results["hash"]
+        assert f"{results['test']['psnr']:.2f}" in (out / "ablation.txt").read_text()
+    assert first["0"]["hash"] != first["1"]["hash"]
+    assert (out / "ablation.txt").read_text() in printed
+    assert (out / "index.html").read_text("utf-8").count("<img") == 5
+
+    # One run broken beyond repair: it alone is trained again, to the same bits.
+    broken = out / first["1"]["folder"]
+    shutil.rmtree(broken / "checkpoint")
+    (broken / "results.json").unlink()
+    untouched = (out / first["0"]["folder"] / "results.json").stat().st_mtime_ns
+    assert main(command) == 0
+    assert "2 runs, 1 of them finished; " in capsys.readouterr().out
+    again = table(out)
+    assert again["1"]["hash"] == first["1"]["hash"]
+    assert again["1"]["psnr"] == first["1"]["psnr"]
+    assert again["0"] == first["0"]
+    assert (out / first["0"]["folder"] / "results.json").stat().st_mtime_ns == untouched
+
+
+def test_a_failure_is_told_and_the_others_are_trained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,initializers.ply,sfm,dropout,psnr")
+    pipeline, out = tmp_path / "tiny.yaml", tmp_path / "out"
+    pipeline.write_text(TINY)
+    vary = "initializer={use: ply, path: missing.ply},sfm"
+    command = ["ablate", str(pipeline), "--vary", vary, "--out", str(out), "--jobs", "2"]
+    assert main(command) == 2
+    captured = capsys.readouterr()
+    assert "1 of 2 runs failed; the first one said:" in captured.err
+    assert "missing.ply" in captured.err
+    assert ".log" in captured.err
+    text = (out / "ablation.txt").read_text()
+    assert "0/1" in text
+    assert "1/1" not in text
+
+
+def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:
+    return plan(write(folder), toys, toggles="second").runs
+
+
+def train_here(
+    run: PlannedRun, folder: AblationFolder, device: Device, stop_at: int | None = None
+) -> None:
+    """Train a planned run in this process, interrupted after an iteration if one is given."""
+    original: Callable[..., None] = MetricsLog.add
+
+    def add(self: MetricsLog, done: Any, seconds: float, *, last: bool) -> None:
+        original(self, done, seconds, last=last)
+        if done.number == stop_at:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MetricsLog, "add", add)
+        start(
+            run.pipeline,
+            device=device,
+            out=folder.run(run).path,
+            command=[],
+            console=Console(file=io.StringIO()),
+        )
+
+
+def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    folder = AblationFolder(tmp_path / "out")
+    run = toy_runs(toys, tmp_path)[0]
+    train_here(run, folder, device, stop_at=3)
+    place = folder.run(run)
+    assert folder.results(run) == {}
+    assert training_arguments(run, place) == ["--resume", str(place.path)]
+    next(place.path.glob("checkpoint/*.safetensors")).write_bytes(b"damaged")
+    pipeline, *out = training_arguments(run, place)
+    assert out == ["--out", str(place.path)]
+    assert Path(pipeline).read_text() == run.pipeline.to_yaml()
+    assert not place.path.exists()
+    train_here(run, folder, device)
+    assert folder.results(run)["iterations"] == 5
+
+
+def test_ctrl_c_stops_those_at_work_and_begins_no_other(
+    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[int] = []
+
+    def press_once(self: AblationProgress, working: list[object]) -> None:
+        shown.append(len(working))
+        if len(shown) == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(AblationProgress, "show", press_once)
+    runs = toy_runs(toys, tmp_path)
+    folder = AblationFolder(tmp_path / "out")
+    with folder.locked() as lock:
+        with pytest.raises(RunError, match="in use by another process"), folder.locked():
+            pass
+        console = Console(file=io.StringIO())
+        outcome = train_all(runs, folder, jobs=1, device=None, lock=lock, console=console)
+    assert shown[0] == 1
+    assert outcome.stopped
+    assert outcome.failures == {}
+    assert [folder.results(run) for run in runs] == [{}, {}]
+    assert (tmp_path / "out" / "runs" / f"{runs[0].name}.log").exists()
+    assert not (tmp_path / "out" / "runs" / f"{runs[1].name}.log").exists()
+    with folder.locked():  # free again
+        pass
+
+
+def test_a_training_that_leaves_no_results_has_failed(
+    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    does_nothing = shutil.which("true")
+    assert does_nothing
+    monkeypatch.setattr(sys, "executable", does_nothing)
+    (run, _) = toy_runs(toys, tmp_path)
+    folder = AblationFolder(tmp_path / "out")
+    console = Console(file=io.StringIO())
+    with folder.locked() as lock:
+        outcome = train_all([run], folder, jobs=1, device=None, lock=lock, console=console)
+    assert "left no results" in outcome.failures[run]
+    assert not outcome.stopped
+
+
+@pytest.mark.parametrize(
+    ("kind", "cores", "free", "peaks", "expected"),
+    [
+        ("cpu", 2, 64_000.0, [], 1),
+        ("cpu", 16, 64_000.0, [], 4),
+        ("cpu", 16, 5_000.0, [], 2),
+        ("cpu", 16, 5_000.0, [700.0, 1_500.0], 3),
+        ("cpu", 16, 100.0, [], 1),
+        ("cpu", 16, None, [], 1),
+        ("gpu", 16, 64_000.0, [], 1),
+    ],
+)
+def test_how_many_at_the_same_time(
+    device: Device,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    cores: int,
+    free: float | None,
+    peaks: list[float],
+    expected: int,
+) -> None:
+    monkeypatch.setattr(device, "kind", kind)
+    monkeypatch.setattr(jobs, "_cores", lambda: cores)
+    monkeypatch.setattr(jobs, "free_memory_mb", lambda: free)
+    assert jobs.default_jobs(device, peaks) == expected
+
+
+def test_free_memory_is_told_where_the_system_tells() -> None:
+    free = jobs.free_memory_mb()
+    assert free is None or 1 < free < 1e8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["none.yaml"], "cannot be read"),
+        (["tiny.yaml"], "nothing to toggle"),
+        (["tiny.yaml", "--toggle", "dropot"], "did you mean 'dropout'"),
+        (["tiny.yaml", "--toggle", "dropout", "--jobs", "0"], "too few"),
+        (["tiny.yaml", "--toggle", "dropout", "--device", "no such"], "no OpenCL device"),
+        (["tiny.yaml", "--toggle", "dropout", "--out", "tiny.yaml"], "nothing can be written"),
+        (["tiny.yaml", "--toggle", "dropout", "--pipeline", "x.yaml"], "another pipeline"),
+    ],
+)
+def test_mistakes_end_in_one_message_and_nothing_written(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    what: str,
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(TINY)
+    assert main(["ablate", *arguments]) == 2
+    assert what in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["tiny.yaml"]

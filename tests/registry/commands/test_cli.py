@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from registry.cli import build_parser, main
+
+from ..conftest import Install
+
+PIPELINE = """\
+name: toy
+scene: toy_scene
+initializer: toy_points
+regularizers: [toy_term]
+metrics: [psnr]
+exporters: [toy_files]
+training: {iterations: 5, sh_degree: 0}
+"""
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def pipeline(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A pipeline file in an otherwise empty working folder; the toy plugin is installed."""
+    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    path = folder / "toy.yaml"
+    path.write_text(PIPELINE)
+    return path
+
+
+def only_the_pipeline(pipeline: Path) -> bool:
+    return list(pipeline.parent.iterdir()) == [pipeline]
+
+
+def test_train_eval_render(pipeline: Path, capsys: Capture) -> None:
+    assert main(["train", "toy.yaml", "--set", "training.seed=3"]) == 0
+    output = capsys.readouterr().out
+    run = Path("runs/toy-tiny")
+    results = json.loads((run / "results.json").read_text())
+    assert results["seed"] == 3
+    for text in ("test mean", "psnr", results["hash"], "runs/toy-tiny/exports/count.txt"):
+        assert text in output
+    (run / "results.json").unlink()
+    assert main(["eval", str(run)]) == 0
+    assert "test mean" in capsys.readouterr().out
+    again = json.loads((run / "results.json").read_text())
+    assert (again["hash"], again["test"]) == (results["hash"], results["test"])
+    assert main(["render", str(run)]) == 0
+    assert "1 test views" in capsys.readouterr().out
+    assert main(["render", str(run), "--path", "--frames", "5"]) == 0
+    assert "runs/toy-tiny/renders/path" in capsys.readouterr().out
+    assert main(["train", "toy.yaml"]) == 0
+    assert Path("runs/toy-tiny-2/results.json").is_file()
+
+
+def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
+    assert main(["train", "toy.yaml", "--out", "here"]) == 0
+    assert main(["train", "--resume", "here"]) == 0
+    assert "going on after iteration 5 of 5" in capsys.readouterr().out
+    provenance = json.loads(Path("here/provenance.json").read_text())
+    assert provenance["plugins"]["scene.toy_scene"] == "toys 1.5"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what", "where"),
+    [
+        (["train", "none.yaml"], "cannot be read", "none.yaml"),
+        (["train"], "nothing to train", "command line"),
+        (["train", "--resume", "none"], "not a run folder", "none"),
+        (["train", "toy.yaml", "--resume", "x"], "unchanged", "command line"),
+        (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
+        (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
+        (["train", "toy.yaml", "--set", "training.seed=x"], "whole number", "--set training"),
+        (["train", "toy.yaml", "--disable", "toy_trm"], "did you mean 'toy_term'", "--disable"),
+        (["train", "toy.yaml", "--device", "no such"], "no OpenCL device", ""),
+        (["train", "toy.yaml", "--set", "scene.mode=missing"], "no photographs", "folder/x"),
+        (["train", "toy.yaml", "--set", "scene.mode=crash"], "boom", "toys 1.5"),
+        (["train", "toy.yaml", "--set", "initializer.count=0"], "no points", "toy.yaml:3"),
+        (["train", "toy.yaml", "--out", "toy.yaml"], "in the way", "toy.yaml"),
+        (["train", "toy.yaml", "--out", "toy.yaml/x"], "nothing can be written", "toy.yaml/x"),
+        (["eval", "."], "not a run folder", ""),
+        (["render", "."], "not a run folder", ""),
+    ],
+)
+def test_mistakes_end_in_one_message_and_no_folder(
+    pipeline: Path, capsys: Capture, arguments: list[str], what: str, where: str
+) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr().err
+    assert captured.startswith("stereogs: ")
+    assert what in captured
+    assert where in captured
+    assert "fix " in captured
+    assert "Traceback" not in captured
+    assert only_the_pipeline(pipeline)
+
+
+def test_a_traceback_can_be_asked_for(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEREOGS_TRACE", "1")
+    assert main(["train", "toy.yaml", "--set", "scene.mode=crash"]) == 2
+    captured = capsys.readouterr().err
+    assert "Traceback" in captured
+    assert "ZeroDivisionError: boom" in captured
+
+
+def test_interrupted_before_training(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.registry.toy_plugin import ToyScene
+
+    def interrupt(self: ToyScene) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ToyScene, "load", interrupt)
+    assert main(["train", "toy.yaml"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert only_the_pipeline(pipeline)
+
+
+def test_interrupted_during_training(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import signal
+
+    from tests.registry.toy_plugin import ToyTerm
+
+    original = ToyTerm.loss
+
+    def loss(self: ToyTerm, step: object) -> object:
+        signal.raise_signal(signal.SIGINT)
+        return original(self, step)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ToyTerm, "loss", loss)
+        assert main(["train", "toy.yaml", "--out", "run"]) == 130
+    assert "stereogs train --resume run" in capsys.readouterr().out
+    assert main(["train", "--resume", "run"]) == 0
+    assert "going on after iteration 1 of 5" in capsys.readouterr().out
+
+
+def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
+    assert main(["plugins", "--check"]) == 0
+    assert "10 components, no fault" in capsys.readouterr().out
+    assert main(["plugins", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    term = next(p for p in listed["plugins"] if p["name"] == "toy_term")
+    assert (term["section"], term["package"], term["version"]) == ("regularizers", "toys", "1.5")
+    assert term["hook"] == "stereogs_register_regularizers"
+    assert term["settings"]["properties"]["target"]["default"] == 0.5
+    assert listed["faults"] == []
+
+
+def test_a_broken_plugin_is_told_and_fails_the_check(
+    pipeline: Path, install: Install, capsys: Capture
+) -> None:
+    install("wreck", "0.2", {"wreck": "wreck_module"}, wreck_module="import nothing_like_this")
+    assert main(["plugins"]) == 0
+    assert "wreck (wreck 0.2) cannot be used" in capsys.readouterr().out
+    assert main(["plugins", "--check"]) == 1
+    assert main(["plugins", "--json", "--check"]) == 1
+
+
+def test_doctor(capsys: Capture) -> None:
+    assert main(["doctor"]) == 0
+    output = capsys.readouterr().out
+    assert output.count("<- chosen") == 1
+    assert "self-test: passed" in output
+
+
+@pytest.mark.parametrize("verb", ["train", "eval", "render", "plugins", "doctor", "demo"])
+def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as caught:
+        build_parser().parse_args([verb, "--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert f"stereogs {verb}" in text.split("examples:")[1]
+
+
+def test_without_a_verb(capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == 2

@@ -1,0 +1,281 @@
+"""Runs side by side; what cannot be compared is refused with the reason."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from registry import RunError
+from registry.cli import build_parser, main
+from registry.comparing.comparability import check_comparable
+from registry.comparing.comparison import FinishedRun, method_means, read_run
+from registry.pipeline.protocol_rules import AppliedProtocol
+from registry.pipeline.protocols import load_protocol
+from registry.pipeline.yaml_source import to_yaml
+from registry.runs.folder import RunFolder
+
+from ..conftest import Install
+
+Capture = pytest.CaptureFixture[str]
+Make = Callable[..., Path]
+
+RESULTS: dict[str, Any] = {
+    "pipeline": "plain",
+    "protocol": AppliedProtocol(load_protocol("llff-3"), {}).record(),
+    "scene": {
+        "name": "fern",
+        "train": [1, 10, 19],
+        "test": [0, 8, 16],
+        "width": 504,
+        "height": 378,
+        "extent": 4.25,
+        "points": 700,
+    },
+    "metrics": {
+        "psnr": {"use": "psnr", "quantize": "png8"},
+        "lpips": {"use": "lpips", "quantize": "png8", "sha256": None},
+    },
+    "gaussians": 1000,
+    "seconds": 60.0,
+    "peak_memory_mb": 500.0,
+    "test": {"psnr": 20.0, "ssim": 0.7, "lpips": None},
+}
+PIPELINE: dict[str, Any] = {
+    "name": "plain",
+    "scene": {"use": "llff", "path": "fern", "train_views": 3},
+    "initializer": {"use": "sfm"},
+    "metrics": [{"use": "psnr"}],
+    "training": {"iterations": 1000, "seed": 0},
+}
+
+
+def changed(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """A copy with values at dotted keys; `...` removes one."""
+    result = copy.deepcopy(base)
+    for path, value in changes.items():
+        *parents, last = path.split("/")
+        place = result
+        for parent in parents:
+            place = place[parent]
+        place[last] = value
+        if value is ...:
+            del place[last]
+    return result
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """`make("a", {"scene/name": "flower"}, {"training/seed": 1})` writes a run folder."""
+
+    def make(
+        name: str, results: dict[str, Any] | None = None, pipeline: dict[str, Any] | None = None
+    ) -> Path:
+        run = RunFolder(tmp_path / name)
+        run.create(to_yaml(changed(PIPELINE, pipeline or {})), {})
+        run.write_results(changed(RESULTS, results or {}))
+        return run.path
+
+    return make
+
+
+def refusal(*folders: Path) -> RunError:
+    with pytest.raises(RunError) as caught:
+        check_comparable([read_run(folder) for folder in folders])
+    for folder in folders[-2:]:
+        assert str(folder) in caught.value.where
+    assert caught.value.fix
+    return caught.value
+
+
+def runs(*folders: Path) -> list[FinishedRun]:
+    found = [read_run(folder) for folder in folders]
+    check_comparable(found)
+    return found
+
+
+def test_runs_of_one_protocol_are_compared(make: Make) -> None:
+    flower = {"scene/name": "flower", "scene/width": 500, "scene/test": [0, 8]}
+    repeated = {"scene/points": 3, "scene/extent": 4.25 * (1 + 1e-9)}
+    assert len(runs(make("a"), make("b", flower), make("c", repeated))) == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"protocol": None}, "the protocol 'llff-3', the other no protocol"),
+        ({"protocol/name": "llff-6"}, "the other the protocol 'llff-6'"),
+        (
+            {"protocol/modified": {"scene.downsample": 4}},
+            "the other the protocol 'llff-3, scene.downsample=4'",
+        ),
+        ({"protocol/scale": "1/4"}, "had another `scale`"),
+        ({"scene/width": 252}, "'fern' differs in `width`: 504 and 252"),
+        ({"scene/test": [0, 8]}, "differs in `test`"),
+        ({"scene/extent": 4.3}, "differs in `extent`"),
+        ({"scene/source": "images"}, "differs in `source`: None and images"),
+        (
+            {"metrics/psnr/quantize": "float"},
+            "psnr was measured with `quantize` 'png8' and 'float'",
+        ),
+    ],
+)
+def test_runs_that_cannot_be_compared(make: Make, changes: dict[str, Any], message: str) -> None:
+    assert message in refusal(make("a"), make("b", changes)).what
+
+
+def test_two_scenes_need_a_protocol(make: Make) -> None:
+    free = {"protocol": None}
+    runs(make("a", free), make("b", free))
+    error = refusal(make("c", free), make("d", {**free, "scene/name": "flower"}))
+    assert "'fern' and 'flower' and follow no protocol" in error.what
+
+
+def test_a_difference_between_later_runs_is_found(make: Make) -> None:
+    flower = {"scene/name": "flower"}
+    other = {**flower, "scene/height": 100}
+    assert "'flower' differs" in refusal(make("a"), make("b", flower), make("c", other)).what
+
+
+def test_settings_of_a_metric_matter_only_where_both_have_a_score(make: Make) -> None:
+    measured = {"test/lpips": 0.2, "metrics/lpips/sha256": "ab"}
+    other = {"test/lpips": 0.2, "metrics/lpips/sha256": "cd"}
+    runs(make("a"), make("b", measured))
+    assert "lpips was measured with `sha256`" in refusal(make("c", measured), make("d", other)).what
+
+
+def test_a_run_without_results_is_explained(make: Make, tmp_path: Path) -> None:
+    folder = make("a")
+    (folder / "results.json").unlink()
+    with pytest.raises(RunError, match="has not ended"):
+        read_run(folder)
+    with pytest.raises(RunError, match="does not say metrics, gaussians"):
+        read_run(make("b", {"metrics": ..., "gaussians": ...}))
+    with pytest.raises(RunError, match="not a run folder"):
+        read_run(tmp_path)
+
+
+def test_means_go_over_repetitions_first_and_then_over_scenes(make: Make) -> None:
+    flower = {"scene/name": "flower", "test/psnr": 26.0, "gaussians": 4000}
+    again = {"test/psnr": 21.0, "gaussians": 3000}
+    (mean,) = method_means(
+        runs(
+            make("a"),
+            make("b", again, {"training/seed": 1, "metrics": []}),
+            make("c", flower, {"scene/path": "flower"}),
+        )
+    )
+    assert (mean.method, mean.scenes) == ("plain", ("fern", "flower"))
+    assert mean.numbers["psnr"] == pytest.approx((20.5 + 26) / 2)
+    assert mean.numbers["gaussians"] == pytest.approx((2000 + 4000) / 2)
+    assert mean.numbers["lpips"] is None
+
+
+def test_a_mean_needs_the_score_in_every_scene(make: Make) -> None:
+    flower = {"scene/name": "flower", "test/lpips": 0.2}
+    (mean,) = method_means(runs(make("a"), make("b", flower)))
+    assert mean.numbers["lpips"] is None
+
+
+def test_pipelines_that_differ_are_two_methods(make: Make) -> None:
+    means = method_means(runs(make("a"), make("b", None, {"training/iterations": 2000})))
+    assert [mean.method for mean in means] == ["plain (a)", "plain (b)"]
+
+
+def test_the_table(make: Make, capsys: Capture) -> None:
+    flower = {"scene/name": "flower", "test/psnr": 26.0}
+    folders = [make("a"), make("b", flower)]
+    assert main(["compare", *map(str, folders)]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert lines[0] == ["protocol", "llff-3"]
+    assert lines[1][:6] == ["run", "method", "scene", "psnr", "ssim", "lpips"]
+    dash = "–"  # noqa: RUF001
+    assert ["a", "plain", "fern", "20.00", "0.700", dash, "1,000", "60", "500"] in lines
+    assert ["plain", "mean", "of", "2", "23.00", "0.700", dash, "1,000", "60", "500"] in lines
+
+
+def test_no_means_where_methods_saw_different_scenes(make: Make, capsys: Capture) -> None:
+    other = {"name": "other", "training/iterations": 5}
+    folders = [
+        make("a"),
+        make("b", {"scene/name": "flower"}),
+        make("c", {"pipeline": "other"}, other),
+    ]
+    assert main(["compare", *map(str, folders)]) == 0
+    output = " ".join(capsys.readouterr().out.split())
+    assert "mean of" not in output
+    assert "No means" in output
+    assert "plain: fern, flower; other: fern" in output
+
+
+def test_published_rows_stand_beside_ours(make: Make, capsys: Capture) -> None:
+    assert main(["compare", str(make("a")), "--paper", "llff-3"]) == 0
+    output = capsys.readouterr().out
+    rows = [line.split() for line in output.splitlines()]
+    assert ["a", "plain", "fern"] in [row[:3] for row in rows]
+    expected = ["published", "StereoGS", "mean", "of", "8", "21.91", "0.773", "0.157", "126,000"]
+    assert expected in [row[:9] for row in rows]
+    text = " ".join(output.split())
+    assert "means over fern, flower, fortress, horns, leaves, orchids, room, trex" in text
+    assert "Ours: fern. A mean over other scenes is no reproduction." in text
+
+
+def test_published_rows_alone(capsys: Capture) -> None:
+    assert main(["compare", "--paper", "blender-8"]) == 0
+    output = capsys.readouterr().out
+    assert "25.04" in output
+    assert "Ours" not in output
+
+
+@pytest.mark.parametrize(
+    ("changes", "paper", "message"),
+    [
+        ({}, "llff-6", "for llff-6: it follows llff-3"),
+        ({"protocol": None}, "llff-3", "it follows no protocol"),
+        ({"protocol/modified": {"scene.downsample": 4}}, "llff-3", "scene.downsample=4"),
+        ({}, "lff-3", "nothing for 'lff-3'; did you mean 'llff-3'"),
+    ],
+)
+def test_published_numbers_of_another_protocol_are_refused(
+    make: Make, capsys: Capture, changes: dict[str, Any], paper: str, message: str
+) -> None:
+    assert main(["compare", str(make("a", changes)), "--paper", paper]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_nothing_to_compare(capsys: Capture) -> None:
+    assert main(["compare"]) == 2
+    assert "nothing to compare" in capsys.readouterr().err
+
+
+def test_help_has_examples(capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as caught:
+        build_parser().parse_args(["compare", "--help"])
+    assert caught.value.code == 0
+    assert "stereogs compare" in capsys.readouterr().out.split("examples:")[1]
+
+
+def test_real_runs_are_compared(
+    install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    monkeypatch.chdir(tmp_path)
+    Path("toy.yaml").write_text(
+        "name: toy\nscene: toy_scene\ninitializer: toy_points\nmetrics: [psnr]\n"
+        "training: {iterations: 3, sh_degree: 0}\n"
+    )
+    for name, change in (("a", "training.seed=1"), ("b", "training.seed=2"), ("c", "metrics=[]")):
+        assert main(["train", "toy.yaml", "--out", name, "--set", change]) == 0
+    facts = json.loads(Path("a/results.json").read_text())
+    assert facts["protocol"] is None
+    assert facts["metrics"] == {"psnr": {"use": "psnr"}}
+    assert facts["scene"]["background"] == [0.0, 0.0, 0.0]
+    capsys.readouterr()
+    assert main(["compare", "a", "b", "c"]) == 0
+    output = capsys.readouterr().out
+    assert output.count("toy") == 3
+    assert f"{facts['gaussians']:,}" in output

@@ -1,0 +1,84 @@
+"""The ready StereoGS pipelines say what the paper says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from registry.pipeline.pipeline import Item, Pipeline, load_pipeline
+from registry.plugins import SELECTION, Plugins
+
+PIPELINES = Path(__file__).parents[3] / "pipelines"
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(SELECTION)
+    monkeypatch.setenv("STEREOGS_DATA", "data")
+    monkeypatch.setenv("STEREOGS_MODELS", "models")
+
+
+def load(name: str) -> Pipeline:
+    return load_pipeline(PIPELINES / f"{name}.yaml", Plugins())
+
+
+def only(pipeline: Pipeline, section: str) -> Item:
+    (item,) = pipeline.items[section]
+    return item
+
+
+def test_the_papers_schedule_and_numbers() -> None:
+    pipeline = load("stereogs")
+    assert pipeline.training.iterations == 30_000
+    stereo = only(pipeline, "regularizers")
+    assert (stereo.schedule.start, stereo.schedule.stop, stereo.schedule.every) == (20_001, None, 1)
+    assert stereo.host.weight == 1
+    assert stereo.settings.model_dump(include={"tau", "validity_mask", "refresh_threshold"}) == {
+        "tau": 2.0,
+        "validity_mask": True,
+        "refresh_threshold": 0,
+    }
+    growth = only(pipeline, "densification")
+    assert (growth.schedule.start, growth.schedule.stop, growth.schedule.every) == (1000, None, 100)
+    assert growth.settings.model_dump()["size_prune_from"] is None
+    decay = only(pipeline, "opacity")
+    assert decay.schedule.start == 1001
+    assert decay.settings.model_dump(include={"function", "base", "sensitivity"}) == {
+        "function": "exp_beta",
+        "base": 0.99,
+        "sensitivity": 0.5,
+    }
+    assert pipeline.items["modifiers"] == ()
+
+
+def test_the_starred_rows_differ_by_dropout_alone() -> None:
+    plain, starred = load("stereogs"), load("stereogs_dropout")
+    assert only(starred, "modifiers").settings.model_dump() == {
+        "rate": 0.3,
+        "ramp": False,
+        "compensate": True,
+    }
+    for section in plain.items:
+        if section != "modifiers":
+            assert starred.items[section] == plain.items[section], section
+    assert starred.training == plain.training
+
+
+def test_the_short_one_has_the_same_parts_at_the_same_shares() -> None:
+    paper, short = load("stereogs"), load("stereogs_weightfree")
+    for section in ("initializer", "regularizers", "densification", "opacity"):
+        assert only(short, section).host.use == only(paper, section).host.use
+    for section in ("regularizers", "densification", "opacity"):
+        shares = [
+            only(pipeline, section).schedule.start / pipeline.training.iterations
+            for pipeline in (paper, short)
+        ]
+        assert shares[1] == pytest.approx(shares[0], abs=0.07), section
+    for section in ("regularizers", "opacity"):
+        assert only(short, section).settings.model_dump(exclude={"refresh_threshold"}) == only(
+            paper, section
+        ).settings.model_dump(exclude={"refresh_threshold"})
+    assert [item.name for item in short.items["priors"]] == [
+        item.name for item in paper.items["priors"]
+    ]

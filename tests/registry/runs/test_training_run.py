@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+import io
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from rich.console import Console
+
+import registry.runs.training_run as training_run
+from core_rasterizer import Device, ExplainedError, load_ply
+from registry import PluginError, RunError, SceneError
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.plugins import Plugins
+from registry.runs.folder import RunFolder
+from registry.runs.metrics_log import MetricsLog
+from registry.runs.training_run import open_run, resume, start
+
+TEXT = """\
+name: toy
+scene: {use: toy_scene, path: here}
+initializer: toy_points
+regularizers: [{use: toy_term, weight: 0.1}]
+modifiers: [toy_dropout]
+densification: {use: toy_growth, every: 10, stop: 25}
+opacity: {use: toy_fade, every: 7}
+metrics: [psnr]
+exporters: [toy_files]
+reports: [toy_report]
+training: {iterations: 30, sh_degree: 1, sh_every: 10, evaluate_every: 20}
+"""
+
+
+def pipeline(plugins: Plugins, *overrides: str) -> Pipeline:
+    return parse_pipeline(TEXT, plugins, source="toy.yaml", overrides=overrides)
+
+
+def run(
+    plugins: Plugins, device: Device, out: Path, *overrides: str
+) -> tuple[RunFolder, bool, str]:
+    stream = io.StringIO()
+    folder, finished = start(
+        pipeline(plugins, *overrides),
+        device=device,
+        out=out,
+        command=["stereogs", "train"],
+        console=Console(file=stream),
+    )
+    return folder, finished, stream.getvalue()
+
+
+def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: Path) -> None:
+    folder, finished, output = run(toys, device, tmp_path / "run")
+    assert finished
+    assert "2 training views, 1 test views" in output
+    assert "iteration 30/30" in output
+    results = json.loads((folder.path / "results.json").read_text())
+    assert results["test"].keys() == results["train"].keys() == {"psnr"}
+    assert results["views"]["test"]["view1"] == results["test"]
+    assert results["scene"]["train"] == ["view0", "view2"]
+    assert (results["iterations"], len(results["hash"])) == (30, 64)
+    assert results["gaussians"] > 0
+    assert results["seconds"] > 0
+    assert results["iterations_per_second"] == pytest.approx(30 / results["seconds"], rel=0.01)
+    assert 10 < results["peak_memory_mb"] < 100_000
+    assert results["device"]["name"] == device.name
+    assert results["exports"] == ["exports/count.txt"]
+    assert (folder.path / "exports/count.txt").read_text() == str(results["gaussians"])
+    assert (folder.path / "report.txt").is_file()
+    names = {path.name for path in (folder.path / "renders").iterdir()}
+    assert names == {"view1.png", "view1_depth.png", "view1_comparison.png"}
+    facts = json.loads((folder.path / "provenance.json").read_text())
+    assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
+    assert facts["command"] == ["stereogs", "train"]
+    assert facts["packages"]["torch"] == torch.__version__
+    lines = [json.loads(x) for x in (folder.path / "metrics.jsonl").read_text().splitlines()]
+    assert [line["iteration"] for line in lines] == [20, 30]
+    assert "psnr" in lines[0]["test"]
+    assert lines[1]["gaussians"] == results["gaussians"]
+    assert {"loss", "photometric", "regularizers.toy_term", "calls"} <= lines[1].keys()
+    again = parse_pipeline((folder.path / "pipeline.yaml").read_text(), toys)
+    assert again == pipeline(toys)
+
+
+def test_one_seed_one_hash(toys: Plugins, device: Device, tmp_path: Path) -> None:
+    first, second, other = (
+        run(toys, device, tmp_path / name, f"training.seed={seed}")[0].results()["hash"]
+        for name, seed in (("a", 5), ("b", 5), ("c", 6))
+    )
+    assert first == second != other
+
+
+@pytest.mark.parametrize("iteration", [1, 10, 17])
+def test_ctrl_c_then_resume_ends_in_the_same_bits(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    iteration: int,
+) -> None:
+    whole = run(toys, device, tmp_path / "whole")[0].results()
+
+    def add_and_interrupt(self: MetricsLog, done: Any, seconds: float, *, last: bool) -> None:
+        if done.number == iteration:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MetricsLog, "add", add_and_interrupt)
+        folder, finished, _ = run(toys, device, tmp_path / "parts")
+    assert not finished
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert not (folder.path / "results.json").exists()
+    opened = open_run(folder.path, plugins=toys, device=device)
+    assert opened.checkpoint.iteration == iteration
+    assert resume(folder.path, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    results = folder.results()
+    assert results["hash"] == whole["hash"]
+    assert results["test"] == whole["test"]
+    assert results["gaussians"] == whole["gaussians"]
+
+
+def test_a_second_ctrl_c_stops_at_once(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def impatient(self: MetricsLog, done: Any, seconds: float, *, last: bool) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(MetricsLog, "add", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        run(toys, device, tmp_path / "run")
+
+
+def test_a_finished_run_may_be_resumed_to_the_same_results(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    before = folder.results()
+    (folder.path / "results.json").unlink()
+    assert resume(folder.path, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    assert folder.results()["hash"] == before["hash"]
+    assert folder.results()["test"] == before["test"]
+
+
+def test_a_failure_leaves_the_last_checkpoint(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(PluginError, match="not finite") as caught:
+        run(
+            toys,
+            device,
+            out,
+            "regularizers.toy_term.fault=nan",
+            "regularizers.toy_term.start=21",
+            "training.checkpoint_every=8",
+        )
+    assert "iteration 21" in caught.value.where
+    assert open_run(out, plugins=toys, device=device).checkpoint.iteration == 16
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind", "message"),
+    [
+        (["scene.mode=missing"], SceneError, "no photographs"),
+        (["scene.mode=crash"], PluginError, "boom"),
+        (["initializer.count=0"], SceneError, "no points"),
+    ],
+)
+def test_bad_input_leaves_no_folder(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    overrides: list[str],
+    kind: type[ExplainedError],
+    message: str,
+) -> None:
+    with pytest.raises(kind, match=message) as caught:
+        run(toys, device, tmp_path / "deep" / "run", *overrides)
+    assert "toy.yaml:" in caught.value.where or "--set" in caught.value.where
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_folder_is_refused_before_anything_is_loaded(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="not empty"):
+        run(toys, device, tmp_path, "scene.mode=crash")
+
+
+def test_a_scene_without_test_views(toys: Plugins, device: Device, tmp_path: Path) -> None:
+    folder, finished, _ = run(toys, device, tmp_path / "run", "scene.test_views=0")
+    assert finished
+    results = folder.results()
+    assert results["test"] == {}
+    assert "psnr" in results["train"]
+    assert not (folder.path / "renders").exists()
+
+
+def test_the_scene_is_loaded_anew_by_its_own_settings(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run", "scene.test_views=0")
+    opened = open_run(folder.path, plugins=toys, device=device)
+    assert opened.scene.test == ()
+    assert opened.model.digest() == folder.results()["hash"]
+
+
+def test_the_module_writes_with_the_projects_own_plugins(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
+    demo = (Path(training_run.__file__).parents[1] / "data" / "demo.yaml").read_text()
+    small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
+    chosen = parse_pipeline(demo, Plugins(), overrides=small)
+    folder, finished = start(
+        chosen,
+        device=device,
+        out=tmp_path / "run",
+        command=[],
+        console=Console(file=io.StringIO()),
+    )
+    assert finished
+    results = folder.results()
+    assert results["train"]["psnr"] > 22
+    assert 0 < results["test"]["ssim"] < 1
+    assert len(load_ply(folder.path / "exports" / "scene.ply")) == results["gaussians"]
