@@ -14,8 +14,9 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 """
 
 from . import web_page
-from .contract.component import Component, Context, Settings
+from .contract.component import Component, Context, ParameterGroup, Settings
 from .contract.components import (
+    Appearance,
     Densification,
     Exporter,
     Initializer,
@@ -23,22 +24,23 @@ from .contract.components import (
     Modifier,
     OpacityPolicy,
     OpacityUpdate,
+    Perturbation,
     Regularizer,
     Report,
+    Sampler,
     SceneLoader,
     Unavailable,
     ViewMetric,
 )
 from .contract.hook_points import API_VERSION
 from .contract.hooks import Register, hookimpl
+from .contract.maps import DepthMap, Disparity
 from .contract.prior import Prior
-from .contract.scene import PointCloud, Scene, View, validate
-from .contract.step import Step
+from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
+from .contract.step import OtherField, Render, Sample, Step
 from .drawing.pictures import grey, nearness_picture, side_by_side
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .priors.capabilities import (
-    DepthMap,
-    Disparity,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     StereoPrior,
@@ -50,6 +52,7 @@ from .priors.prior_cache import cache_folder
 
 __all__ = [
     "API_VERSION",
+    "Appearance",
     "Component",
     "Context",
     "Densification",
@@ -66,14 +69,20 @@ __all__ = [
     "OnnxTensor",
     "OpacityPolicy",
     "OpacityUpdate",
+    "OtherField",
+    "ParameterGroup",
+    "Perturbation",
     "PipelineError",
     "PluginError",
     "PointCloud",
     "Prior",
     "Register",
     "Regularizer",
+    "Render",
     "Report",
     "RunError",
+    "Sample",
+    "Sampler",
     "Scene",
     "SceneError",
     "SceneLoader",
@@ -81,6 +90,8 @@ __all__ = [
     "Sha256",
     "Step",
     "StereoPrior",
+    "TrainingScene",
+    "TrainingView",
     "Unavailable",
     "View",
     "ViewMetric",
