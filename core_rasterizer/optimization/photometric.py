@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .device import Device, DeviceArray, open_device
-from .errors import ExplainedError
-from .finite import undefined_places
+from ..device import Device, DeviceArray, open_device
+from ..errors import ExplainedError
+from ..finite import undefined_places
 
 SSIM_WEIGHT = 0.2
 """The share of D-SSIM in the loss of 3DGS."""
@@ -101,7 +101,9 @@ class _Workspace:
         # An image narrower than a vector (one or two pixels) goes real by real.
         lanes = device.lanes if row >= device.lanes else 1
         self._items = 1 if device.variant == "cpu" else _GPU_GROUP
-        self._program = device.program("photometric", dtype=dtype, LANES=lanes, GROUP=self._items)
+        self._program = device.program(
+            "optimization/photometric", dtype=dtype, LANES=lanes, GROUP=self._items
+        )
         self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
         band = _GPU_BAND
         if device.variant == "cpu":
