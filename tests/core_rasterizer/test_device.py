@@ -42,4 +42,4 @@ def test_an_empty_array_is_allowed(device: Device) -> None:
 
 def test_a_kernel_that_does_not_build_is_explained(device: Device) -> None:
     with pytest.raises(DeviceError, match="refused the kernels"):
-        device.program("scan", dtype=torch.float32)  # its macros are missing
+        device.program("raster/scan", dtype=torch.float32)  # its macros are missing

@@ -14,7 +14,7 @@ from core_rasterizer import (
     rasterize,
     reference,
 )
-from core_rasterizer.model import PARAMETERS
+from core_rasterizer.layout import PARAMETERS
 from tests.core_rasterizer.scenes import random_camera, random_scene
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.unknown_cpu import better_name, names_reachable_from
+from core_rasterizer.device.unknown_cpu import better_name, names_reachable_from
 
 MEMORY = Path("/proc/self/mem")
 pytestmark = pytest.mark.skipif(not MEMORY.exists(), reason="the system has no /proc/self/mem")
