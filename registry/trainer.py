@@ -31,7 +31,7 @@ from .scene import Scene
 from .schedule import active_sh_degree
 from .seeding import derived_seed
 from .step_rendering import StepRenderer, backward
-from .topology_rules import limited, not_finite
+from .topology_rules import limited
 from .training_settings import TrainingSettings
 from .view_order import ViewOrder
 
@@ -221,7 +221,7 @@ class Trainer:
         """
         if iteration % HEALTH_CHECK_EVERY and iteration < self.settings.iterations:
             return False
-        broken = not_finite(self.model)
+        broken = self.model.not_finite()
         number = int(broken.sum())
         if not number:
             return False

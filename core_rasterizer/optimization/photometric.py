@@ -119,7 +119,13 @@ class _Workspace:
     def run(
         self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """The loss and, if asked for, its gradient image."""
+        """The loss and, if asked for, its gradient image; threads take turns."""
+        with self._device.lock:
+            return self._run(rgb, target, ssim_weight, with_gradient)
+
+    def _run(
+        self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
         image, reference, result = self._bind(rgb, target)
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
