@@ -52,21 +52,12 @@ def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
 
 
 def check_edit(edit: Any, count: int) -> Edit | None:
-    """A policy's edit: masks that are None or bool `[N]`; or None."""
+    """A policy's edit, such as the engine can carry out (`Edit.check`); or None."""
     if edit is None:
         return None
     if not isinstance(edit, Edit):
         raise PluginError(f"the answer is a {type(edit).__name__}, expected an Edit")
-    for name in ("clone", "split", "prune"):
-        mask = getattr(edit, name)
-        if mask is None:
-            continue
-        tensor = _tensor(name, mask)
-        if tensor.dtype != torch.bool or tuple(tensor.shape) != (count,):
-            raise PluginError(
-                f"the mask {name!r} is {tensor.dtype} {tuple(tensor.shape)}, "
-                f"expected torch.bool ({count},)"
-            )
+    edit.check(count)
     return edit
 
 

@@ -141,7 +141,7 @@ class Field:
             background=sample.background,
             sh_degree=sample.sh_degree,
             opacity_scale=self._opacity_scale(),
-            smoothing=sample.smoothing,
+            # SMOOTHING
             collect_statistics=self._statistics_wanted(step.iteration),
         )
         step.rendered(lambda: self._rendering)

@@ -46,12 +46,7 @@ def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) 
     Raises:
         GaussianError: a parameter is not finite.
     """
-    return GaussianModel(
-        gaussians,
-        device,
-        dilation=settings.dilation,
-        compensate_dilation=settings.compensate_dilation,
-    )
+    return GaussianModel(gaussians, device)  # DILATION
 
 
 def mean_squared_distances(positions: Tensor) -> Tensor:
