@@ -168,7 +168,7 @@ class Renderer:
         """
         with self.device.lock:
             sums = self._raster_backward(frame, image_gradients)
-            self._project_backward(frame, block, sums, gradients, accumulate, statistics)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
             self.device.finish()
 
     def _raster_backward(
@@ -214,6 +214,7 @@ class Renderer:
         gradients: DeviceArray,
         accumulate: bool,
         statistics: DeviceArray | None,
+        detach: Collection[str],
     ) -> None:
         arrays, modified = frame.arrays, frame.request.modifiers is not None
         self._run_blocks(

@@ -81,7 +81,7 @@ class Regularizer(Component[SettingsType], ABC):
     def moves(self) -> Collection[str] | None:
         """Parameter groups that a step of this term alone moves (`step: alone`); None means all.
 
-        Of the names in `core_rasterizer.optimizer.PARAMETER_GROUPS`. The others keep their values and
+        Of the names in `core_rasterizer.layout.PARAMETER_GROUPS`. The others keep their values and
         their moments.
         """
         return None

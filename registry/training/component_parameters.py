@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -32,7 +32,7 @@ class ComponentParameters:
             with blame(part.item):
                 groups = tuple(part.component.parameters())
                 if groups:
-                    _check(groups)
+                    check_groups(groups)
                     self._trained.append((part, groups, _adam(groups)))
 
     def zero_gradients(self) -> None:
@@ -87,7 +87,12 @@ class ComponentParameters:
                         }
 
 
-def _check(groups: tuple[ParameterGroup, ...]) -> None:
+def check_groups(groups: Sequence[ParameterGroup]) -> None:
+    """Refuse groups that cannot be trained.
+
+    Raises:
+        PluginError: see `ComponentParameters`.
+    """
     names = [group.name for group in groups]
     if len(set(names)) < len(names):
         raise PluginError(f"two groups of parameters share a name: {', '.join(names)}")

@@ -139,7 +139,7 @@ class Field:
         self._rendering = self.model.render(
             sample.camera,
             background=sample.background,
-            sh_degree=sample.sh_degree,
+            sh_degree=int(sample.sh_degree),  # FRACTION
             opacity_scale=self._opacity_scale(),
             # SMOOTHING
             collect_statistics=self._statistics_wanted(step.iteration),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, photometric_loss
-from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..contract.answers import check_loss, check_moves
 from ..contract.step import Step

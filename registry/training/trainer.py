@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 from torch import Tensor
 
@@ -22,6 +22,7 @@ from core_rasterizer import Adam, GaussianModel, Gaussians
 
 from ..contract.maps import DepthMap
 from ..contract.scene import Scene
+from ..contract.step import OtherField
 from ..pipeline.parts import Parts
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
@@ -117,7 +118,7 @@ class Trainer:
             one.perturb()
         return losses[0]
 
-    def _others(self, one: Field) -> Any:
+    def _others(self, one: Field) -> tuple[OtherField, ...]:
         return tuple(other.seen_by_others() for other in self.fields if other is not one)
 
     def _logged(self) -> dict[str, float]:
@@ -152,12 +153,18 @@ class Trainer:
                 gaussians = Gaussians(**part(f"{prefix}model"))
                 model = new_model(gaussians, self.settings, self.model.device)
                 one = self.fields[index] = Field(self._around, one.parts, model, index)
-            one.restore(lambda kind, prefix=prefix: part(f"{prefix}{kind}"))
+            one.restore(partial(_below, part, prefix))
 
 
 def _prefix(index: int) -> str:
     """In front of the names of a field's state; the first field's have none."""
     return f"field{index}/" if index else ""
+
+
+def _below(
+    part: Callable[[str], Mapping[str, Tensor]], prefix: str, kind: str
+) -> Mapping[str, Tensor]:
+    return part(f"{prefix}{kind}")
 
 
 def maps_of(state: Mapping[str, Tensor]) -> dict[str, DepthMap]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import View, grey
+from registry import TrainingView, grey
 
 CONTRAST_THRESHOLD = 0.002
 """Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
@@ -50,7 +50,7 @@ class _Features:
 
 
 def triangulate(
-    views: Sequence[View], *, max_reprojection_error: float, min_angle: float, seed: int
+    views: Sequence[TrainingView], *, max_reprojection_error: float, min_angle: float, seed: int
 ) -> Triangulation:
     """Triangulate; poses and intrinsics stay as they are.
 
@@ -107,7 +107,7 @@ def _colmap_camera(colmap: Any, identity: int, camera: Camera) -> Any:
     return result
 
 
-def _extract(colmap: Any, view: View) -> _Features:
+def _extract(colmap: Any, view: TrainingView) -> _Features:
     options = colmap.FeatureExtractionOptions()
     options.num_threads = 1
     options.sift.peak_threshold = CONTRAST_THRESHOLD
@@ -178,7 +178,7 @@ def _options(colmap: Any, max_error: float, min_angle: float, seed: int) -> Any:
     return options
 
 
-def _collect(model: Any, views: Sequence[View], features: list[_Features]) -> Triangulation:
+def _collect(model: Any, views: Sequence[TrainingView], features: list[_Features]) -> Triangulation:
     points = [model.points3D[key] for key in sorted(model.points3D)]
     colors = np.zeros((len(points), 3), dtype=np.float32)
     seen_by = torch.zeros(len(points), len(views), dtype=torch.bool)
@@ -198,7 +198,7 @@ def _collect(model: Any, views: Sequence[View], features: list[_Features]) -> Tr
     )
 
 
-def _color(view: View, pixel: NDArray[np.float64]) -> NDArray[np.float32]:
+def _color(view: TrainingView, pixel: NDArray[np.float64]) -> NDArray[np.float32]:
     column = min(max(int(pixel[0]), 0), view.camera.width - 1)
     row = min(max(int(pixel[1]), 0), view.camera.height - 1)
     color: NDArray[np.float32] = view.image[row, column].numpy()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import View, nearness_picture, side_by_side
+from registry import TrainingView, nearness_picture, side_by_side
 
 from ._projection import DepthImage
 
@@ -27,7 +27,7 @@ class ViewDepth:
         filled: `[H, W]` guesses for pixels that are not confirmed.
     """
 
-    view: View
+    view: TrainingView
     prior: DepthImage
     confirmed: DepthImage
     filled: DepthImage

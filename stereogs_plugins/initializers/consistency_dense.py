@@ -22,9 +22,9 @@ from registry import (
     PointCloud,
     Prior,
     Register,
-    Scene,
     SceneError,
     Settings,
+    TrainingScene,
     hookimpl,
 )
 
@@ -82,7 +82,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     Settings = ConsistencyDenseSettings
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, with facts and a picture for each training view.
 
         Raises:
@@ -98,7 +98,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         views = self._completed(scene, raw, confirmed)
         return self._point_cloud(self._layers(views, scene.background), views)
 
-    def _min_consistent(self, scene: Scene) -> int:
+    def _min_consistent(self, scene: TrainingScene) -> int:
         others = len(scene.train) - 1
         if others < 1:
             raise SceneError(
@@ -115,7 +115,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             )
         return needed
 
-    def _confirmed(self, scene: Scene, raw: list[DepthImage], needed: int) -> list[DepthImage]:
+    def _confirmed(
+        self, scene: TrainingScene, raw: list[DepthImage], needed: int
+    ) -> list[DepthImage]:
         settings = self.settings
         confirmed = consistent_depths(
             [view.camera for view in scene.train],
@@ -141,7 +143,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return confirmed
 
     def _completed(
-        self, scene: Scene, raw: list[DepthImage], confirmed: list[DepthImage]
+        self, scene: TrainingScene, raw: list[DepthImage], confirmed: list[DepthImage]
     ) -> list[ViewDepth]:
         """The views with their guesses, if those are wanted."""
         cameras = [view.camera for view in scene.train]

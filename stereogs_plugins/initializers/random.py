@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from pydantic import Field
 
-from registry import Initializer, PointCloud, Prior, Register, Scene, Settings, hookimpl
+from registry import Initializer, PointCloud, Prior, Register, Settings, TrainingScene, hookimpl
 
 
 class RandomSettings(Settings):
@@ -25,7 +25,7 @@ class RandomInitializer(Initializer[RandomSettings]):
 
     Settings = RandomSettings
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return `count` points; the component's generator decides where."""
         count = self.settings.count
         choice = torch.randint(len(scene.train), (count,), generator=self.generator)

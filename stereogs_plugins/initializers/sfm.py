@@ -8,7 +8,16 @@ from typing import Any, Literal
 import torch
 from pydantic import Field
 
-from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
+from registry import (
+    Initializer,
+    PointCloud,
+    Prior,
+    Register,
+    SceneError,
+    Settings,
+    TrainingScene,
+    hookimpl,
+)
 
 from ._triangulation import Triangulation, triangulate
 
@@ -30,7 +39,7 @@ class SfmInitializer(Initializer[SfmSettings]):
 
     Settings = SfmSettings
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point.
 
         Raises:
@@ -50,7 +59,7 @@ class SfmInitializer(Initializer[SfmSettings]):
             )
         return scene.points
 
-    def _triangulate(self, scene: Scene) -> PointCloud:
+    def _triangulate(self, scene: TrainingScene) -> PointCloud:
         if len(scene.train) < 2:
             raise SceneError(
                 "points cannot be triangulated from one training view",
@@ -74,7 +83,7 @@ class SfmInitializer(Initializer[SfmSettings]):
         return PointCloud(positions=found.positions[keep], colors=found.colors[keep])
 
 
-def _within_bounds(found: Triangulation, scene: Scene) -> torch.Tensor:
+def _within_bounds(found: Triangulation, scene: TrainingScene) -> torch.Tensor:
     """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)

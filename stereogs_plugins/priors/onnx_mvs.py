@@ -10,7 +10,15 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from registry import Context, DepthMap, MultiViewDepthPrior, PluginError, Register, View, hookimpl
+from registry import (
+    Context,
+    DepthMap,
+    MultiViewDepthPrior,
+    PluginError,
+    Register,
+    TrainingView,
+    hookimpl,
+)
 
 from ._fitting import Fit, full_size_maps, stretched
 from ._model_settings import ModelSettings
@@ -65,7 +73,9 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         """The model file's hash and what runs it."""
         return self._model.fingerprint
 
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         """One depth map for each view; not valid where the network's depth is not finite or <= 0.
 
         Raises:
@@ -82,7 +92,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
             self._depth([view, *nearest_views(view, views)[:sources]], bounds) for view in views
         ]
 
-    def _depth(self, views: Sequence[View], bounds: tuple[float, float]) -> DepthMap:
+    def _depth(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> DepthMap:
         """The depth of the first view."""
         family = self._family
         fit = self._fit(views[0])
@@ -104,7 +114,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
             confidence = fit.undo(self._map(family.confidence, answers, fit))[0]
         return DepthMap(torch.where(valid, depth, 0.0), valid, confidence)
 
-    def _fit(self, view: View, target: tuple[int, int] | None = None) -> Fit:
+    def _fit(self, view: TrainingView, target: tuple[int, int] | None = None) -> Fit:
         image = (view.camera.height, view.camera.width)
         wanted = target or (self.settings.size and self.settings.size[::-1]) or self._frozen
         return stretched(image, wanted, self._family.multiple)
@@ -113,14 +123,14 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         return full_size_maps(name, answers, (1, *fit.target), self._model.path)
 
 
-def nearest_views(view: View, views: Sequence[View]) -> list[View]:
+def nearest_views(view: TrainingView, views: Sequence[TrainingView]) -> list[TrainingView]:
     """The other views, those whose cameras stand nearest first."""
     center = view.camera.center
     others = [other for other in views if other is not view]
     return sorted(others, key=lambda other: float((other.camera.center - center).norm()))
 
 
-def _batch(view: View) -> Tensor:
+def _batch(view: TrainingView) -> Tensor:
     return view.image.permute(2, 0, 1)[None]
 
 

@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from registry import PluginError, Settings, Step, View
+from registry import PluginError, Settings, Step, TrainingView
 
 SHARE_OF_WIDTH = 0.20
 """Of the image width: the disparity of near content under the adaptive rule."""
@@ -44,7 +44,7 @@ class BaselineSettings(Settings):
 class DepthRange:
     """Of one training view: near (5th percentile) and middle (median) z-depth, world units."""
 
-    view: View
+    view: TrainingView
     near: float
     middle: float
 
@@ -110,7 +110,7 @@ def _check_overlap(
     )
 
 
-def _depth_range(step: Step, view: View) -> DepthRange:
+def _depth_range(step: Step, view: TrainingView) -> DepthRange:
     """From a render of the view; from the scene's bounds if it shows nothing solid."""
     rendering = step.render(view.camera, gradient=False)
     solid = rendering.alpha > _SOLID

@@ -24,7 +24,7 @@ from registry import (
     Settings,
     Step,
     StereoPrior,
-    View,
+    TrainingView,
     hookimpl,
 )
 
@@ -50,8 +50,8 @@ class StereoDepthSettings(Settings):
     validity_mask: bool = True
     """False trusts every pixel that has a disparity at all (the paper's ablation)."""
     background: Literal["none", "intensity", "alpha"] = "none"
-    """Pixels to leave out: dark ones with a dark run to their left (DTU), or those outside the view's
-    mask (Blender)."""
+    """Pixels to leave out: dark ones with a dark run to their left (DTU), or those that the photograph's
+    alpha leaves empty (Blender)."""
     background_level: int = Field(30, ge=0, le=255)
     """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
     depth: Literal["accumulated", "expected"] = "accumulated"
@@ -89,7 +89,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         """The term for this iteration's view; 0 if no pixel can be trusted.
 
         Raises:
-            PluginError: no such prior, a baseline without overlap, or a mask that the view lacks.
+            PluginError: no such prior, a baseline without overlap, or an alpha that the view lacks.
         """
         prior = StereoPrior.choose(step.priors, self.settings.prior)
         if self._baseline is None:
@@ -121,22 +121,21 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
             trusted &= agree & ~self._background(step.view)
         return torch.where(trusted, left.values, 0.0)
 
-    def _background(self, view: View) -> Tensor:
+    def _background(self, view: TrainingView) -> Tensor:
         if self.settings.background == "intensity":
             return dark_background(view.image, self.settings.background_level)
         if self.settings.background == "alpha":
-            if view.mask is None:
+            if view.alpha is None:
                 raise PluginError(
-                    "the view has no mask to tell its background by",
+                    "the photograph has no alpha to tell its background by",
                     where=f"view {view.name!r}",
                     fix="set background to none or intensity",
                 )
-            return ~view.mask
+            return view.alpha <= 0
         return torch.zeros(view.image.shape[:2], dtype=torch.bool)
 
     def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:
         """The loss. Pixels are selected before anything is divided: 0 times infinity is not 0."""
-        assert step.rendering is not None
         depth, alpha = step.rendering.depth, step.rendering.alpha
         used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
         used &= depth >= SMALLEST_DEPTH * step.scene.bounds[0]

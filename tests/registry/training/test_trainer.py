@@ -159,7 +159,7 @@ def test_opacities_that_were_reset_take_no_step_from_before(make: Any) -> None:
         ("regularizers: [{use: toy_term, fault: crash}]", "ZeroDivisionError", "p.yaml:4"),
         ("regularizers: [{use: toy_term, fault: gradient}]", "undefined gradient", "alpha"),
         ("regularizers: [{use: toy_term, fault: backward}]", "no way back", "iteration 3"),
-        ("densification: {use: toy_growth, wrong: true}", "'clone'", "p.yaml:4"),
+        ("densification: {use: toy_growth, wrong: true}", "clone", "p.yaml:4"),
         ("opacity: {use: toy_fade, value: 1.5}", "outside [0, 1]", "p.yaml:4"),
         ("opacity: {use: toy_fade, value: .nan}", "not finite", "p.yaml:4"),
     ],
