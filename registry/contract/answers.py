@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from core_rasterizer import Edit
+from core_rasterizer import Edit, GaussianError
 from core_rasterizer.finite import undefined_places
 
 from ..errors import PluginError
@@ -52,21 +51,15 @@ def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
 
 
 def check_edit(edit: Any, count: int) -> Edit | None:
-    """A policy's edit: masks that are None or bool `[N]`; or None."""
+    """A policy's edit, which must fit the Gaussians that there are (`Edit.check`); or None."""
     if edit is None:
         return None
     if not isinstance(edit, Edit):
         raise PluginError(f"the answer is a {type(edit).__name__}, expected an Edit")
-    for name in ("clone", "split", "prune"):
-        mask = getattr(edit, name)
-        if mask is None:
-            continue
-        tensor = _tensor(name, mask)
-        if tensor.dtype != torch.bool or tuple(tensor.shape) != (count,):
-            raise PluginError(
-                f"the mask {name!r} is {tensor.dtype} {tuple(tensor.shape)}, "
-                f"expected torch.bool ({count},)"
-            )
+    try:
+        edit.check(count)
+    except GaussianError as error:
+        raise PluginError(error.what, where=f"Edit.{error.where}", fix=error.fix) from error
     return edit
 
 

@@ -30,9 +30,10 @@ from ..pipeline.parts import Parts
 from ..pipeline.schedule import active_sh_degree
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
+from .broken_gaussians import not_finite
+from .growth_limit import limited
 from .learning_rates import learning_rates
 from .step_rendering import StepRenderer, backward
-from .topology_rules import limited, not_finite
 from .view_order import ViewOrder
 
 OPACITY_MARGIN = 1e-6
@@ -194,7 +195,7 @@ class Trainer:
                 if wanted is None:
                     continue
                 edit = self._within_limit(wanted, step.iteration)
-                if not any(m is not None and m.any() for m in (edit.clone, edit.split, edit.prune)):
+                if edit.empty:
                     self.model.reset_statistics()
                     continue
                 self._apply(edit, step.iteration)

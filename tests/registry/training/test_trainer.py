@@ -6,14 +6,14 @@ from typing import Any
 import pytest
 import torch
 
-from core_rasterizer import Device, Edit, ExplainedError, GaussianModel, Gaussians
+from core_rasterizer import Device, ExplainedError, GaussianModel, Gaussians
 from registry import RunError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
 from registry.testing import tiny_scene
+from registry.training.broken_gaussians import not_finite
 from registry.training.initial_model import initial_gaussians
-from registry.training.topology_rules import limited, not_finite
 from registry.training.trainer import Iteration, Trainer
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
@@ -216,22 +216,6 @@ def test_max_gaussians_holds_and_is_told_once(make: Any, caplog: pytest.LogCaptu
         counts = [done.gaussians for done in train(trainer)]
     assert max(counts) == counts[-1] == 100
     assert caplog.text.count("max_gaussians") == 1
-
-
-def test_growth_is_cut_by_rank_then_index() -> None:
-    rank = torch.tensor([1.0, 5.0, 5.0, 3.0, 9.0])
-    true = torch.ones(5, dtype=torch.bool)
-    prune = torch.tensor([False, False, False, False, True])
-    edit, dropped = limited(Edit(clone=true, prune=prune), 6, rank)
-    assert edit.clone is not None
-    assert edit.clone.tolist() == [False, True, True, False, False]
-    assert dropped == 2
-    untouched = Edit(split=true)
-    assert limited(untouched, 10, rank) == (untouched, 0)
-    full, dropped = limited(Edit(split=true), 3, rank)
-    assert full.split is not None
-    assert not full.split.any()
-    assert dropped == 5
 
 
 def test_state_restored_goes_on_to_the_same_bits(make: Any, device: Device) -> None:
