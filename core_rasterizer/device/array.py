@@ -53,9 +53,9 @@ class DeviceArray:
             self.fill(0)
 
     def __del__(self) -> None:
-        # A kernel under way may still use the host's memory, which OpenCL does not keep alive.
-        if getattr(self, "_host", None) is not None:
-            self.device.finish()
+        host: Tensor | None = getattr(self, "_host", None)
+        if host is not None:
+            self.device.retired.add(host)
 
     @property
     def nbytes(self) -> int:
@@ -74,7 +74,8 @@ class DeviceArray:
         result = torch.empty(shape, dtype=self.dtype)
         if result.numel():
             offset = begin * self.dtype.itemsize
-            cl.enqueue_copy(self.device.queue, result.numpy(), self.buffer, src_offset=offset)
+            with self.device.retired.drained():
+                cl.enqueue_copy(self.device.queue, result.numpy(), self.buffer, src_offset=offset)
             self.device.bytes_moved += result.nbytes
         return result
 
@@ -89,7 +90,8 @@ class DeviceArray:
             self._host[begin:end].copy_(values.reshape(-1))
         else:
             offset = begin * self.dtype.itemsize
-            cl.enqueue_copy(self.device.queue, self.buffer, values.numpy(), dst_offset=offset)
+            with self.device.retired.drained():
+                cl.enqueue_copy(self.device.queue, self.buffer, values.numpy(), dst_offset=offset)
             self.device.bytes_moved += values.nbytes
 
     def fill(self, value: int, first: int = 0, last: int | None = None) -> None:
@@ -112,12 +114,13 @@ class DeviceArray:
     def _map(self, host: Tensor, flags: Any) -> None:
         """Make the host's view current; only mapping promises that, though it copies nothing."""
         mapped: Any
-        mapped, _ = cl.enqueue_map_buffer(
-            self.device.queue,
-            self.buffer,
-            flags,
-            0,
-            (host.numel(),),
-            np.dtype(_NUMPY_TYPES[self.dtype]),
-        )
+        with self.device.retired.drained():
+            mapped, _ = cl.enqueue_map_buffer(
+                self.device.queue,
+                self.buffer,
+                flags,
+                0,
+                (host.numel(),),
+                np.dtype(_NUMPY_TYPES[self.dtype]),
+            )
         mapped.base.release()

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 
 import pyopencl as cl
 
 from ..errors import DeviceError
 from .device import Device
-from .unknown_cpu import teach_processor_name
 
 
 def list_devices() -> list[Device]:
-    """Every OpenCL device that the installed drivers report, in the drivers' order."""
+    """Every OpenCL device that the installed drivers report, in the drivers' order.
+
+    None of them is opened, so that one that is busy or broken does not hinder the others; it raises a
+    `DeviceError` when it is used.
+    """
     return list(_devices())
 
 
 def open_device(name: str | None = None) -> Device:
-    """Choose a device.
+    """Choose a device; it is opened when it is first used.
 
     Args:
         name: part of a device's or platform's name, any case. None reads STEREOGS_DEVICE; without
@@ -49,7 +54,11 @@ def _devices() -> tuple[Device, ...]:
         platforms = cl.get_platforms()
     except cl.Error:  # the loader answers "no platform" with an error
         return ()
-    handles = [handle for platform in platforms for handle in platform.get_devices()]
-    for handle in handles:
-        teach_processor_name(handle)
-    return tuple(Device(handle) for handle in handles)
+    return tuple(device for platform in platforms for device in _devices_of(platform))
+
+
+def _devices_of(platform: cl.Platform) -> Iterator[Device]:
+    """The devices of one driver; none of a driver that cannot say which it has."""
+    with suppress(cl.Error):
+        for handle in platform.get_devices():
+            yield Device(handle)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from functools import cached_property
+from threading import RLock
 from typing import Any, Literal
 
 import pyopencl as cl
@@ -10,6 +13,11 @@ from torch import Tensor
 
 from ..errors import DeviceError, MemoryBudgetError
 from .program import Program
+from .retired import Retired
+from .unknown_cpu import correct_cpu_name
+
+CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
+"""Environment variable: 1 tells the driver which processor it has before anything fails (`unknown_cpu`)."""
 
 Kind = Literal["cpu", "gpu", "accelerator"]
 Variant = Literal["cpu", "gpu"]
@@ -20,7 +28,9 @@ rasterizer, which chooses for itself (`kernels/lanes.cl`)."""
 
 
 class Device:
-    """One OpenCL device with a queue of its own.
+    """One OpenCL device with a queue of its own, opened when it is first used.
+
+    Threads may share it: who uses memory that others use too holds `lock` meanwhile.
 
     Attributes:
         name, platform: as the driver reports them.
@@ -29,6 +39,8 @@ class Device:
             (a work-item a pixel, a work-group a tile). Chosen by kind unless given.
         shares_memory: device buffers are host memory, so that torch sees them without a copy.
         bytes_moved: bytes copied between host and a device that does not share memory.
+        lock: held while a kernel is enqueued, and by the owner of scratch memory while work on it lasts.
+        retired: memory that nobody holds any more, but that kernels under way may still use.
     """
 
     def __init__(
@@ -49,19 +61,45 @@ class Device:
         self.supports_double = "cl_khr_fp64" in handle.extensions.split()
         self.lanes = CPU_LANES if self.variant == "cpu" else 1
         self.bytes_moved = 0
-        try:
-            self.context = cl.Context([handle])
-            self.queue = cl.CommandQueue(self.context)
-        except cl.Error as error:
-            raise DeviceError(
-                f"the device {self.name!r} could not be opened: {error}",
-                where=self.platform,
-                fix="choose another device; `stereogs doctor` lists them",
-            ) from error
+        self.lock = RLock()
+        self.retired = Retired()
         self._programs: dict[tuple[Any, ...], Program] = {}
 
     def __repr__(self) -> str:
         return f"Device({self.name!r}, {self.platform!r}, {self.kind}, {self.variant} kernels)"
+
+    @cached_property
+    def context(self) -> cl.Context:
+        """The context of this device alone.
+
+        Raises:
+            DeviceError: the driver refuses to open the device: it is in use, or broken.
+        """
+        if os.environ.get(CORRECT_CPU_NAME) == "1":
+            correct_cpu_name(self._handle)
+        try:
+            return cl.Context([self._handle])
+        except cl.Error as error:
+            raise self._not_opened(error) from error
+
+    @cached_property
+    def queue(self) -> cl.CommandQueue:
+        """The queue of this device, in which work runs in order.
+
+        Raises:
+            DeviceError: as for `context`.
+        """
+        try:
+            return cl.CommandQueue(self.context)
+        except cl.Error as error:
+            raise self._not_opened(error) from error
+
+    def _not_opened(self, error: cl.Error) -> DeviceError:
+        return DeviceError(
+            f"the device {self.name!r} could not be opened: {error}",
+            where=self.platform,
+            fix="choose another device; `stereogs doctor` lists them",
+        )
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""
@@ -113,24 +151,37 @@ class Device:
             DeviceError: the device has no double precision, or its compiler refused the source.
         """
         key = (sources, dtype, tuple(sorted(defines.items())))
-        if key not in self._programs:
-            if dtype == torch.float64 and not self.supports_double:
-                raise DeviceError(
-                    f"the device {self.name!r} does not compute in double precision",
-                    fix="use float32, or another device",
-                )
-            macros = {
-                "LANES": self.lanes,
-                "REAL_IS_DOUBLE": int(dtype == torch.float64),
-                "HAS_DOUBLE": int(self.supports_double),
-                **defines,
-            }
-            self._programs[key] = Program(self, sources, macros)
-        return self._programs[key]
+        with self.lock:
+            if key not in self._programs:
+                self._programs[key] = self._build(sources, dtype, defines)
+            return self._programs[key]
+
+    def _build(
+        self, sources: tuple[str, ...], dtype: torch.dtype, defines: dict[str, float]
+    ) -> Program:
+        if dtype == torch.float64 and not self.supports_double:
+            raise DeviceError(
+                f"the device {self.name!r} does not compute in double precision",
+                fix="use float32, or another device",
+            )
+        macros = {
+            "LANES": self.lanes,
+            "REAL_IS_DOUBLE": int(dtype == torch.float64),
+            "HAS_DOUBLE": int(self.supports_double),
+            **defines,
+        }
+        try:
+            return Program(self, sources, macros)
+        except DeviceError:
+            # Only where the compiler does not know the processor, so that it can build nothing at all.
+            if correct_cpu_name(self._handle, only_unknown=True):
+                return Program(self, sources, macros)
+            raise
 
     def finish(self) -> None:
         """Wait until everything enqueued has run."""
-        self.queue.finish()
+        with self.retired.drained():
+            self.queue.finish()
 
 
 def _kind_of(handle: cl.Device) -> Kind:

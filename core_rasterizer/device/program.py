@@ -40,7 +40,7 @@ class Program:
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
                 fix="update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
             ) from error
-        self._queue = device.queue
+        self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
 
     def run(
@@ -50,9 +50,24 @@ class Program:
         local_size: tuple[int, ...] | None,
         *arguments: DeviceArray | np.generic,
     ) -> None:
-        """Enqueue a kernel. Arrays are passed as buffers, scalars as numpy scalars."""
+        """Enqueue a kernel. Arrays are passed as buffers, scalars as numpy scalars.
+
+        Raises:
+            DeviceError: the driver refused to run it.
+        """
+        device = self._device
         values = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
-        self._kernels[kernel](self._queue, global_size, local_size, *values)
+        try:
+            # A kernel object holds its arguments, so that two threads must not set them at once.
+            with device.lock:
+                self._kernels[kernel](device.queue, global_size, local_size, *values)
+                device.retired.kernel_enqueued()
+        except cl.Error as error:
+            raise DeviceError(
+                f"the device {device.name!r} did not run the kernel {kernel}: {error}",
+                where=f"{device.platform}, driver {device.driver}",
+                fix="choose another device; `stereogs doctor` tests them",
+            ) from error
 
 
 def _source(name: str) -> str:

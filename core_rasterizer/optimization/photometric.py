@@ -139,7 +139,16 @@ class _Workspace:
     def run(
         self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image."""
+        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image.
+
+        Threads take turns.
+        """
+        with self._device.lock:
+            return self._run(rgb, target, weights, with_gradient)
+
+    def _run(
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
         l1_weight, ssim_weight = weights
         image, reference, result = self._bind(rgb, target)
         values = math.prod(self._shape)

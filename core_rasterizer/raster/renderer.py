@@ -42,7 +42,7 @@ OVERRIDES = frozenset(
 
 
 class Renderer:
-    """Kernels and scratch memory for one device and one number type.
+    """Kernels and scratch memory for one device and one number type; threads take turns.
 
     Args:
         device: where to run; `device.variant` decides which raster kernels and tile size.
@@ -123,23 +123,24 @@ class Renderer:
                 in front of the camera.
             GaussianError: a background that is not three numbers.
         """
-        lease = Lease(self._frames, self.device)
-        frame = lease.frame
-        frame.request = request
-        self._prepare(frame, block, request)
-        self._project(frame, block, request)
-        self._lists.sort(self.program, frame, block.count)
-        while True:
-            self._lists.bin(self.program, frame, self._capacity_of(frame))
-            images = self._blend(frame, request.camera)
-            counters = frame.arrays["counters"].read()
-            frame.visible, frame.pairs = int(counters[0]), int(counters[1])
-            if frame.pairs <= self._capacity_of(frame):
-                break
-            self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
-            frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
-        rgb, depth, alpha = (image.read() for image in images)
-        return rgb, depth, alpha, lease
+        with self.device.lock:
+            lease = Lease(self._frames, self.device)
+            frame = lease.frame
+            frame.request = request
+            self._prepare(frame, block, request)
+            self._project(frame, block, request)
+            self._lists.sort(self.program, frame, block.count)
+            while True:
+                self._lists.bin(self.program, frame, self._capacity_of(frame))
+                images = self._blend(frame, request.camera)
+                counters = frame.arrays["counters"].read()
+                frame.visible, frame.pairs = int(counters[0]), int(counters[1])
+                if frame.pairs <= self._capacity_of(frame):
+                    break
+                self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
+                frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+            rgb, depth, alpha = (image.read() for image in images)
+            return rgb, depth, alpha, lease
 
     def backward(
         self,
@@ -165,6 +166,15 @@ class Renderer:
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
+        with self.device.lock:
+            sums = self._raster_backward(frame, image_gradients)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            self.device.finish()
+
+    def _raster_backward(
+        self, frame: Frame, image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
+    ) -> DeviceArray:
+        """The sums that each pair of a tile and a Gaussian hands back."""
         arrays, camera = frame.arrays, frame.request.camera
         pixels = camera.width * camera.height
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
@@ -194,7 +204,19 @@ class Renderer:
             np.int32(frame.tiles[0]),
             np.int32(image_gradients[1] is not None),
         )
-        modified = frame.request.modifiers is not None
+        return sums
+
+    def _project_backward(
+        self,
+        frame: Frame,
+        block: Block,
+        sums: DeviceArray,
+        gradients: DeviceArray,
+        accumulate: bool,
+        statistics: DeviceArray | None,
+        detach: Collection[str],
+    ) -> None:
+        arrays, modified = frame.arrays, frame.request.modifiers is not None
         self._run_blocks(
             "project_backward",
             block.capacity,
@@ -216,7 +238,6 @@ class Renderer:
             np.int32(statistics is not None),
             np.int32(sum(PARAMETER_BITS[name] for name in detach)),
         )
-        self.device.finish()
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         """Make room, and send the camera and the opacity factors."""

@@ -30,7 +30,6 @@ from ..pipeline.parts import Parts
 from ..pipeline.schedule import active_sh_degree
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
-from .broken_gaussians import not_finite
 from .growth_limit import limited
 from .learning_rates import learning_rates
 from .step_rendering import StepRenderer, backward
@@ -222,7 +221,7 @@ class Trainer:
         """
         if iteration % HEALTH_CHECK_EVERY and iteration < self.settings.iterations:
             return False
-        broken = not_finite(self.model)
+        broken = self.model.not_finite()
         number = int(broken.sum())
         if not number:
             return False
