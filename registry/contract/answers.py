@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Edit
+from core_rasterizer import Edit, GaussianError
 from core_rasterizer.finite import undefined_places
 
 from ..errors import PluginError
@@ -52,12 +52,15 @@ def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
 
 
 def check_edit(edit: Any, count: int) -> Edit | None:
-    """A policy's edit, such as the engine can carry out (`Edit.check`); or None."""
+    """A policy's edit, which must fit the Gaussians that there are (`Edit.check`); or None."""
     if edit is None:
         return None
     if not isinstance(edit, Edit):
         raise PluginError(f"the answer is a {type(edit).__name__}, expected an Edit")
-    edit.check(count)
+    try:
+        edit.check(count)
+    except GaussianError as error:
+        raise PluginError(error.what, where=f"Edit.{error.where}", fix=error.fix) from error
     return edit
 
 

@@ -37,7 +37,7 @@ from .component_parameters import ComponentParameters
 from .learning_rates import learning_rates
 from .losses import photometric_term, regularizing_terms, term_alone
 from .step_rendering import StepRenderer, backward
-from .topology_rules import limited
+from .growth_limit import limited
 
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""
