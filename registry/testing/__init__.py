@@ -12,7 +12,7 @@ component is *good* for, its author must test.
 
 from __future__ import annotations
 
-from .bench import tiny_scene
+from .bench import step_of, tiny_scene
 from .conformance import check
 
-__all__ = ["check", "tiny_scene"]
+__all__ = ["check", "step_of", "tiny_scene"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,25 +57,11 @@ class Bench:
 
     def begun(self) -> Moment:
         """Before the render."""
-        scene, model = self.scene.for_training(), self.model()
-        view = scene.train[0]
-        sample = Sample(view, view.camera, view.image, scene.background, _SETTINGS.sh_degree)
-        depth = torch.full(view.image.shape[:2], 3.0)
+        scene, model = self.scene, self.model()
+        depth = torch.full((HEIGHT, WIDTH), 3.0)
         known = torch.ones_like(depth, dtype=torch.bool)
-        step = Step(
-            iteration=10,
-            iterations=_SETTINGS.iterations,
-            scene=scene,
-            sample=sample,
-            model=model.reader(),
-            extent=scene.extent,
-            priors=self.priors,
-            render=StepRenderer(model, sample),
-            log=_log,
-            maps={view.name: DepthMap(depth, known, known.float()) for view in scene.train},
-            learning_rates=learning_rates(10, _SETTINGS, scene.extent),
-        )
-        return Moment(step, model)
+        maps = {view.name: DepthMap(depth, known, known.float()) for view in scene.train}
+        return Moment(step_of(model, scene, priors=self.priors, maps=maps), model)
 
     def rendered(self) -> Moment:
         """After the render; there is one other field."""
@@ -93,6 +80,52 @@ class Bench:
         rgb, target = moment.step.rendering.rgb, moment.step.sample.target
         photometric_loss(rgb, target, device=self.device).backward()
         return moment
+
+
+def step_of(
+    model: GaussianModel,
+    scene: Scene,
+    *,
+    rendering: Rendering | None = None,
+    iteration: int = 10,
+    iterations: int = 100,
+    extent: float | None = None,
+    priors: Mapping[str, Prior[Any]] | None = None,
+    maps: Mapping[str, DepthMap] | None = None,
+    log: Callable[[str, float], None] | None = None,
+) -> Step:
+    """An iteration that looks at a scene's first training view, for tests of one's own.
+
+    Args:
+        model: the Gaussians.
+        scene: the step sees it without test views and true depth.
+        rendering: of that view; None for the moment before the render.
+        iteration, iterations: the number of this one, and of all.
+        extent: world units; None takes the scene's.
+        priors: prior models by name.
+        maps: the initializer's depth by the view's name.
+        log: what `step.log` calls; None only checks that it is given a name and a number.
+    """
+    known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
+    extent = known.extent if extent is None else extent
+    view = known.train[0]
+    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
+    step = Step(
+        iteration=iteration,
+        iterations=iterations,
+        scene=known,
+        sample=sample,
+        model=model.reader(),
+        extent=extent,
+        priors=priors or {},
+        render=StepRenderer(model, sample),
+        log=log or _check_log,
+        maps=maps or {},
+        learning_rates=learning_rates(iteration, settings, extent),
+    )
+    if rendering is not None:
+        step.rendered(lambda: rendering)
+    return step
 
 
 def tiny_scene() -> Scene:
@@ -121,6 +154,6 @@ def pictured(view: View, depth_factor: float) -> Rendering:
     return Rendering(view.image, depth_factor * view.depth, torch.ones(HEIGHT, WIDTH))
 
 
-def _log(name: str, value: float) -> None:
+def _check_log(name: str, value: float) -> None:
     require(isinstance(name, str), "step.log takes a name and a number")
     float(value)

@@ -70,7 +70,9 @@ def _check_state(
     count = bench.model().count
     pruned = torch.arange(1, count)
     built.carry(pruned, torch.zeros(len(pruned), dtype=torch.bool))
-    moved = torch.cat([torch.full((2,), count - 2), torch.arange(2, count - 1), torch.zeros(5).long()])
+    moved = torch.cat(
+        [torch.full((2,), count - 2), torch.arange(2, count - 1), torch.zeros(5).long()]
+    )
     built.carry(moved, torch.arange(len(moved)).lt(2) | torch.arange(len(moved)).ge(count - 1))
     state = built.state()
     for name, value in state.items():

@@ -34,10 +34,10 @@ from ..pipeline.schedule import active_sh_degree
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .component_parameters import ComponentParameters
+from .growth_limit import limited
 from .learning_rates import learning_rates
 from .losses import photometric_term, regularizing_terms, term_alone
 from .step_rendering import StepRenderer, backward
-from .growth_limit import limited
 
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""

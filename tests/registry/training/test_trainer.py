@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from core_rasterizer import Device, ExplainedError, GaussianModel, Gaussians
+from core_rasterizer import Device, ExplainedError, GaussianModel
 from registry import RunError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline

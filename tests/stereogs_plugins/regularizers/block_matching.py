@@ -10,7 +10,7 @@ from torch.nn.functional import avg_pool2d
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Scene, Settings, Step, StereoPrior, View
-from registry.training.step_rendering import StepRenderer
+from registry.testing import step_of
 
 WIDTH, HEIGHT, FOCAL = 96, 48, 80.0
 DEPTH = 4.0
@@ -88,11 +88,11 @@ class Wall:
         logged: the newest number of every name that a step logged.
     """
 
-    def __init__(self, gaussians: Gaussians | None = None, mask: Tensor | None = None) -> None:
+    def __init__(self, gaussians: Gaussians | None = None, alpha: Tensor | None = None) -> None:
         truth = GaussianModel(wall(), open_device())
         with torch.no_grad():
             photograph = truth.render(CAMERA).rgb.clamp(0, 1)
-        self.view = View("wall", CAMERA, photograph, mask)
+        self.view = View("wall", CAMERA, photograph, alpha=alpha)
         self.scene = Scene("wall", (self.view,), (), (2.0, 10.0))
         self.model = GaussianModel(gaussians or wall(), open_device())
         self.logged: dict[str, float] = {}
@@ -100,15 +100,12 @@ class Wall:
     def step(self, **priors: StereoPrior[Any]) -> Step:
         """An iteration after its render."""
         self.model.zero_gradients()
-        return Step(
+        return step_of(
+            self.model,
+            self.scene,
+            rendering=self.model.render(CAMERA),
             iteration=1,
             iterations=10,
-            scene=self.scene,
-            view=self.view,
-            rendering=self.model.render(CAMERA),
-            model=self.model,
-            extent=self.scene.extent,
             priors=priors,
-            render=StepRenderer(self.model, self.scene, 0),
             log=self.logged.__setitem__,
         )

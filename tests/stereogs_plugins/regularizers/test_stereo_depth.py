@@ -182,9 +182,9 @@ def test_tau_is_in_pixels() -> None:
 
 
 def test_backgrounds_are_left_out() -> None:
-    mask = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
-    mask[:, 48:] = False
-    around, prior = Wall(mask=mask), told(everywhere(TRUE_DISPARITY))
+    alpha = torch.ones(HEIGHT, WIDTH)
+    alpha[:, 48:] = 0
+    around, prior = Wall(alpha=alpha), told(everywhere(TRUE_DISPARITY))
     stereo_depth(background="alpha").loss(around.step(m=prior))
     assert around.logged["under test_valid"] == pytest.approx((48 - TRUE_DISPARITY) / WIDTH)
     around.view.image[:, :60] = 0
@@ -192,8 +192,8 @@ def test_backgrounds_are_left_out() -> None:
     assert around.logged["under test_valid"] == pytest.approx((WIDTH - 60) / WIDTH)
 
 
-def test_an_alpha_background_needs_a_mask() -> None:
-    with pytest.raises(PluginError, match="no mask") as caught:
+def test_an_alpha_background_needs_an_alpha() -> None:
+    with pytest.raises(PluginError, match="no alpha") as caught:
         stereo_depth(background="alpha").loss(Wall().step(m=told(everywhere(10.0))))
     assert caught.value.where == "view 'wall'"
 
