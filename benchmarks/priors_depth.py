@@ -22,7 +22,10 @@ from numpy.typing import NDArray
 
 from core_rasterizer import Device
 from registry import Context, Scene
-from stereogs_plugins.initializers._geometric_filter import consistent_depths, without_small_patches
+from stereogs_plugins.initializers.consistency_dense.geometric_filter import (
+    consistent_depths,
+    without_small_patches,
+)
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
 from stereogs_plugins.scenes.llff import LLFFScene
 

@@ -13,7 +13,7 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 `registry.plugins`. A plugin is tried with `registry.testing`.
 """
 
-from . import web_page
+from . import cache, image_fitting, photos, web_page
 from .components import (
     Component,
     Context,
@@ -36,11 +36,13 @@ from .components import (
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
+from .learned_features import LearnedFeatures
+from .metric_images import ImageMetricSettings, white_outside
 from .model_file import Sha256, read_model_file
 from .onnx_model import OnnxModel, OnnxTensor
 from .onnx_session import OnnxProvider
+from .onnx_settings import OnnxModelSettings
 from .pictures import grey, nearness_picture, side_by_side
-from .prior_cache import cache_folder
 from .priors import (
     DepthMap,
     Disparity,
@@ -58,12 +60,15 @@ __all__ = [
     "DepthMap",
     "Disparity",
     "Exporter",
+    "ImageMetricSettings",
     "Initializer",
+    "LearnedFeatures",
     "Metric",
     "Modifier",
     "MonocularDepthPrior",
     "MultiViewDepthPrior",
     "OnnxModel",
+    "OnnxModelSettings",
     "OnnxProvider",
     "OnnxTensor",
     "OpacityPolicy",
@@ -86,12 +91,15 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
-    "cache_folder",
+    "cache",
     "grey",
     "hookimpl",
+    "image_fitting",
     "nearness_picture",
+    "photos",
     "read_model_file",
     "side_by_side",
     "validate",
     "web_page",
+    "white_outside",
 ]

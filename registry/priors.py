@@ -15,10 +15,11 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from .cache import content_key
 from .components import Prior, SettingsType
 from .errors import PluginError
 from .pictures import nearness_picture
-from .prior_cache import PriorCache, code_digest, content_key
+from .prior_cache import PriorCache, code_digest
 from .scene import View
 
 
@@ -129,7 +130,7 @@ class MultiViewDepthPrior(Prior[SettingsType]):
                 f"multi-view depth needs two views, there is {len(views)}",
                 fix="use more training views, or an initializer without a prior",
             )
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)),
             self.settings.model_dump_json(),
@@ -177,7 +178,7 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape or values that are not finite.
         """
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)), self.settings.model_dump_json(), self.fingerprint(), image
         )

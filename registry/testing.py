@@ -41,11 +41,11 @@ from .answers import (
     check_opacity_update,
     check_score,
 )
+from .cache import FOLDER_VARIABLE
 from .components import Component, Context, Prior, Settings, Step, Unavailable
 from .hook_points import HOOK_POINTS
 from .initial_model import initial_gaussians
 from .plugins import check_offer
-from .prior_cache import VARIABLE
 from .priors import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 from .scene import PointCloud, Scene, View, validate
 from .step_rendering import StepRenderer
@@ -208,15 +208,15 @@ def _ask_prior(bench: Bench, built: Any) -> Any:
 @contextmanager
 def _without_cache() -> Iterator[None]:
     """Have priors answer for themselves."""
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = ""
+    before = os.environ.get(FOLDER_VARIABLE)
+    os.environ[FOLDER_VARIABLE] = ""
     try:
         yield
     finally:
         if before is None:
-            del os.environ[VARIABLE]
+            del os.environ[FOLDER_VARIABLE]
         else:
-            os.environ[VARIABLE] = before
+            os.environ[FOLDER_VARIABLE] = before
 
 
 def _ask_regularizer(bench: Bench, built: Any) -> Any:

@@ -8,8 +8,8 @@ from torch.nn.functional import grid_sample
 
 from core_rasterizer import Camera
 from registry import Scene, View
-from stereogs_plugins.scenes._ray_casting import Rectangle, Sphere, Texture, cast
 from stereogs_plugins.scenes.procedural import ProceduralScene, stereogs_register_scenes
+from stereogs_plugins.scenes.procedural.ray_casting import Rectangle, Sphere, Texture, cast
 from tests.stereogs_plugins.building import build, offered
 
 WHITE = Texture(np.ones((2, 2, 3)))
