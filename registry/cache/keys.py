@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import ModuleType
+from typing import Any
 
 from torch import Tensor
 
@@ -31,7 +33,7 @@ def content_key(*parts: object) -> str:
     return digest.hexdigest()[:32]
 
 
-def source_digest(*definitions: type | FunctionType | ModuleType) -> str:
+def source_digest(*definitions: Callable[..., Any] | ModuleType) -> str:
     """A hash over the source files that hold classes, functions or modules.
 
     Part of a key, it makes a changed line of the code that computes an answer ask again.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from core_rasterizer import Camera
@@ -21,19 +22,14 @@ Indices = NDArray[np.intp]
 
 def pixel_centers(camera: Camera) -> tuple[Floats, Floats]:
     """Columns and rows of all pixel centres, `[H, W]` each."""
-    columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
-    u, v = np.meshgrid(columns, rows)
-    return u, v
+    u, v = camera.pixel_centers()
+    return u.numpy(), v.numpy()
 
 
 def lift(camera: Camera, u: Floats, v: Floats, depth: Floats | DepthImage) -> Floats:
     """World points `[..., 3]` behind pixel positions at a depth."""
-    local = np.stack(
-        [(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], axis=-1
-    ).astype(np.float64)
-    pose = camera.camera_to_world.numpy()
-    world: Floats = local @ pose[:3, :3].T + pose[:3, 3]
-    return world
+    points: Floats = camera.unproject(*map(torch.from_numpy, (u, v, depth))).numpy()
+    return points
 
 
 def project(camera: Camera, points: Floats) -> tuple[Floats, Floats, Floats]:
@@ -41,11 +37,7 @@ def project(camera: Camera, points: Floats) -> tuple[Floats, Floats, Floats]:
 
     Behind the camera z <= 0, and u and v are infinite.
     """
-    pose = camera.world_to_camera.numpy()
-    x, y, z = np.moveaxis(points @ pose[:3, :3].T + pose[:3, 3], -1, 0)
-    inverse = np.divide(1.0, z, out=np.full_like(z, np.inf), where=z > 0)
-    with np.errstate(invalid="ignore"):
-        u, v = camera.fx * x * inverse + camera.cx, camera.fy * y * inverse + camera.cy
+    u, v, z = (values.numpy() for values in camera.project(torch.from_numpy(points)))
     return np.where(z > 0, u, np.inf), np.where(z > 0, v, np.inf), z
 
 

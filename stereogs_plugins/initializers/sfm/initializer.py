@@ -88,8 +88,7 @@ def _within_bounds(found: Triangulation, scene: Scene) -> torch.Tensor:
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)
     for index, view in enumerate(scene.train):
-        pose = view.camera.world_to_camera
-        depth = found.positions.double() @ pose[2, :3] + pose[2, 3]
+        _, _, depth = view.camera.project(found.positions)
         keep &= ~found.seen_by[:, index] | ((depth > near) & (depth < far))
     return keep
 

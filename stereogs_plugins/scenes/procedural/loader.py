@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 
 from core_rasterizer import Camera
@@ -140,20 +139,15 @@ def _sample_points(
     positions, colors = [], []
     for view, share in zip(views, _shares(count, len(views)), strict=True):
         assert view.depth is not None
-        camera, depth = view.camera, view.depth.numpy()
-        pixels = generator.choice(np.flatnonzero(depth > 0), size=share)
-        row, column = np.divmod(pixels, camera.width)
-        z = depth[row, column].astype(np.float64)
-        x = (column + 0.5 - camera.cx) / camera.fx * z
-        y = (row + 0.5 - camera.cy) / camera.fy * z
-        pose = camera.camera_to_world.numpy()
-        positions.append(np.stack([x, y, z], axis=1) @ pose[:3, :3].T + pose[:3, 3])
-        colors.append(view.image.numpy()[row, column])
-    exact: NDArray[np.float64] = np.concatenate(positions)
+        pixels = torch.from_numpy(generator.choice(np.flatnonzero(view.depth > 0), size=share))
+        u, v = (axis.ravel()[pixels] for axis in view.camera.pixel_centers())
+        positions.append(view.camera.unproject(u, v, view.depth.ravel()[pixels]))
+        colors.append(view.image.reshape(-1, 3)[pixels])
+    exact = torch.cat(positions).numpy()
     moved = exact + noise * generator.standard_normal(exact.shape)
     return PointCloud(
         positions=torch.from_numpy(moved.astype(np.float32)),
-        colors=torch.from_numpy(np.concatenate(colors)),
+        colors=torch.cat(colors),
     )
 
 

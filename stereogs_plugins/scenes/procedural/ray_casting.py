@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from core_rasterizer import Camera
@@ -211,13 +212,10 @@ def _directions(camera: Camera) -> Array:
 
 def _window(hull: Array, camera: Camera) -> tuple[slice, slice]:
     """The block of rays that may meet a hull: all of them if it reaches behind the camera."""
-    pose = camera.world_to_camera.numpy()
-    x, y, z = pose[:3, :3] @ hull.T + pose[:3, 3:]
+    u, v, z = (values.numpy() for values in camera.project(torch.from_numpy(hull)))
     if z.min() < 1e-3:
         return slice(None), slice(None)
-    columns = _span(camera.fx * x / z + camera.cx, camera.width)
-    rows = _span(camera.fy * y / z + camera.cy, camera.height)
-    return rows, columns
+    return _span(v, camera.height), _span(u, camera.width)
 
 
 def _span(pixels: Array, size: int) -> slice:
