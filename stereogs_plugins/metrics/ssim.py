@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
 from torch import Tensor
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
@@ -43,6 +42,8 @@ class SSIM(Metric[ImageMetricSettings]):
 
 
 def _blur(image: Image) -> Image:
+    from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
+
     window = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))
     rows = correlate1d(image, window / window.sum(), axis=0, mode="constant")
     blurred: Image = correlate1d(rows, window / window.sum(), axis=1, mode="constant")

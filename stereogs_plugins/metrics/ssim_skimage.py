@@ -5,7 +5,6 @@ A uniform 7x7 window, sample covariance, mean over the image without a border of
 
 from __future__ import annotations
 
-from skimage.metrics import structural_similarity
 from torch import Tensor
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
@@ -18,6 +17,8 @@ class ScikitImageSSIM(Metric[ImageMetricSettings]):
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
+        from skimage.metrics import structural_similarity
+
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)

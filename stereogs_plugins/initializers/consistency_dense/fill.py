@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
 
 from .projection import DepthImage, Floats, Indices, Mask
 
@@ -33,6 +32,8 @@ def fill_holes(image: NDArray[np.float32], depth: DepthImage) -> DepthImage:
         image: `[H, W, 3]`; depth edges are put where its edges are.
         depth: 0 in holes.
     """
+    from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
+
     height, width = depth.shape
     smooth = gaussian_filter(image, (NOISE_BLUR, NOISE_BLUR, 0)).reshape(-1, 3)
     known = depth > 0

@@ -10,8 +10,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from core_rasterizer import Camera
 
@@ -74,6 +72,9 @@ def without_small_patches(depth: DepthImage, *, min_pixels: int, max_step: float
         max_step: neighbouring pixels belong together if their depths differ by less, relative to the
             nearer one.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     height, width = depth.shape
     index = np.arange(depth.size).reshape(height, width)
     starts, ends = [], []

@@ -7,10 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import (  # type: ignore[attr-defined]
-    gaussian_filter,
-    percentile_filter,
-)
 
 from .layers import Layer, layer_at
 from .view_depth import ViewDepth
@@ -29,6 +25,11 @@ WINDOW = 15
 
 def margin(view: ViewDepth) -> Layer:
     """Points outside the image, none where the border nearby has no depth."""
+    from scipy.ndimage import (  # type: ignore[attr-defined]
+        gaussian_filter,
+        percentile_filter,
+    )
+
     height, width = view.completed.shape
     u, v = np.meshgrid(_positions(width), _positions(height))
     outside = (u < 0) | (u >= width) | (v < 0) | (v >= height)
