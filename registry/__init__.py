@@ -34,13 +34,14 @@ from .components import (
     ViewMetric,
 )
 from .errors import PipelineError, PluginError, RunError, SceneError
+from .files import write_text
 from .hook_points import API_VERSION
 from .hooks import Register, hookimpl
 from .learned_features import LearnedFeatures
 from .metric_images import ImageMetricSettings, white_outside
 from .model_file import Sha256, read_model_file
 from .onnx_model import OnnxModel, OnnxTensor
-from .onnx_session import OnnxProvider
+from .onnx_session import OnnxProvider, first_line
 from .onnx_settings import OnnxModelSettings
 from .pictures import grey, nearness_picture, side_by_side
 from .priors import (
@@ -92,6 +93,7 @@ __all__ = [
     "View",
     "ViewMetric",
     "cache",
+    "first_line",
     "grey",
     "hookimpl",
     "image_fitting",
@@ -102,4 +104,5 @@ __all__ = [
     "validate",
     "web_page",
     "white_outside",
+    "write_text",
 ]

@@ -34,8 +34,10 @@ FrozenSize = tuple[int | None, int | None]
 Padding = Literal["replicate", "black"]
 ValueRange = Literal["0..255", "0..1", "-1..1", "imagenet"]
 
-_IMAGENET_MEAN = (0.485, 0.456, 0.406)
-_IMAGENET_DEVIATION = (0.229, 0.224, 0.225)
+_MEAN_AND_DEVIATION = {
+    "-1..1": ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5)),
+    "imagenet": ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)),
+}
 
 
 @dataclass(frozen=True)
@@ -129,14 +131,12 @@ def in_range(images: Tensor, value_range: ValueRange) -> Tensor:
     `-1..1` is mean 0.5 and deviation 0.5; `imagenet` are the mean and deviation of that data set.
     """
     images = images.clamp(0, 1)  # bicubic resizing overshoots
-    if value_range == "0..255":
-        return images * 255
-    if value_range == "-1..1":
-        return images * 2 - 1
-    if value_range == "imagenet":
-        mean = images.new_tensor(_IMAGENET_MEAN)[:, None, None]
-        return (images - mean) / images.new_tensor(_IMAGENET_DEVIATION)[:, None, None]
-    return images
+    if value_range in _MEAN_AND_DEVIATION:
+        from kornia.enhance import normalize
+
+        mean, deviation = _MEAN_AND_DEVIATION[value_range]
+        return normalize(images, images.new_tensor(mean), images.new_tensor(deviation))
+    return images * 255 if value_range == "0..255" else images
 
 
 def full_size_maps(

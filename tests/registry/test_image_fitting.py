@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from registry.image_fitting import Fit, padded, stretched
+from registry.image_fitting import Fit, in_range, padded, stretched
 
 
 @pytest.mark.parametrize(
@@ -73,3 +73,14 @@ def test_unknown_values_do_not_touch_their_neighbours() -> None:
     assert not known[2, 4:6].any()
     assert known.sum() == 10 * 24 - 2
     assert fit.width_factor == 2
+
+
+def test_numbers_of_black_and_white_are_those_of_the_plain_formulas() -> None:
+    images = torch.rand(2, 3, 40, 50, generator=torch.Generator().manual_seed(0))
+    mean = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
+    deviation = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
+    assert torch.equal(in_range(images, "imagenet"), (images - mean) / deviation)
+    assert torch.equal(in_range(images, "-1..1"), images * 2 - 1)
+    assert torch.equal(in_range(images, "0..255"), images * 255)
+    assert torch.equal(in_range(images, "0..1"), images)
+    assert torch.equal(in_range(images * 3 - 1, "0..1"), (images * 3 - 1).clamp(0, 1))

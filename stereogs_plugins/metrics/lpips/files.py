@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import OnnxModel, PluginError, read_model_file
+from registry import OnnxModel, PluginError, first_line, read_model_file
 
 Network = Callable[..., list[Tensor]]
 """Takes images `[1, 3, H, W]` float32, as many as the file has inputs; returns all its outputs."""
@@ -37,7 +37,7 @@ def read_network(path: Path, sha256: str) -> Network:
         inputs = sum(1 for _ in module.graph.inputs()) - 1  # without the module itself
     except (RuntimeError, ValueError) as error:
         raise PluginError(
-            f"the file is no TorchScript module: {_first_line(error)}",
+            f"the file is no TorchScript module: {first_line(error)}",
             where=str(path),
             fix="name a file that torch.jit.save wrote, or one that ends in .onnx",
         ) from error
@@ -98,7 +98,7 @@ def _script_network(module: torch.jit.ScriptModule, inputs: int, path: Path) -> 
                 answer: Any = module(*images)
         except RuntimeError as error:
             raise PluginError(
-                f"the network failed: {_first_line(error)}",
+                f"the network failed: {first_line(error)}",
                 where=str(path),
                 fix="check that it takes images of this size",
             ) from error
@@ -134,11 +134,7 @@ def _tensors(content: bytes, path: Path) -> Mapping[str, Tensor]:
         return {name: value for name, value in loaded.items() if isinstance(value, Tensor)}
     except Exception as error:  # three libraries, each with exceptions of its own
         raise PluginError(
-            f"the weights cannot be read: {_first_line(error)}",
+            f"the weights cannot be read: {first_line(error)}",
             where=str(path),
             fix="name a .safetensors, .npz or .pth file of plain tensors",
         ) from error
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from registry import Register, Report, Scene, Settings, hookimpl
+from registry import Register, Report, Scene, Settings, hookimpl, write_text
 from registry.web_page import (
     Cell,
     facts_table,
@@ -53,10 +53,8 @@ class HtmlReport(Report[Settings]):
             section("Scene", facts_table(run.results["scene"])),
             section("Provenance", facts_table(run.provenance)),
         ]
-        file, temporary = folder / FILE, folder / f".{FILE}.partial"
-        temporary.write_text(page(title, contents), "utf-8")
-        temporary.replace(file)
-        return [file]
+        write_text(folder / FILE, page(title, contents))
+        return [folder / FILE]
 
 
 def _summary(results: Mapping[str, Any]) -> str:
