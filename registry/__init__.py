@@ -13,7 +13,7 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 `registry.plugins`. A plugin is tried with `registry.testing`.
 """
 
-from . import web_page
+from . import cache, image_fitting, photos, web_page
 from .contract.component import Component, Context, ParameterGroup, Settings
 from .contract.components import (
     Appearance,
@@ -38,17 +38,20 @@ from .contract.maps import DepthMap, Disparity
 from .contract.prior import Prior
 from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
 from .contract.step import OtherField, Render, Sample, Step
+from .drawing.metric_images import ImageMetricSettings, white_outside
 from .drawing.pictures import grey, nearness_picture, side_by_side
 from .errors import PipelineError, PluginError, RunError, SceneError
+from .files import write_text
 from .priors.capabilities import (
     MonocularDepthPrior,
     MultiViewDepthPrior,
     StereoPrior,
 )
+from .priors.learned_features import LearnedFeatures
 from .priors.model_file import Sha256, read_model_file
 from .priors.onnx_model import OnnxModel, OnnxTensor
-from .priors.onnx_session import OnnxProvider
-from .priors.prior_cache import cache_folder
+from .priors.onnx_session import OnnxProvider, first_line
+from .priors.onnx_settings import OnnxModelSettings
 
 __all__ = [
     "API_VERSION",
@@ -59,12 +62,15 @@ __all__ = [
     "DepthMap",
     "Disparity",
     "Exporter",
+    "ImageMetricSettings",
     "Initializer",
+    "LearnedFeatures",
     "Metric",
     "Modifier",
     "MonocularDepthPrior",
     "MultiViewDepthPrior",
     "OnnxModel",
+    "OnnxModelSettings",
     "OnnxProvider",
     "OnnxTensor",
     "OpacityPolicy",
@@ -95,12 +101,17 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
-    "cache_folder",
+    "cache",
+    "first_line",
     "grey",
     "hookimpl",
+    "image_fitting",
     "nearness_picture",
+    "photos",
     "read_model_file",
     "side_by_side",
     "validate",
     "web_page",
+    "white_outside",
+    "write_text",
 ]

@@ -14,13 +14,14 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from ..cache import content_key
 from ..contract.component import SettingsType
 from ..contract.maps import DepthMap, Disparity
 from ..contract.prior import Prior
 from ..contract.scene import TrainingView
 from ..drawing.pictures import nearness_picture
 from ..errors import PluginError
-from .prior_cache import PriorCache, code_digest, content_key
+from .prior_cache import PriorCache, code_digest
 
 
 class StereoPrior(Prior[SettingsType]):
@@ -103,7 +104,7 @@ class MultiViewDepthPrior(Prior[SettingsType]):
                 f"multi-view depth needs two views, there is {len(views)}",
                 fix="use more training views, or an initializer without a prior",
             )
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)),
             self.settings.model_dump_json(),
@@ -151,7 +152,7 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape or values that are not finite.
         """
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)), self.settings.model_dump_json(), self.fingerprint(), image
         )

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 
+from ..cache import FOLDER_VARIABLE
 from ..contract.answers import (
     check_colors,
     check_edit,
@@ -31,7 +32,6 @@ from ..contract.components import Unavailable
 from ..contract.scene import validate
 from ..pipeline.training_settings import TrainingSettings
 from ..priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
-from ..priors.prior_cache import VARIABLE
 from ..training.initial_model import initial_gaussians
 from .bench import HEIGHT, WIDTH, Bench, Moment, pictured
 from .judging import require, require_files
@@ -68,15 +68,15 @@ def _ask_prior(bench: Bench, built: Any) -> Any:
 @contextmanager
 def _without_cache() -> Iterator[None]:
     """Have priors answer for themselves."""
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = ""
+    before = os.environ.get(FOLDER_VARIABLE)
+    os.environ[FOLDER_VARIABLE] = ""
     try:
         yield
     finally:
         if before is None:
-            del os.environ[VARIABLE]
+            del os.environ[FOLDER_VARIABLE]
         else:
-            os.environ[VARIABLE] = before
+            os.environ[FOLDER_VARIABLE] = before
 
 
 def _ask_sampler(bench: Bench, built: Any) -> Any:

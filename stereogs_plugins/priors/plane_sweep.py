@@ -29,6 +29,7 @@ from core_rasterizer.matching import (
 from registry import (
     Context,
     DepthMap,
+    LearnedFeatures,
     MultiViewDepthPrior,
     PluginError,
     Register,
@@ -38,8 +39,6 @@ from registry import (
     grey,
     hookimpl,
 )
-
-from ._learned_features import LearnedFeatures
 
 _SMALLEST_BASELINE = 1e-4
 """Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
