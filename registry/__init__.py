@@ -42,11 +42,7 @@ from .drawing.metric_images import ImageMetricSettings, white_outside
 from .drawing.pictures import grey, nearness_picture, side_by_side
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .files import write_text
-from .priors.capabilities import (
-    MonocularDepthPrior,
-    MultiViewDepthPrior,
-    StereoPrior,
-)
+from .priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 from .priors.learned_features import LearnedFeatures
 from .priors.model_file import Sha256, read_model_file
 from .priors.onnx_model import OnnxModel, OnnxTensor

@@ -11,9 +11,9 @@ from core_rasterizer import Camera
 
 from ..contract.scene import PointCloud, Scene, View, validate
 from ..errors import SceneError
-from .bounds import Bounds
-from .decoder import Decoder, stored_size
-from .image_files import find_image
+from .cameras.bounds import Bounds
+from .images.decoder import Decoder, stored_size
+from .images.image_files import find_image
 from .posed_photos import PosedPhoto, load_views
 
 Notes = dict[str, str | int | float | list[int]]

@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from ..contract.scene import View
-from .decoder import Decoder, read_mask
-from .image_files import find_image
-from .lens import Lens
-from .parallel import in_parallel
-from .undistortion import undistort
+from .cameras.lens import Lens
+from .cameras.undistortion import undistort
+from .images.decoder import Decoder, read_mask
+from .images.image_files import find_image
+from .images.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

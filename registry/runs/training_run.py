@@ -12,22 +12,22 @@ from rich.console import Console
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
+from ..contract.scene import Scene, validate
+from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
-from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .evaluation import evaluate
-from ..training.initial_model import initial_gaussians, new_model
-from .interrupt import stop_on_interrupt
-from .metrics_log import MetricsLog
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
+from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..training.initial_model import initial_gaussians, new_model
+from ..training.trainer import Trainer, maps_of
+from .evaluation import evaluate
+from .folder import RunFolder, default_folder
+from .interrupt import stop_on_interrupt
+from .metrics_log import MetricsLog
 from .progress import TrainingProgress
 from .provenance import provenance
 from .results import finish
-from .folder import RunFolder, default_folder
-from ..contract.scene import Scene, validate
-from ..inspection.scene_facts import summary, warnings
-from ..training.trainer import Trainer, maps_of
 
 CHECKPOINT = "checkpoint"
 

@@ -19,14 +19,7 @@ from registry import (
     StereoPrior,
     hookimpl,
 )
-from registry.image_fitting import (
-    Padding,
-    ValueRange,
-    full_size_maps,
-    in_range,
-    padded,
-    stretched,
-)
+from registry.image_fitting import Padding, ValueRange, full_size_maps, in_range, padded, stretched
 
 from .families import FAMILIES, FamilyName, StereoFamily
 from .networks import OneGraph, StereoNetwork, TwoGraphs

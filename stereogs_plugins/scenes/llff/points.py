@@ -7,13 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from registry import PointCloud, SceneError
-from registry.photos import (
-    POINTS_FIX,
-    Tracks,
-    decoding,
-    has_colmap_model,
-    read_colmap_model,
-)
+from registry.photos import POINTS_FIX, Tracks, decoding, has_colmap_model, read_colmap_model
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:

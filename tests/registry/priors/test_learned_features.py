@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from registry.priors.learned_features import LearnedFeatures, standardized_grey
 
 from registry import PluginError
+from registry.priors.learned_features import LearnedFeatures, standardized_grey
 from tests.stereogs_plugins.priors import graphs
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..contract.scene import PointCloud
-from ..errors import SceneError
+from ...contract.scene import PointCloud
+from ...errors import SceneError
 
 MIN_TRAINING_OBSERVATIONS = 2
 """A point that two training views see could have been triangulated from them; one view cannot."""

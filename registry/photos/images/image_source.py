@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from ..contract.component import Settings
-from ..errors import SceneError
+from ...contract.component import Settings
+from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter
 from .image_files import list_images
 from .sizes import divided_by

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SceneError
+from ...errors import SceneError
+from ..reading import decoding
 from .colmap_files import (
     ColmapCamera,
     ColmapImage,
@@ -19,7 +20,6 @@ from .colmap_files import (
     read_points3d,
 )
 from .lens import Distortion, Lens
-from .reading import decoding
 from .tracks import Tracks
 
 _NAMES = ("cameras", "images", "points3D")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import SceneError
+from ...errors import SceneError
 
 
 def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:

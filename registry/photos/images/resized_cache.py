@@ -13,7 +13,7 @@ from pathlib import Path
 import PIL
 from PIL import Image
 
-from ..cache import Cache, content_key
+from ...cache import Cache, content_key
 
 _FILE = "image.png"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from core_rasterizer import Camera, CameraError
 
-from ..errors import SceneError
+from ...errors import SceneError
 
 Distortion = Literal["PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
 _COEFFICIENTS = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4}

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from core_rasterizer import Camera
 
-from ..contract.scene import PointCloud
-from ..errors import SceneError
+from ...contract.scene import PointCloud
+from ...errors import SceneError
 
 Bounds = tuple[float, float]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from ..errors import SceneError
-from .reading import decoding
+from ...errors import SceneError
+from ..reading import decoding
 from .resized_cache import remembered
 from .sizes import Size, SizeRule
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import SceneError
-from .decoder import Pixels
+from ...errors import SceneError
+from ..images.decoder import Pixels
 from .lens import Lens
 from .safe_pycolmap import import_pycolmap
 
