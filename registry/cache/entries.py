@@ -14,6 +14,7 @@ import logging
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -53,12 +54,13 @@ class Cache:
             if (entry / CHECKSUM).read_text("utf-8") != _checksum(entry):
                 raise ValueError("its checksum is another")
             answer = read(entry)
-            os.utime(entry)  # the least recently used entry is the first to go
         except Exception as error:  # every library has errors of its own for damaged files
             if entry.is_dir():  # else another process has just made room
                 _log.warning("the cached %s is damaged (%s); computing anew", entry, error)
                 shutil.rmtree(entry, ignore_errors=True)
             return None
+        with suppress(OSError):  # a cache that may only be read
+            os.utime(entry)  # the least recently used entry is the first to go
         return answer
 
     def save(self, key: str, write: Callable[[Path], object]) -> None:

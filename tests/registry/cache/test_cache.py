@@ -144,6 +144,17 @@ def test_a_folder_that_cannot_be_written_costs_a_warning(
     assert "could not be cached" in caplog.text
 
 
+def test_a_cache_that_may_only_be_read_is_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save(Cache("kind"), KEYS[0])
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(path)
+
+    monkeypatch.setattr(os, "utime", refuse)
+    assert load(Cache("kind"), KEYS[0]) == bytes(1000)
+    assert load(Cache("kind"), KEYS[0]) == bytes(1000)
+
+
 def test_what_a_killed_process_left_is_cleared(root: Path) -> None:
     cache = Cache("kind")
     save(cache, KEYS[0])
