@@ -85,8 +85,8 @@ def all_torch_threads() -> Iterator[None]:
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
     """Milliseconds of each kernel in an iteration, the device drained after each."""
     totals: dict[str, float] = {}
-    rasterizer = workload.model.rasterizer
-    programs = [rasterizer.program, rasterizer.raster_program, workload.optimizer.program]
+    renderer = workload.model.renderer
+    programs = [renderer.program, renderer.raster_program, workload.optimizer.program]
     originals = [program.run for program in programs]
 
     def timed(original: Callable[..., None]) -> Callable[..., None]:

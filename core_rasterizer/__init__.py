@@ -15,13 +15,10 @@ from .errors import (
     PlyError,
 )
 from .gaussians import Gaussians
-from .model import GaussianModel
-from .optimizer import Adam
-from .photometric import photometric_loss
+from .optimization import Adam, Carried, Edit, GaussianModel, apply_edit, photometric_loss
 from .ply import load_ply, load_points, save_ply
 from .rasterize import rasterize
 from .rendering import Rendering
-from .topology import Carried, Edit, apply_edit
 
 __all__ = [
     "Adam",

@@ -13,10 +13,9 @@ from torch.autograd.function import once_differentiable
 from .camera import Camera
 from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
-from .frames import NEAR_PLANE, Block, View, padded
 from .gaussians import Gaussians
-from .model import rows_from
-from .rasterizer import Rasterizer
+from .layout import PARAMETERS, padded
+from .raster import NEAR_PLANE, Block, Renderer, RenderRequest, pack, unpack_all
 from .rendering import Rendering
 
 
@@ -68,16 +67,16 @@ def rasterize(
         }
     )
     color = (0.0, 0.0, 0.0) if background is None else tuple(float(value) for value in background)
-    rasterizer = _rasterizer(device or open_device(), means.dtype)
+    renderer = _renderer(device or open_device(), means.dtype)
     outputs = _Rasterize.apply(
-        means, scales, quaternions, opacities, sh, rasterizer, camera, color, near
+        means, scales, quaternions, opacities, sh, renderer, camera, color, near
     )
     return Rendering(*outputs)
 
 
 @cache
-def _rasterizer(device: Device, dtype: torch.dtype) -> Rasterizer:
-    return Rasterizer(device, dtype)
+def _renderer(device: Device, dtype: torch.dtype) -> Renderer:
+    return Renderer(device, dtype)
 
 
 class _Rasterize(torch.autograd.Function):
@@ -89,21 +88,21 @@ class _Rasterize(torch.autograd.Function):
         quaternions: Tensor,
         opacities: Tensor,
         sh: Tensor,
-        rasterizer: Rasterizer,
+        renderer: Renderer,
         camera: Camera,
         background: tuple[float, ...],
         near: float,
     ) -> tuple[Tensor, Tensor, Tensor]:
         gaussians = Gaussians(means, scales, quaternions, opacities, sh)
         count, dtype = len(gaussians), means.dtype
-        rows = rows_from(gaussians, dtype, padded(count))
-        parameters = DeviceArray(rasterizer.device, tuple(rows.shape), dtype)
+        rows = pack(gaussians, dtype, padded(count))
+        parameters = DeviceArray(renderer.device, tuple(rows.shape), dtype)
         parameters.write(rows)
         ctx.block = Block(parameters, count, activated=True)
-        view = View(camera, background, gaussians.sh_degree, near)
-        rgb, depth, alpha, ctx.lease = rasterizer.forward(ctx.block, view)
+        request = RenderRequest(camera, background, gaussians.sh_degree, near)
+        rgb, depth, alpha, ctx.lease = renderer.forward(ctx.block, request)
         ctx.set_materialize_grads(False)
-        ctx.rasterizer, ctx.sh_shape = rasterizer, sh.shape
+        ctx.renderer, ctx.sh_degree = renderer, gaussians.sh_degree
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
         return rgb, depth, alpha
 
@@ -111,21 +110,14 @@ class _Rasterize(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         _ = ctx.saved_tensors
-        block, rasterizer = ctx.block, ctx.rasterizer
-        gradients = DeviceArray(rasterizer.device, block.parameters.shape, rasterizer.dtype)
+        block, renderer = ctx.block, ctx.renderer
+        gradients = DeviceArray(renderer.device, block.parameters.shape, renderer.dtype)
         d_rgb, d_depth, d_alpha = image_gradients
-        rasterizer.backward(
+        renderer.backward(
             ctx.lease.frame, block, (d_rgb, d_depth, d_alpha), gradients, accumulate=False
         )
-        rows = gradients.read()[:, : block.count].T
-        return (
-            rows[:, 0:3].contiguous(),
-            rows[:, 3:6].contiguous(),
-            rows[:, 6:10].contiguous(),
-            rows[:, 10].contiguous(),
-            rows[:, 11:].reshape(ctx.sh_shape),
-            *(None,) * 4,
-        )
+        by_name = unpack_all(gradients.read(), block.count, ctx.sh_degree)
+        return *(by_name[name] for name in PARAMETERS), *(None,) * 4
 
 
 def _check(tensors: dict[str, Tensor]) -> None:

@@ -1,21 +1,11 @@
-"""What the host adds to every edit: the limit on Gaussians, and the removal of broken ones."""
+"""What the host adds to every edit: the limit on Gaussians."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from core_rasterizer import Edit, GaussianModel
-
-_PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
-
-
-def not_finite(model: GaussianModel) -> Tensor:
-    """Which Gaussians have a parameter that is not finite, bool `[N]`."""
-    finite = torch.ones(model.count, dtype=torch.bool)
-    for name in _PARAMETERS:
-        finite &= torch.isfinite(model.read(name)).reshape(model.count, -1).all(dim=1)
-    return ~finite
+from core_rasterizer import Edit
 
 
 def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:

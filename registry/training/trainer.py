@@ -32,7 +32,7 @@ from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .learning_rates import learning_rates
 from .step_rendering import StepRenderer, backward
-from .topology_rules import limited, not_finite
+from .topology_rules import limited
 from .view_order import ViewOrder
 
 OPACITY_MARGIN = 1e-6
@@ -221,7 +221,7 @@ class Trainer:
         """
         if iteration % HEALTH_CHECK_EVERY and iteration < self.settings.iterations:
             return False
-        broken = not_finite(self.model)
+        broken = self.model.not_finite()
         number = int(broken.sum())
         if not number:
             return False

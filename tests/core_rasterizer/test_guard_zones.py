@@ -22,9 +22,9 @@ from core_rasterizer import (
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.frames import View
-from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import PAIRS_AT_FIRST, Rasterizer
+from core_rasterizer.layout import PARAMETER_GROUPS
+from core_rasterizer.raster import Renderer, RenderRequest
+from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.scenes import random_camera, random_scene
 from tests.core_rasterizer.test_model import parameters
@@ -65,7 +65,7 @@ def test_the_zones_catch_a_kernel_that_strays(device: Device, pattern: int) -> N
     inside = GuardedDevice(device, pattern)
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
-    program = inside.program("scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
+    program = inside.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     arguments = (np.uint32(15), np.uint32(1))
     program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
     assert inside.check() == 2
@@ -107,7 +107,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
     """More pairs than there is room for at first; then a small render in the large buffers."""
     generator = torch.Generator().manual_seed(1)
     width, height = 300, 200
-    tile_width, tile_height = Rasterizer(device).tile
+    tile_width, tile_height = Renderer(device).tile
     count = int(1.3 * PAIRS_AT_FIRST / (-(-width // tile_width) * -(-height // tile_height)))
     large, small = random_scene(generator, count, sh_degree=0), random_scene(generator, 5)
     large.scales[:] = 40.0
@@ -117,7 +117,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
         large.means, large.scales.log(), large.quaternions, torch.logit(large.opacities), large.sh
     )
     model = GaussianModel(gaussians, device)
-    lease = model.rasterizer.forward(model.block, View(wide, (0.0, 0.0, 0.0), 0))[-1]
+    lease = model.renderer.forward(model.block, RenderRequest(wide, (0.0, 0.0, 0.0), 0))[-1]
     assert lease.frame.pairs > PAIRS_AT_FIRST
     tensors = large.tensors(torch.float32), small.tensors(torch.float32)
 

@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError, Gaussians
-from core_rasterizer.model import GaussianModel
-from core_rasterizer.optimizer import PARAMETER_GROUPS, Adam
+from core_rasterizer import Adam, Device, ExplainedError, GaussianModel, Gaussians
+from core_rasterizer.layout import PARAMETER_GROUPS
 
 RATES = {
     "means": 1e-3,

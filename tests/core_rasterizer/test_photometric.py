@@ -7,8 +7,7 @@ import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError
-from core_rasterizer.photometric import photometric_loss
+from core_rasterizer import Device, ExplainedError, photometric_loss
 
 
 def twin(rgb: Tensor, target: Tensor, ssim_weight: float) -> Tensor:

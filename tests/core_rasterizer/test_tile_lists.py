@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from core_rasterizer import Device, GaussianModel
-from core_rasterizer.budget import RECORD
-from core_rasterizer.frames import View
+from core_rasterizer.raster import RenderRequest
+from core_rasterizer.raster.budget import RECORD
 from tests.core_rasterizer.test_model import parameters, view
 
 CUT = 1 / 255
@@ -20,7 +20,7 @@ class Lists(NamedTuple):
     """What a render leaves behind, on the host."""
 
     records: NDArray[np.float32]
-    """`[N, 16]`, see `kernels/scene.cl`."""
+    """`[N, 16]`, see `scene.cl`."""
     pairs: NDArray[np.int32]
     """`[P, 2]`: Gaussian, slot."""
     starts: NDArray[np.int32]
@@ -31,8 +31,8 @@ class Lists(NamedTuple):
 
 def lists_of(device: Device) -> Lists:
     model, camera = GaussianModel(parameters(300), device), view()
-    rasterizer = model.rasterizer
-    frame = rasterizer.forward(model.block, View(camera, (0.0, 0.0, 0.0), 3))[3].frame
+    renderer = model.renderer
+    frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[3].frame
     tiles = frame.tiles[0] * frame.tiles[1]
     arrays = {
         name: frame.arrays[name].read().numpy() for name in ("records", "pairs", "tile_starts")
@@ -41,7 +41,7 @@ def lists_of(device: Device) -> Lists:
         arrays["records"].reshape(-1, RECORD).copy(),
         arrays["pairs"][: 2 * frame.pairs].reshape(-1, 2).copy(),
         arrays["tile_starts"][: tiles + 1].copy(),
-        rasterizer.tile,
+        renderer.tile,
         frame.tiles[0],
     )
 
@@ -85,8 +85,8 @@ def test_the_number_of_chunks_changes_nothing(
     device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = lists_of(device)
-    for module in ("tile_lists", "rasterizer"):
-        monkeypatch.setattr(f"core_rasterizer.{module}.chunks_of", lambda device: chunks)
+    for module in ("tile_lists", "renderer"):
+        monkeypatch.setattr(f"core_rasterizer.raster.{module}.chunks_of", lambda device: chunks)
     lists = lists_of(device)
     assert np.array_equal(lists.pairs, expected.pairs)
     assert np.array_equal(lists.starts, expected.starts)

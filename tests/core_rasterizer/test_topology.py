@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from core_rasterizer import Adam, Device, Edit, GaussianError, GaussianModel, apply_edit
-from core_rasterizer.model import PARAMETERS
-from core_rasterizer.topology import CHILDREN, SHRINK
+from core_rasterizer.layout import PARAMETERS
+from core_rasterizer.optimization.topology import CHILDREN, SHRINK
 from tests.core_rasterizer.test_model import parameters, view
 
 RATES = dict.fromkeys(

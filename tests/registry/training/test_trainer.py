@@ -13,7 +13,7 @@ from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
-from registry.training.topology_rules import limited, not_finite
+from registry.training.topology_rules import limited
 from registry.training.trainer import Iteration, Trainer
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
@@ -202,7 +202,7 @@ def test_gaussians_that_are_not_finite_are_removed_and_counted(
 ) -> None:
     trainer = make("densification: {use: toy_growth, empty: true, every: 2}\n")
     poison(trainer, slice(3, 6), [3, 7], float("nan"))
-    assert not_finite(trainer.model).nonzero()[:, 0].tolist() == [3, 7]
+    assert trainer.model.not_finite().nonzero()[:, 0].tolist() == [3, 7]
     with caplog.at_level(logging.WARNING):
         done = train(trainer)
     assert done[-1].logged["removed_not_finite"] == 2

@@ -63,7 +63,8 @@ __kernel void adam(
     const int end = begin + span < columns ? begin + span : columns;
     /* An array keeps the choice out of the loop, where a chain of ?: cost a tenth of the time. */
     const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};
-    const real rate = rates[(row >= 3) + (row >= 6) + (row >= 10) + (row >= 11) + (row >= 14)];
+    const real rate = rates[(row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY)
+        + (row >= ROW_SH) + (row >= ROW_SH + 3)];
     const size_t first = row * capacity;
 #if VISIBLE_ONLY
     for (size_t at = first + begin; at < first + end; at += BLOCK)

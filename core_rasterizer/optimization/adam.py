@@ -10,23 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .device import DeviceArray
-from .errors import ExplainedError
-from .frames import ROWS_BEFORE_SH, padded
-from .gaussians import sh_coefficients
+from ..device import DeviceArray
+from ..errors import ExplainedError
+from ..layout import PARAMETER_GROUPS, padded, row_count
 
 if TYPE_CHECKING:
     from .model import GaussianModel
-
-PARAMETER_GROUPS = {
-    "means": (0, 3),
-    "log_scales": (3, 6),
-    "quaternions": (6, 10),
-    "opacity_logits": (10, 11),
-    "sh_constant": (11, 14),
-    "sh_rest": (14, None),
-}
-"""Rows of the parameter array that share a learning rate; the last group takes what is left."""
 
 _BETA1, _BETA2 = 0.9, 0.999
 _CPU_SPAN = 4096
@@ -48,7 +37,7 @@ class Adam:
 
     def __init__(self, model: GaussianModel) -> None:
         self._model = model
-        self.program = model.device.program("adam", dtype=model.dtype)
+        self.program = model.device.program("optimization/adam", dtype=model.dtype)
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
@@ -84,8 +73,7 @@ class Adam:
         real = np.float64 if model.dtype == torch.float64 else np.float32
         first_correction = 1 - _BETA1**self.steps
         second_correction = 1 - _BETA2**self.steps
-        degree = min(active_sh_degree, model.sh_degree)
-        rows = ROWS_BEFORE_SH + 3 * sh_coefficients(degree)
+        rows = row_count(min(active_sh_degree, model.sh_degree))
         columns = padded(model.count)
         on_cpu = model.device.variant == "cpu"
         span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)

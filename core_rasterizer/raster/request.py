@@ -1,4 +1,4 @@
-"""What a render takes and what it leaves for the backward pass."""
+"""What is to be rendered, apart from the Gaussians."""
 
 from __future__ import annotations
 
@@ -8,42 +8,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .camera import Camera
-from .device import Device, DeviceArray
-from .errors import CameraError, GaussianError
+from ..camera import Camera
+from ..errors import CameraError, GaussianError
 
-ROWS_BEFORE_SH = 11
-"""Parameter rows in front of the SH coefficients: mean 3, scale 3, quaternion 4, opacity 1."""
 NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
-CAPACITY_STEP = 16
-"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 
 _LARGEST = 1e37
 """REAL_LARGEST of the kernels: what reaches it is not shown."""
-
-
-def padded(count: int) -> int:
-    """The capacity of parameter arrays that hold `count` Gaussians."""
-    return max(CAPACITY_STEP, -(-count // CAPACITY_STEP) * CAPACITY_STEP)
+_CAMERA_NUMBERS = 32
 
 
 @dataclass(frozen=True)
-class Block:
-    """Gaussian parameters on a device: `[rows, capacity]`, one row a scalar parameter."""
-
-    parameters: DeviceArray
-    count: int
-    activated: bool
-    """Scales and opacities are stored as such, not as logarithms and logits."""
-
-    @property
-    def capacity(self) -> int:
-        return self.parameters.shape[1]
-
-
-@dataclass(frozen=True)
-class View:
+class RenderRequest:
     """What is to be rendered: camera, background, SH degree, opacity factors."""
 
     camera: Camera
@@ -54,7 +31,7 @@ class View:
     """`[N]` factors of the activated opacities, or None."""
 
     def check(self) -> None:
-        """Refuse a view that no image can be made of.
+        """Refuse what no image can be made of.
 
         Raises:
             CameraError: the image is larger than a device index can address, or the near plane is not
@@ -83,7 +60,7 @@ class View:
                 raise GaussianError(f"the value is {value}", field="background", index=index)
 
     def camera_block(self) -> Tensor:
-        """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`."""
+        """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`, `[32]` float64."""
         camera = self.camera
         pose = camera.world_to_camera
         # Ratios x/z and y/z are clamped a little outside the image, where the linearized projection of a
@@ -106,38 +83,4 @@ class View:
             self.near,
             *self.background,
         ]
-        return torch.tensor(values + [0.0] * (32 - len(values)), dtype=torch.float64)
-
-
-class Frame:
-    """What the backward pass needs of one render; its arrays are reused by later renders."""
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, DeviceArray] = {}
-        self.view: View
-        self.tiles = (0, 0)
-        self.pair_limit = 0
-        self.visible = 0
-        self.pairs = 0
-
-
-class Lease:
-    """Holds a frame and hands it back to the pool when nobody needs the render any more."""
-
-    def __init__(self, pool: list[Frame]) -> None:
-        self._pool = pool
-        self.frame = pool.pop() if pool else Frame()
-
-    def __del__(self) -> None:
-        self._pool.append(self.frame)
-
-
-def make_room(
-    arrays: dict[str, DeviceArray], device: Device, name: str, dtype: torch.dtype, elements: int
-) -> DeviceArray:
-    """An array of at least so many elements; grown with a margin, so that growth is rare."""
-    array = arrays.get(name)
-    if array is None or array.shape[0] < elements:
-        margin = elements // 8 if array is not None else 0
-        array = arrays[name] = DeviceArray(device, (elements + margin,), dtype)
-    return array
+        return torch.tensor(values + [0.0] * (_CAMERA_NUMBERS - len(values)), dtype=torch.float64)

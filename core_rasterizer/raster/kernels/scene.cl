@@ -1,11 +1,5 @@
-/* What the stages hand to each other: the camera, the parameter rows, the packed record. */
-
-/* Rows of the parameter array [rows][capacity]; SH rows are coefficient-major, then channel. */
-#define ROW_MEAN 0
-#define ROW_SCALE 3
-#define ROW_QUATERNION 6
-#define ROW_OPACITY 10
-#define ROW_SH 11
+/* What the stages hand to each other: the camera, the packed record. The rows of the parameter array,
+ * ROW_MEAN and its sisters, come from layout.py. */
 
 /* The camera block, written by the host once a render, in `wide`. */
 #define CAMERA_ROTATION 0 /* 9: world to camera, row-major */

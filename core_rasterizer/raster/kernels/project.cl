@@ -21,9 +21,9 @@ static inline void shade(
     __global const wide *camera, int degree)
 {
     __global const real *row = parameters + i;
-    lane dx = LOAD_GLOBAL(row) - (real)camera[CAMERA_CENTER];
-    lane dy = LOAD_GLOBAL(row + capacity) - (real)camera[CAMERA_CENTER + 1];
-    lane dz = LOAD_GLOBAL(row + 2 * capacity) - (real)camera[CAMERA_CENTER + 2];
+    lane dx = LOAD_GLOBAL(row + ROW_MEAN * capacity) - (real)camera[CAMERA_CENTER];
+    lane dy = LOAD_GLOBAL(row + (ROW_MEAN + 1) * capacity) - (real)camera[CAMERA_CENTER + 1];
+    lane dz = LOAD_GLOBAL(row + (ROW_MEAN + 2) * capacity) - (real)camera[CAMERA_CENTER + 2];
     const lane scale = 1 / lane_sqrt(dx * dx + dy * dy + dz * dz);
     lane basis[16];
     sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .device import DeviceArray, Program
-from .errors import GaussianError
-from .frames import padded
+from ..device import DeviceArray, Program
+from ..errors import GaussianError
+from ..layout import padded
+from .adam import Adam
 from .model import GaussianModel
-from .optimizer import Adam
 
 CHILDREN = 2
 """How many Gaussians a split one becomes (3DGS)."""
@@ -96,7 +96,7 @@ class _Mover:
     def __init__(self, model: GaussianModel, source: Tensor, fresh: Tensor) -> None:
         self._device, self._dtype = model.device, model.dtype
         self._program: Program = model.device.program(
-            "scene", "topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP
+            "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP
         )
         self._count, self._capacity = len(source), padded(len(source))
         self._source = DeviceArray(model.device, (len(source),), torch.int32)

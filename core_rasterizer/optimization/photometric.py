@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .device import Device, DeviceArray, open_device
-from .errors import ExplainedError
-from .finite import undefined_places
+from ..device import Device, DeviceArray, open_device
+from ..errors import ExplainedError
+from ..finite import undefined_places
 
 SSIM_WEIGHT = 0.2
 """The share of D-SSIM in the loss of 3DGS."""
@@ -101,7 +101,9 @@ class _Workspace:
         # An image narrower than a vector (one or two pixels) goes real by real.
         lanes = device.lanes if row >= device.lanes else 1
         self._items = 1 if device.variant == "cpu" else _GPU_GROUP
-        self._program = device.program("photometric", dtype=dtype, LANES=lanes, GROUP=self._items)
+        self._program = device.program(
+            "optimization/photometric", dtype=dtype, LANES=lanes, GROUP=self._items
+        )
         self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
         band = _GPU_BAND
         if device.variant == "cpu":
@@ -117,7 +119,13 @@ class _Workspace:
     def run(
         self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """The loss and, if asked for, its gradient image."""
+        """The loss and, if asked for, its gradient image; threads take turns."""
+        with self._device.lock:
+            return self._run(rgb, target, ssim_weight, with_gradient)
+
+    def _run(
+        self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
         image, reference, result = self._bind(rgb, target)
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32

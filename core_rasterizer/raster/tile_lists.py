@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from .device import Device, DeviceArray, Program
-from .frames import Frame, make_room
+from ..device import Device, DeviceArray, Program, Scratch
+from .frame import Frame
 
-SOURCES = ("scan", "sort", "bin")
-"""The kernels of this module; they build on "scene" and "cover"."""
+SOURCES = ("raster/scan", "raster/sort", "raster/bin")
+"""The kernels of this module; they build on "raster/scene" and "raster/cover"."""
 
 _DIGIT_BITS = 11
 BUCKETS = 1 << _DIGIT_BITS
@@ -48,7 +48,7 @@ class TileLists:
             "SCAN_GROUP": self._group,
             "SCAN_ITEMS": self._items,
         }
-        self._scratch: dict[str, DeviceArray] = {}
+        self._scratch = Scratch(device)
 
     def reserve(self, capacity: int, tiles: int) -> None:
         """Make room for a render's Gaussians and tiles."""
@@ -60,7 +60,7 @@ class TileLists:
             "chunk_pairs": self._chunks + 1,
         }
         for name, elements in sizes.items():
-            make_room(self._scratch, self._device, name, torch.int32, elements)
+            self._scratch.reserve(name, torch.int32, elements)
 
     @property
     def keys(self) -> DeviceArray:

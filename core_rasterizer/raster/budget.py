@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from .errors import MemoryBudgetError
-from .frames import Block, Frame
+from ..errors import MemoryBudgetError
+from .block import Block
+from .frame import Frame
 
 RECORD = 16
 """Numbers in a Gaussian's record, and in a pair's sums."""
@@ -39,7 +40,7 @@ class Budget:
         Raises:
             MemoryBudgetError: not even the image and the Gaussians fit.
         """
-        camera = frame.view.camera
+        camera = frame.request.camera
         # Three images, the transmittance, and five numbers a pixel of gradients.
         pixels = camera.width * camera.height * 11 * self._real
         # Record, cover, sort keys and orders, slots; the tables of counts, a row a chunk.
@@ -69,7 +70,7 @@ class Budget:
         return min(frame.pairs + frame.pairs // 4, frame.pair_limit)
 
     def _exceeded(self, frame: Frame, block: Block, what: str) -> MemoryBudgetError:
-        camera = frame.view.camera
+        camera = frame.request.camera
         return MemoryBudgetError(
             f"the render {what}; the budget is {self.limit / 2**20:,.0f} MB",
             where=f"{block.count:,} Gaussians in {camera.width}x{camera.height} pixels",

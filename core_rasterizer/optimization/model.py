@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,19 +11,14 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .camera import Camera
-from .device import Device, DeviceArray, open_device
-from .errors import GaussianError
-from .finite import undefined_places
-from .frames import NEAR_PLANE, ROWS_BEFORE_SH, Block, View, padded
-from .gaussians import Gaussians, sh_coefficients
-from .rasterizer import Rasterizer
-from .rendering import Rendering
-
-PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
-"""The names that `GaussianModel.read`, `write` and `gradient` know."""
-
-_ROWS = {"means": (0, 3), "log_scales": (3, 6), "quaternions": (6, 10), "opacity_logits": (10, 11)}
+from ..camera import Camera
+from ..device import Device, DeviceArray, open_device
+from ..errors import GaussianError
+from ..finite import undefined_places
+from ..gaussians import Gaussians
+from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count, rows_of
+from ..raster import NEAR_PLANE, Block, Frame, Renderer, RenderRequest, pack, unpack
+from ..rendering import Rendering
 
 
 class GaussianModel:
@@ -48,14 +44,14 @@ class GaussianModel:
         self.device = device or open_device()
         self.dtype = dtype
         self.sh_degree = gaussians.sh_degree
-        self.rasterizer = Rasterizer(self.device, dtype)
+        self.renderer = Renderer(self.device, dtype)
         self._anchor = torch.zeros((), requires_grad=True)
-        self.adopt(rows_from(gaussians, dtype, padded(len(gaussians))), len(gaussians))
+        self.adopt(pack(gaussians, dtype, padded(len(gaussians))), len(gaussians))
 
     @property
     def rows(self) -> int:
         """Scalar parameters of one Gaussian."""
-        return ROWS_BEFORE_SH + 3 * sh_coefficients(self.sh_degree)
+        return row_count(self.sh_degree)
 
     @property
     def capacity(self) -> int:
@@ -125,9 +121,8 @@ class GaussianModel:
         that is not zero. Opacity alone would miss Gaussians as opaque as the rasterizer lets them be.
         """
         self.settle_gradients()
-        means = self.gradients.read(*_ROWS["means"])
-        opacity_and_color = self.gradients.read(_ROWS["opacity_logits"][0], ROWS_BEFORE_SH + 3)
-        gradients = torch.cat([means, opacity_and_color])[:, : self.count]
+        groups = [PARAMETER_GROUPS[name] for name in ("means", "opacity_logits", "sh_constant")]
+        gradients = torch.cat([self.gradients.read(*rows) for rows in groups])[:, : self.count]
         return (gradients != 0).any(dim=0)
 
     def settle_gradients(self) -> None:
@@ -142,6 +137,14 @@ class GaussianModel:
     def scales(self) -> Tensor:
         """Activated scales `[N, 3]`: standard deviations, world units."""
         return torch.exp(self.read("log_scales"))
+
+    def not_finite(self) -> Tensor:
+        """Which Gaussians have a parameter that is not finite, bool `[N]`."""
+        rows = self.parameters.read()
+        # Usually one pass: only a sum that is not finite is worth a closer look.
+        if math.isfinite(rows.sum()):
+            return torch.zeros(self.count, dtype=torch.bool)
+        return ~torch.isfinite(rows[:, : self.count]).all(dim=0)
 
     def zero_gradients(self) -> None:
         """Forget the gradients. Costs nothing: the next backward pass overwrites them."""
@@ -218,23 +221,23 @@ class GaussianModel:
                 f"the shape is {tuple(opacity_scale.shape)}, expected ({self.count},)",
                 field="opacity_scale",
             )
-        view = View(camera, tuple(background), degree, near, opacity_scale)
-        rgb, depth, alpha = _Render.apply(self._anchor, self, view, collect_statistics)
+        request = RenderRequest(camera, tuple(background), degree, near, opacity_scale)
+        rgb, depth, alpha = _Render.apply(self._anchor, self, request, collect_statistics)
         return Rendering(rgb, depth, alpha)
 
     def add_gradients(
         self,
-        frame: Any,
+        frame: Frame,
         image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
         collect_statistics: bool,
     ) -> None:
         """Run the backward pass of one render into `gradients`."""
-        degree = frame.view.sh_degree
+        degree = frame.request.sh_degree
         if self._forgotten and degree < self._written_degree:
             self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
         self._written_degree = degree if self._forgotten else max(degree, self._written_degree)
         # Adding needs every row to hold something; a higher band than before holds zeros already.
-        self.rasterizer.backward(
+        self.renderer.backward(
             frame,
             self.block,
             image_gradients,
@@ -245,40 +248,16 @@ class GaussianModel:
         self._forgotten = False
 
     def _rows_of(self, name: str) -> tuple[int, int]:
-        if name == "sh":
-            return ROWS_BEFORE_SH, self.rows
-        if name not in _ROWS:
+        if name not in PARAMETERS:
             raise GaussianError(
                 f"there is no parameter {name!r}",
                 field=name,
                 fix=f"use one of {', '.join(PARAMETERS)}",
             )
-        return _ROWS[name]
+        return rows_of(name, self.sh_degree)
 
     def _unpack(self, rows: Tensor, name: str) -> Tensor:
-        """The rows of one parameter, in the shape that it has for the user."""
-        values = rows[:, : self.count]
-        if name == "opacity_logits":
-            return values[0]
-        if name == "sh":
-            return values.T.reshape(self.count, values.shape[0] // 3, 3)
-        return values.T
-
-
-def rows_from(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:
-    """Parameters as `[rows, capacity]`: one row a scalar, SH coefficient-major, then channel."""
-    rows = torch.cat(
-        [
-            gaussians.means.T,
-            gaussians.log_scales.T,
-            gaussians.quaternions.T,
-            gaussians.opacity_logits[None],
-            gaussians.sh.flatten(1).T,
-        ]
-    )
-    result = torch.zeros(rows.shape[0], capacity, dtype=dtype)
-    result[:, : len(gaussians)] = rows.to(dtype)
-    return result
+        return unpack(rows, name, self.count)
 
 
 class _Render(torch.autograd.Function):
@@ -286,9 +265,13 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, anchor: Tensor, model: GaussianModel, view: View, collect_statistics: bool
+        ctx: Any,
+        anchor: Tensor,
+        model: GaussianModel,
+        request: RenderRequest,
+        collect_statistics: bool,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        rgb, depth, alpha, lease = model.rasterizer.forward(model.block, view)
+        rgb, depth, alpha, lease = model.renderer.forward(model.block, request)
         ctx.set_materialize_grads(False)
         ctx.model, ctx.lease, ctx.collect_statistics = model, lease, collect_statistics
         ctx.parameters = model.parameters

@@ -8,6 +8,9 @@ no setting for the name, but keeps it as a C string on the heap, reachable from 
 writing the name of an older processor with the same instruction sets over it is enough. Memory is
 only touched through /proc/self/mem, which answers a bad address with an error instead of a crash, and
 only if exactly one such string is found.
+
+That is another program's memory, so it happens only after a build has failed for such a name, or for
+speed when STEREOGS_CORRECT_CPU_NAME asks for it.
 """
 
 from __future__ import annotations
@@ -28,8 +31,11 @@ _AVX512 = frozenset(("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", 
 _AVX2 = frozenset(("avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"))
 
 
-def teach_processor_name(device: cl.Device) -> bool:
+def correct_cpu_name(device: cl.Device, *, only_unknown: bool = False) -> bool:
     """Give a PoCL device whose processor LLVM does not know the name of a known one.
+
+    Args:
+        only_unknown: leave a name alone that LLVM can build for, though it says too little.
 
     Returns:
         Whether a name was replaced. False on other drivers, on processors that PoCL knows, and
@@ -41,7 +47,9 @@ def teach_processor_name(device: cl.Device) -> bool:
     try:
         with FileIO(_MEMORY, "r+b") as memory:
             found = names_reachable_from(memory, device.int_ptr)
-            better = better_name(found[0][1], flags) if len(found) == 1 else None
+            if len(found) != 1 or (only_unknown and found[0][1] != _UNKNOWN):
+                return False
+            better = better_name(found[0][1], flags)
             if better is None:
                 return False
             memory.seek(found[0][0])

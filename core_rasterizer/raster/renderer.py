@@ -1,7 +1,7 @@
 """The rendering pipeline on a device: project, sort, bin, blend; and back again.
 
-This module knows buffers and kernels. Autograd lives in `model.py` (device-resident Gaussians) and
-`rasterize.py` (plain torch tensors).
+This module knows buffers and kernels. Autograd lives in `optimization/model.py` (device-resident
+Gaussians) and `rasterize.py` (plain torch tensors).
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..camera import Camera
+from ..device import Device, DeviceArray, Scratch
+from ..errors import ExplainedError
+from ..finite import undefined_places
+from .block import Block
 from .budget import RECORD, Budget
-from .camera import Camera
-from .device import Device, DeviceArray
-from .errors import ExplainedError
-from .finite import undefined_places
-from .frames import Block, Frame, Lease, View, make_room
+from .frame import Frame, Lease
+from .request import RenderRequest
 from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
@@ -35,11 +37,11 @@ OVERRIDES = frozenset(
         "TILE_WIDTH",
     )
 )
-"""Macros of the kernels that a `Rasterizer` may be built with instead of their defaults."""
+"""Macros of the kernels that a `Renderer` may be built with instead of their defaults."""
 
 
-class Rasterizer:
-    """Kernels and scratch memory for one device and one number type.
+class Renderer:
+    """Kernels and scratch memory for one device and one number type; threads take turns.
 
     Args:
         device: where to run; `device.variant` decides which raster kernels and tile size.
@@ -65,7 +67,7 @@ class Rasterizer:
         if unknown := sorted(set(overrides) - OVERRIDES):
             raise ExplainedError(
                 f"no kernel has the setting {', '.join(unknown)}",
-                where="Rasterizer: overrides",
+                where="Renderer: overrides",
                 fix=f"use {', '.join(sorted(OVERRIDES))}",
             )
         self.device = device
@@ -83,12 +85,12 @@ class Rasterizer:
         )
         self._lists = TileLists(device)
         self.program = device.program(
-            "scene",
-            "harmonics",
-            "projection",
-            "cover",
-            "project",
-            "project_backward",
+            "raster/scene",
+            "raster/harmonics",
+            "raster/projection",
+            "raster/cover",
+            "raster/project",
+            "raster/project_backward",
             *SOURCES,
             dtype=dtype,
             PROJECT_GROUP=self.group,
@@ -96,18 +98,18 @@ class Rasterizer:
             **self._lists.macros,
         )
         self.raster_program = device.program(
-            "scene",
-            "blend",
-            "raster_cpu" if self.on_cpu else "raster_gpu",
+            "raster/scene",
+            "raster/blend",
+            "raster/raster_cpu" if self.on_cpu else "raster/raster_gpu",
             dtype=dtype,
             **macros,
             LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
         )
-        self._scratch: dict[str, DeviceArray] = {}
+        self._scratch = Scratch(device)
         self._frames: list[Frame] = []
         self._pair_capacity = PAIRS_AT_FIRST
 
-    def forward(self, block: Block, view: View) -> tuple[Tensor, Tensor, Tensor, Lease]:
+    def forward(self, block: Block, request: RenderRequest) -> tuple[Tensor, Tensor, Tensor, Lease]:
         """Render.
 
         Returns:
@@ -120,23 +122,24 @@ class Rasterizer:
                 in front of the camera.
             GaussianError: a background that is not three numbers.
         """
-        lease = Lease(self._frames)
-        frame = lease.frame
-        frame.view = view
-        self._prepare(frame, block, view)
-        self._project(frame, block, view)
-        self._lists.sort(self.program, frame, block.count)
-        while True:
-            self._lists.bin(self.program, frame, self._capacity_of(frame))
-            images = self._blend(frame, view.camera)
-            counters = frame.arrays["counters"].read()
-            frame.visible, frame.pairs = int(counters[0]), int(counters[1])
-            if frame.pairs <= self._capacity_of(frame):
-                break
-            self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
-            self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
-        rgb, depth, alpha = (image.read() for image in images)
-        return rgb, depth, alpha, lease
+        with self.device.lock:
+            lease = Lease(self._frames, self.device)
+            frame = lease.frame
+            frame.request = request
+            self._prepare(frame, block, request)
+            self._project(frame, block, request)
+            self._lists.sort(self.program, frame, block.count)
+            while True:
+                self._lists.bin(self.program, frame, self._capacity_of(frame))
+                images = self._blend(frame, request.camera)
+                counters = frame.arrays["counters"].read()
+                frame.visible, frame.pairs = int(counters[0]), int(counters[1])
+                if frame.pairs <= self._capacity_of(frame):
+                    break
+                self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
+                frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+            rgb, depth, alpha = (image.read() for image in images)
+            return rgb, depth, alpha, lease
 
     def backward(
         self,
@@ -160,9 +163,18 @@ class Rasterizer:
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
-        arrays, camera = frame.arrays, frame.view.camera
+        with self.device.lock:
+            sums = self._raster_backward(frame, image_gradients)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics)
+            self.device.finish()
+
+    def _raster_backward(
+        self, frame: Frame, image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
+    ) -> DeviceArray:
+        """The sums that each pair of a tile and a Gaussian hands back."""
+        arrays, camera = frame.arrays, frame.request.camera
         pixels = camera.width * camera.height
-        sums = self._reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
+        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         d_rgb, d_depth, d_alpha = (
             self._image_gradient(gradient, size, name)
             for gradient, size, name in zip(
@@ -189,7 +201,18 @@ class Rasterizer:
             np.int32(frame.tiles[0]),
             np.int32(image_gradients[1] is not None),
         )
-        modified = frame.view.modifiers is not None
+        return sums
+
+    def _project_backward(
+        self,
+        frame: Frame,
+        block: Block,
+        sums: DeviceArray,
+        gradients: DeviceArray,
+        accumulate: bool,
+        statistics: DeviceArray | None,
+    ) -> None:
+        arrays, modified = frame.arrays, frame.request.modifiers is not None
         self._run_blocks(
             "project_backward",
             block.capacity,
@@ -204,43 +227,42 @@ class Rasterizer:
             statistics if statistics is not None else gradients,
             np.uint32(block.count),
             np.uint32(block.capacity),
-            np.int32(frame.view.sh_degree),
+            np.int32(frame.request.sh_degree),
             np.int32(block.activated),
             np.int32(modified),
             np.int32(accumulate),
             np.int32(statistics is not None),
         )
-        self.device.finish()
 
-    def _prepare(self, frame: Frame, block: Block, view: View) -> None:
+    def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         """Make room, and send the camera and the opacity factors."""
-        camera = view.camera
-        view.check()
+        camera = request.camera
+        request.check()
         width, height = self.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
         wide = torch.float64 if self.device.supports_double else self.dtype
-        self._fit(frame, "camera", wide, 32)
-        self._fit(frame, "records", self.dtype, capacity * RECORD)
-        self._fit(frame, "slot_start", torch.int32, capacity)
-        self._fit(frame, "slot_count", torch.int32, capacity)
-        self._fit(frame, "clamped", torch.uint8, capacity)
-        self._fit(frame, "tile_starts", torch.int32, tiles + 1)
-        self._fit(frame, "counters", torch.int64, 4)
-        self._fit(frame, "transmittance", self.dtype, camera.width * camera.height)
-        self._fit(frame, "pairs", torch.int32, 2 * self._pair_capacity)
+        frame.arrays.reserve("camera", wide, 32)
+        frame.arrays.reserve("records", self.dtype, capacity * RECORD)
+        frame.arrays.reserve("slot_start", torch.int32, capacity)
+        frame.arrays.reserve("slot_count", torch.int32, capacity)
+        frame.arrays.reserve("clamped", torch.uint8, capacity)
+        frame.arrays.reserve("tile_starts", torch.int32, tiles + 1)
+        frame.arrays.reserve("counters", torch.int64, 4)
+        frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
+        frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
-        frame.arrays["camera"].write(view.camera_block())
-        if view.modifiers is not None:
-            self._fit(frame, "modifiers", self.dtype, capacity)
+        frame.arrays["camera"].write(request.camera_block())
+        if request.modifiers is not None:
+            frame.arrays.reserve("modifiers", self.dtype, capacity)
             factors = torch.zeros(capacity, dtype=self.dtype)
-            factors[: block.count] = view.modifiers
+            factors[: block.count] = request.modifiers
             frame.arrays["modifiers"].write(factors, 0, capacity)
 
-    def _project(self, frame: Frame, block: Block, view: View) -> None:
+    def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays
-        modified = view.modifiers is not None
+        modified = request.modifiers is not None
         self._run_blocks(
             "project",
             block.capacity,
@@ -254,7 +276,7 @@ class Rasterizer:
             self._lists.covers,
             np.uint32(block.count),
             np.uint32(block.capacity),
-            np.int32(view.sh_degree),
+            np.int32(request.sh_degree),
             np.int32(block.activated),
             np.int32(modified),
         )
@@ -292,20 +314,14 @@ class Rasterizer:
 
     def _image_gradient(self, gradient: Tensor | None, size: int, name: str) -> DeviceArray:
         if gradient is None:
-            return self._reserve(f"no_{name}", self.dtype, size)
+            return self._scratch.reserve(f"no_{name}", self.dtype, size)
         gradient = gradient.to(self.dtype).contiguous()
         _refuse_undefined(gradient, name)
         if self.device.shares_memory:
             return DeviceArray(self.device, (size,), self.dtype, over=gradient)
-        array = self._reserve(f"d_{name}", self.dtype, size)
+        array = self._scratch.reserve(f"d_{name}", self.dtype, size)
         array.write(gradient, 0, size)
         return array
-
-    def _fit(self, frame: Frame, name: str, dtype: torch.dtype, elements: int) -> None:
-        make_room(frame.arrays, self.device, name, dtype, elements)
-
-    def _reserve(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
-        return make_room(self._scratch, self.device, name, dtype, elements)
 
     def _run_blocks(self, kernel: str, capacity: int, *arguments: Any) -> None:
         blocks = capacity // self.device.lanes

@@ -43,9 +43,9 @@ static inline void color_backward(
     lane *d_mean)
 {
     __global const real *row = parameters + i;
-    lane dx = LOAD_GLOBAL(row) - (real)camera[CAMERA_CENTER];
-    lane dy = LOAD_GLOBAL(row + capacity) - (real)camera[CAMERA_CENTER + 1];
-    lane dz = LOAD_GLOBAL(row + 2 * capacity) - (real)camera[CAMERA_CENTER + 2];
+    lane dx = LOAD_GLOBAL(row + ROW_MEAN * capacity) - (real)camera[CAMERA_CENTER];
+    lane dy = LOAD_GLOBAL(row + (ROW_MEAN + 1) * capacity) - (real)camera[CAMERA_CENTER + 1];
+    lane dz = LOAD_GLOBAL(row + (ROW_MEAN + 2) * capacity) - (real)camera[CAMERA_CENTER + 2];
     const lane scale = visible ? 1 / lane_sqrt(dx * dx + dy * dy + dz * dz) : (lane)0;
     dx = visible ? dx * scale : (lane)0;
     dy = visible ? dy * scale : (lane)0;

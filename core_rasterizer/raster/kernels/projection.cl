@@ -75,8 +75,9 @@ static inline void project_block(
     __global const wide *camera, lane modifier, int activated)
 {
     __global const real *row = parameters + i;
-    const lane mx = LOAD_GLOBAL(row), my = LOAD_GLOBAL(row + capacity),
-               mz = LOAD_GLOBAL(row + 2 * capacity);
+    const lane mx = LOAD_GLOBAL(row + ROW_MEAN * capacity),
+               my = LOAD_GLOBAL(row + (ROW_MEAN + 1) * capacity),
+               mz = LOAD_GLOBAL(row + (ROW_MEAN + 2) * capacity);
     __global const wide *w = camera + CAMERA_ROTATION;
     const wide_lane wide_x = TO_WIDE(mx), wide_y = TO_WIDE(my), wide_z = TO_WIDE(mz);
     const wide_lane x = w[0] * wide_x + w[1] * wide_y + w[2] * wide_z + w[9];

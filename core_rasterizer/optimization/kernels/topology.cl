@@ -41,11 +41,11 @@ void spread_children(
     real offset[3];
     for (int k = 0; k < 3; k++)
         offset[k] = exp(fmin(row[(ROW_SCALE + k) * stride], LARGEST_LOG_SCALE)) * noise[3 * child + k];
-    row[0] += (1 - 2 * (y * y + z * z)) * offset[0] + 2 * (x * y - w * z) * offset[1]
+    row[ROW_MEAN * stride] += (1 - 2 * (y * y + z * z)) * offset[0] + 2 * (x * y - w * z) * offset[1]
         + 2 * (x * z + w * y) * offset[2];
-    row[stride] += 2 * (x * y + w * z) * offset[0] + (1 - 2 * (x * x + z * z)) * offset[1]
+    row[(ROW_MEAN + 1) * stride] += 2 * (x * y + w * z) * offset[0] + (1 - 2 * (x * x + z * z)) * offset[1]
         + 2 * (y * z - w * x) * offset[2];
-    row[2 * stride] += 2 * (x * z - w * y) * offset[0] + 2 * (y * z + w * x) * offset[1]
+    row[(ROW_MEAN + 2) * stride] += 2 * (x * z - w * y) * offset[0] + 2 * (y * z + w * x) * offset[1]
         + (1 - 2 * (x * x + y * y)) * offset[2];
     for (int k = 0; k < 3; k++)
         row[(ROW_SCALE + k) * stride] -= log(shrink);

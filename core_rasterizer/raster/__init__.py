@@ -1,0 +1,17 @@
+"""From Gaussians on a device to images, and from gradients of images back to gradients of Gaussians."""
+
+from .block import Block, pack, unpack, unpack_all
+from .frame import Frame
+from .renderer import Renderer
+from .request import NEAR_PLANE, RenderRequest
+
+__all__ = [
+    "NEAR_PLANE",
+    "Block",
+    "Frame",
+    "RenderRequest",
+    "Renderer",
+    "pack",
+    "unpack",
+    "unpack_all",
+]
