@@ -15,7 +15,17 @@ from .errors import (
     PlyError,
 )
 from .gaussians import Gaussians
-from .optimization import Adam, Carried, Edit, GaussianModel, apply_edit, photometric_loss
+from .optimization import (
+    Adam,
+    Carried,
+    Edit,
+    GaussianModel,
+    Relocation,
+    apply_edit,
+    photometric_loss,
+    shared_among_copies,
+)
+from .optimization import ModelReader as GaussianReader
 from .ply import load_ply, load_points, save_ply
 from .rasterize import rasterize
 from .rendering import Rendering
@@ -31,9 +41,11 @@ __all__ = [
     "ExplainedError",
     "GaussianError",
     "GaussianModel",
+    "GaussianReader",
     "Gaussians",
     "MemoryBudgetError",
     "PlyError",
+    "Relocation",
     "Rendering",
     "apply_edit",
     "list_devices",
@@ -43,4 +55,5 @@ __all__ = [
     "photometric_loss",
     "rasterize",
     "save_ply",
+    "shared_among_copies",
 ]

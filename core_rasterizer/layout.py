@@ -29,14 +29,18 @@ PARAMETER_GROUPS: dict[str, tuple[int, int | None]] = {
 }
 """Rows that share a learning rate; the last group takes what is left."""
 
+PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
+"""A bit for each parameter, by which kernels are told of several at once."""
+
 KERNEL_MACROS = {
     "ROW_MEAN": _ROWS["means"][0],
     "ROW_SCALE": _ROWS["log_scales"][0],
     "ROW_QUATERNION": _ROWS["quaternions"][0],
     "ROW_OPACITY": _ROWS["opacity_logits"][0],
     "ROW_SH": ROWS_BEFORE_SH,
+    **{f"BIT_{name.upper()}": bit for name, bit in PARAMETER_BITS.items()},
 }
-"""What every kernel is built with: the first row of each parameter."""
+"""What every kernel is built with: the first row of each parameter, and its bit."""
 
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""

@@ -15,7 +15,7 @@ from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
 from .gaussians import Gaussians
 from .layout import PARAMETERS, padded
-from .raster import NEAR_PLANE, Block, Renderer, RenderRequest, pack, unpack_all
+from .raster import NEAR_PLANE, Block, Coverage, Renderer, RenderRequest, pack, unpack_all
 from .rendering import Rendering
 
 
@@ -92,7 +92,7 @@ class _Rasterize(torch.autograd.Function):
         camera: Camera,
         background: tuple[float, ...],
         near: float,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
         gaussians = Gaussians(means, scales, quaternions, opacities, sh)
         count, dtype = len(gaussians), means.dtype
         rows = pack(gaussians, dtype, padded(count))
@@ -104,7 +104,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.renderer, ctx.sh_degree = renderer, gaussians.sh_degree
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
-        return rgb, depth, alpha
+        return rgb, depth, alpha, ctx.lease.frame.coverage(count)
 
     @staticmethod
     @once_differentiable
@@ -112,7 +112,7 @@ class _Rasterize(torch.autograd.Function):
         _ = ctx.saved_tensors
         block, renderer = ctx.block, ctx.renderer
         gradients = DeviceArray(renderer.device, block.parameters.shape, renderer.dtype)
-        d_rgb, d_depth, d_alpha = image_gradients
+        d_rgb, d_depth, d_alpha, _ = image_gradients
         renderer.backward(
             ctx.lease.frame, block, (d_rgb, d_depth, d_alpha), gradients, accumulate=False
         )

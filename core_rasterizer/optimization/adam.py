@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +32,6 @@ class Adam:
     Attributes:
         first_moments, second_moments: `[rows, capacity]`, in the layout of `model.parameters`. An
             edit of the Gaussians replaces them.
-        steps: how many steps were taken.
     """
 
     def __init__(self, model: GaussianModel) -> None:
@@ -41,19 +40,34 @@ class Adam:
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
-        self.steps = 0
+        self._steps = dict.fromkeys(PARAMETER_GROUPS, 0)
 
-    def step(self, learning_rates: Mapping[str, float], active_sh_degree: int) -> None:
+    @property
+    def steps(self) -> int:
+        """How many steps were taken by the groups that were skipped least."""
+        return max(self._steps.values())
+
+    def step(
+        self,
+        learning_rates: Mapping[str, float],
+        active_sh_degree: int,
+        *,
+        skip: Collection[str] = (),
+    ) -> None:
         """Update the model's parameters from its gradients.
 
         Args:
-            learning_rates: one for each name in `PARAMETER_GROUPS`; 0 leaves a group where it is.
+            learning_rates: one for each name in `PARAMETER_GROUPS`; 0 leaves a group where it is, but
+                its moments take the step.
             active_sh_degree: SH bands above it are skipped. That is exact as long as they never had
                 a gradient, because their moments are then zero.
+            skip: groups that this step leaves entirely alone, as torch does with what has no gradient:
+                parameters, moments, and the count of steps that corrects the moments' bias. "sh" is
+                short for both of its groups.
 
         Raises:
-            ExplainedError: a group without a learning rate, a rate for an unknown group, or one that is
-                not finite.
+            ExplainedError: a group without a learning rate, a rate for an unknown group, one that is
+                not finite, or an unknown group to skip.
         """
         if set(learning_rates) != set(PARAMETER_GROUPS):
             wrong = sorted(set(learning_rates) ^ set(PARAMETER_GROUPS))
@@ -67,12 +81,16 @@ class Adam:
                 raise ExplainedError(
                     f"the learning rate of {name} is {rate}", where=f"Adam.step: {name}"
                 )
+        moving = _groups_without(skip)
         model = self._model
         model.settle_gradients()
-        self.steps += 1
+        for name in moving:
+            self._steps[name] += 1
         real = np.float64 if model.dtype == torch.float64 else np.float32
-        first_correction = 1 - _BETA1**self.steps
-        second_correction = 1 - _BETA2**self.steps
+        # A group that has never moved is not touched below, whatever is made of its zero.
+        steps = {name: max(1, taken) for name, taken in self._steps.items()}
+        rates = (learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS)
+        corrections = ((1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS)
         rows = row_count(min(active_sh_degree, model.sh_degree))
         columns = padded(model.count)
         on_cpu = model.device.variant == "cpu"
@@ -86,8 +104,9 @@ class Adam:
             model.gradients,
             self.first_moments,
             self.second_moments,
-            *(real(learning_rates[name] / first_correction) for name in PARAMETER_GROUPS),
-            real(second_correction**-0.5),
+            *(real(rate) for rate in rates),
+            *(real(correction) for correction in corrections),
+            np.int32(sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving)),
             np.int32(columns),
             np.int32(model.capacity),
             np.int32(span),
@@ -113,13 +132,14 @@ class Adam:
         """Everything needed to continue: copies on the host, for a checkpoint.
 
         Returns:
-            "first_moments" and "second_moments", each `[rows, N]`, and "steps", int64.
+            "first_moments" and "second_moments", each `[rows, N]`; "steps", int64 `[6]`, which each
+            group has taken.
         """
         count = self._model.count
         return {
             "first_moments": self.first_moments.read()[:, :count].clone(),
             "second_moments": self.second_moments.read()[:, :count].clone(),
-            "steps": torch.tensor(self.steps, dtype=torch.int64),
+            "steps": torch.tensor(list(self._steps.values()), dtype=torch.int64),
         }
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
@@ -132,7 +152,7 @@ class Adam:
         shapes = {
             "first_moments": (model.rows, model.count),
             "second_moments": (model.rows, model.count),
-            "steps": (),
+            "steps": (len(PARAMETER_GROUPS),),
         }
         for name, expected in shapes.items():
             actual = tuple(state[name].shape) if name in state else None
@@ -148,4 +168,19 @@ class Adam:
             moments = DeviceArray(model.device, (model.rows, model.capacity), model.dtype)
             moments.write(full)
             setattr(self, name, moments)
-        self.steps = int(state["steps"])
+        self._steps = dict(zip(PARAMETER_GROUPS, state["steps"].tolist(), strict=True))
+
+
+def _groups_without(skip: Collection[str]) -> list[str]:
+    """The groups that a step moves."""
+    if unknown := sorted(set(skip) - {*PARAMETER_GROUPS, "sh"}):
+        raise ExplainedError(
+            f"there is no parameter group {', '.join(map(repr, unknown))}",
+            where="Adam.step: skip",
+            fix=f"use sh, {', '.join(PARAMETER_GROUPS)}",
+        )
+    return [
+        name
+        for name in PARAMETER_GROUPS
+        if name not in skip and not ("sh" in skip and name.startswith("sh_"))
+    ]

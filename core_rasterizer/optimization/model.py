@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
@@ -17,8 +17,11 @@ from ..errors import GaussianError
 from ..finite import undefined_places
 from ..gaussians import Gaussians
 from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count, rows_of
-from ..raster import NEAR_PLANE, Block, Frame, Renderer, RenderRequest, pack, unpack
+from ..raster import NEAR_PLANE, Block, Coverage, Frame, Renderer, RenderRequest, pack, unpack
 from ..rendering import Rendering
+from .gradients import Gradients
+from .model_reader import ModelReader
+from .parameter import ACTIVATED, stored_name, values_in_autograd
 
 
 class GaussianModel:
@@ -72,12 +75,16 @@ class GaussianModel:
             array = DeviceArray(self.device, tuple(parameters.shape), self.dtype)
             array.write(parameters)
             parameters = array
+        gradients = Gradients(self.device, parameters.shape, self.dtype)
+        self._statistics = DeviceArray(self.device, (2, parameters.shape[1]), self.dtype)
+        self._gradients = gradients
         self.parameters = parameters
         self.count = count
-        self.gradients = DeviceArray(self.device, parameters.shape, self.dtype)
-        self._forgotten = False
-        self._written_degree = 0
-        self._statistics = DeviceArray(self.device, (2, self.capacity), self.dtype)
+
+    @property
+    def gradients(self) -> DeviceArray:
+        """Gradient rows on the device, in the layout of `parameters`; see `settle_gradients`."""
+        return self._gradients.rows
 
     def read(self, name: str) -> Tensor:
         """A snapshot of one parameter.
@@ -110,33 +117,70 @@ class GaussianModel:
         self.parameters.write(updated, first, last)
 
     def gradient(self, name: str) -> Tensor:
-        """The gradient of one parameter, summed over the renders since `zero_gradients`."""
-        self.settle_gradients()
-        return self._unpack(self.gradients.read(*self._rows_of(name)), name)
+        """The gradient of one parameter, summed over the backward passes since `zero_gradients`."""
+        return self._unpack(self._gradients.total(*self._rows_of(name)), name)
 
     def touched(self) -> Tensor:
         """Which Gaussians touched a pixel in the renders since `zero_gradients`, bool `[N]`.
 
-        Known after the backward pass: those with a gradient of position, opacity or constant colour
-        that is not zero. Opacity alone would miss Gaussians as opaque as the rasterizer lets them be.
+        Known from the backward pass to the optimizer's step: those with a gradient of position, opacity
+        or constant colour that is not zero. Opacity alone would miss Gaussians as opaque as the
+        rasterizer lets them be. A render that detaches all three counts for nothing, and so do losses
+        on parameters.
         """
-        self.settle_gradients()
         groups = [PARAMETER_GROUPS[name] for name in ("means", "opacity_logits", "sh_constant")]
-        gradients = torch.cat([self.gradients.read(*rows) for rows in groups])[:, : self.count]
-        return (gradients != 0).any(dim=0)
+        gradients = torch.cat([self._gradients.of_renders(*rows) for rows in groups])
+        return (gradients[:, : self.count] != 0).any(dim=0)
 
     def settle_gradients(self) -> None:
-        """Write the zeros that `zero_gradients` promised, if no backward pass has overwritten them."""
-        if self._forgotten:
-            self.gradients.fill(0)
+        """Bring `gradients` up to date: promised zeros, and the gradients of losses on parameters."""
+        self._gradients.settle()
 
     def opacities(self) -> Tensor:
         """Activated opacities `[N]` in (0, 1)."""
-        return torch.sigmoid(self.read("opacity_logits"))
+        return ACTIVATED["opacities"].activate(self.read("opacity_logits"))
 
     def scales(self) -> Tensor:
         """Activated scales `[N, 3]`: standard deviations, world units."""
-        return torch.exp(self.read("log_scales"))
+        return ACTIVATED["scales"].activate(self.read("log_scales"))
+
+    def parameter(self, name: str) -> Tensor:
+        """The values of one parameter, in autograd, for losses on parameters.
+
+        After `loss.backward()` their gradient is part of `gradient` and of the optimizer's next step.
+
+        Args:
+            name: one that `read` knows; or "opacities" `[N]` or "scales" `[N, 3]`, activated.
+
+        Returns:
+            A tensor of its own, in the shape that `read` returns. The backward pass raises a
+            GaussianError where the loss has a gradient that is not finite, or where Gaussians came or
+            went in between.
+
+        Raises:
+            GaussianError: there is no such parameter.
+        """
+        if name not in ACTIVATED:
+            self._rows_of(name)
+        return values_in_autograd(self, self._anchor, name)
+
+    def add_gradient(self, name: str, gradient: Tensor) -> None:
+        """Add to the gradient of one parameter.
+
+        Args:
+            name: as in `parameter`.
+            gradient: of the stored values (`stored_name`), in the shape that `read` returns for them.
+
+        Raises:
+            GaussianError: a value is not finite; nothing is added then.
+        """
+        first, _ = self._rows_of(stored_name(name))
+        rows = gradient.to(self.dtype).reshape(self.count, -1).T
+        self._gradients.add(name, first, rows)
+
+    def reader(self) -> ModelReader:
+        """These Gaussians for those who may look and not touch."""
+        return ModelReader(self)
 
     def not_finite(self) -> Tensor:
         """Which Gaussians have a parameter that is not finite, bool `[N]`."""
@@ -148,7 +192,7 @@ class GaussianModel:
 
     def zero_gradients(self) -> None:
         """Forget the gradients. Costs nothing: the next backward pass overwrites them."""
-        self._forgotten = True
+        self._gradients.forget()
 
     def screen_gradient(self) -> Tensor:
         """Mean NDC norm of the screen-space mean gradient over the renders that saw a Gaussian, `[N]`.
@@ -194,6 +238,7 @@ class GaussianModel:
         opacity_scale: Tensor | None = None,
         collect_statistics: bool = False,
         near: float = NEAR_PLANE,
+        detach: Collection[str] = (),
     ) -> Rendering:
         """Render one camera.
 
@@ -207,9 +252,11 @@ class GaussianModel:
             opacity_scale: `[N]` factors >= 0 of the activated opacities. No gradient flows to them.
             collect_statistics: let the backward pass of this render count for `screen_gradient`.
             near: z-depth below which Gaussians are culled, world units, > 0.
+            detach: names of parameters, as in `read`, to whose gradient this render adds nothing.
+                Statistics are collected all the same.
 
         Raises:
-            GaussianError: opacity factors, a background or a degree that do not fit.
+            GaussianError: opacity factors, a background, a degree or a name that do not fit.
             CameraError: the image is too large to address, or `near` is not positive.
             MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
         """
@@ -221,31 +268,48 @@ class GaussianModel:
                 f"the shape is {tuple(opacity_scale.shape)}, expected ({self.count},)",
                 field="opacity_scale",
             )
+        for name in detach:
+            self._rows_of(name)
         request = RenderRequest(camera, tuple(background), degree, near, opacity_scale)
-        rgb, depth, alpha = _Render.apply(self._anchor, self, request, collect_statistics)
-        return Rendering(rgb, depth, alpha)
+        return Rendering(
+            *_Render.apply(self._anchor, self, request, collect_statistics, frozenset(detach))
+        )
 
     def add_gradients(
         self,
         frame: Frame,
         image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
         collect_statistics: bool,
+        detach: frozenset[str],
     ) -> None:
         """Run the backward pass of one render into `gradients`."""
         degree = frame.request.sh_degree
-        if self._forgotten and degree < self._written_degree:
-            self.gradients.fill(0)  # bands that this pass will not overwrite hold older values
-        self._written_degree = degree if self._forgotten else max(degree, self._written_degree)
-        # Adding needs every row to hold something; a higher band than before holds zeros already.
         self.renderer.backward(
             frame,
             self.block,
             image_gradients,
             self.gradients,
-            accumulate=not self._forgotten,
+            accumulate=self._gradients.make_ready(degree),
             statistics=self._statistics if collect_statistics else None,
+            detach=detach,
         )
-        self._forgotten = False
+        self._gradients.written(degree)
+
+    def check_unedited(self, parameters: DeviceArray) -> None:
+        """Refuse a backward pass for Gaussians that are no more.
+
+        Args:
+            parameters: those of the model when the forward pass ran.
+
+        Raises:
+            GaussianError: they were replaced since.
+        """
+        if parameters is not self.parameters:
+            raise GaussianError(
+                "the Gaussians were added to or removed between a render and its backward pass",
+                field="means",
+                fix="call backward before editing the Gaussians",
+            )
 
     def _rows_of(self, name: str) -> tuple[int, int]:
         if name not in PARAMETERS:
@@ -270,24 +334,23 @@ class _Render(torch.autograd.Function):
         model: GaussianModel,
         request: RenderRequest,
         collect_statistics: bool,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        detach: frozenset[str],
+    ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
         rgb, depth, alpha, lease = model.renderer.forward(model.block, request)
         ctx.set_materialize_grads(False)
-        ctx.model, ctx.lease, ctx.collect_statistics = model, lease, collect_statistics
+        ctx.model, ctx.lease = model, lease
+        ctx.collect_statistics, ctx.detach = collect_statistics, detach
         ctx.parameters = model.parameters
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
-        return rgb, depth, alpha
+        return rgb, depth, alpha, lease.frame.coverage(model.count)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[None, ...]:
         _ = ctx.saved_tensors
-        if ctx.parameters is not ctx.model.parameters:
-            raise GaussianError(
-                "the Gaussians were added to or removed between a render and its backward pass",
-                field="means",
-                fix="call backward before editing the Gaussians",
-            )
-        d_rgb, d_depth, d_alpha = gradients
-        ctx.model.add_gradients(ctx.lease.frame, (d_rgb, d_depth, d_alpha), ctx.collect_statistics)
-        return (None, None, None, None)
+        ctx.model.check_unedited(ctx.parameters)
+        d_rgb, d_depth, d_alpha, _ = gradients
+        ctx.model.add_gradients(
+            ctx.lease.frame, (d_rgb, d_depth, d_alpha), ctx.collect_statistics, ctx.detach
+        )
+        return (None,) * 5

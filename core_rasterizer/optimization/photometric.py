@@ -34,9 +34,14 @@ _WORKSPACES = 4
 
 
 def photometric_loss(
-    rgb: Tensor, target: Tensor, ssim_weight: float = SSIM_WEIGHT, *, device: Device | None = None
+    rgb: Tensor,
+    target: Tensor,
+    ssim_weight: float = SSIM_WEIGHT,
+    *,
+    l1_weight: float | None = None,
+    device: Device | None = None,
 ) -> Tensor:
-    """(1 - w) * mean |rgb - target| + w * (1 - SSIM), as one number.
+    """l1_weight * mean |rgb - target| + ssim_weight * (1 - SSIM), as one number.
 
     SSIM is Wang et al.'s (2004) as 3DGS computes it: an 11x11 Gaussian window of sigma 1.5, zeros
     beyond the border, biased moments, C1 = 0.01^2 and C2 = 0.03^2, averaged over all pixels and
@@ -45,7 +50,8 @@ def photometric_loss(
     Args:
         rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped.
         target: `[H, W, 3]`, the photograph; no gradient flows to it.
-        ssim_weight: w, in [0, 1].
+        ssim_weight: in [0, 1]; beside an `l1_weight` any number from 0.
+        l1_weight: any number from 0; None is 1 - ssim_weight, as in 3DGS.
         device: where to compute; None chooses (`open_device`).
 
     Returns:
@@ -53,7 +59,7 @@ def photometric_loss(
         the value; differentiating twice is not supported.
 
     Raises:
-        ExplainedError: shapes, types or the weight are not as above.
+        ExplainedError: shapes, types or weights are not as above.
     """
     if rgb.ndim != 3 or rgb.shape[2] != _CHANNELS or rgb.numel() == 0 or rgb.shape != target.shape:
         raise ExplainedError(
@@ -65,22 +71,36 @@ def photometric_loss(
         raise ExplainedError(
             f"the image has the type {rgb.dtype}", where="photometric_loss", fix="use float32"
         )
-    if not 0.0 <= ssim_weight <= 1.0:
-        raise ExplainedError(
-            f"ssim_weight is {ssim_weight}; it must lie in [0, 1]", where="photometric_loss"
-        )
-    loss: Tensor = _PhotometricLoss.apply(rgb, target, ssim_weight, device or open_device())
+    weights = _weights(l1_weight, ssim_weight)
+    loss: Tensor = _PhotometricLoss.apply(rgb, target, weights, device or open_device())
     return loss
+
+
+def _weights(l1_weight: float | None, ssim_weight: float) -> tuple[float, float]:
+    """Both weights, checked."""
+    if l1_weight is None and ssim_weight > 1:
+        raise ExplainedError(
+            f"ssim_weight is {ssim_weight}; it must lie in [0, 1]",
+            where="photometric_loss",
+            fix="give l1_weight too, if they are not to add up to 1",
+        )
+    l1_weight = 1 - ssim_weight if l1_weight is None else l1_weight
+    for name, weight in (("ssim_weight", ssim_weight), ("l1_weight", l1_weight)):
+        if not 0 <= weight < math.inf:
+            raise ExplainedError(
+                f"{name} is {weight}; it must be finite and at least 0", where="photometric_loss"
+            )
+    return l1_weight, ssim_weight
 
 
 class _PhotometricLoss(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, rgb: Tensor, target: Tensor, ssim_weight: float, device: Device
+        ctx: Any, rgb: Tensor, target: Tensor, weights: tuple[float, float], device: Device
     ) -> Tensor:
         height, width, _ = rgb.shape
         workspace = _workspace(device, height, width, rgb.dtype)
-        loss, gradient = workspace.run(rgb, target, ssim_weight, ctx.needs_input_grad[0])
+        loss, gradient = workspace.run(rgb, target, weights, ctx.needs_input_grad[0])
         ctx.save_for_backward(gradient)
         return rgb.new_tensor(loss)
 
@@ -117,15 +137,16 @@ class _Workspace:
             self._images = [DeviceArray(device, self._shape, dtype) for _ in range(3)]
 
     def run(
-        self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """The loss and, if asked for, its gradient image; threads take turns."""
-        with self._device.lock:
-            return self._run(rgb, target, ssim_weight, with_gradient)
+        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image."""
+        with self._device.lock:  # threads take turns
+            return self._run(rgb, target, weights, with_gradient)
 
     def _run(
-        self, rgb: Tensor, target: Tensor, ssim_weight: float, with_gradient: bool
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
     ) -> tuple[float, Tensor | None]:
+        l1_weight, ssim_weight = weights
         image, reference, result = self._bind(rgb, target)
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
@@ -140,11 +161,11 @@ class _Workspace:
             result,
             *self._size,
             np.int32(with_gradient),
-            real((1 - ssim_weight) / values),
+            real(l1_weight / values),
             real(ssim_weight / values),
         )
         l1, dissimilarity = (self._sums.read().double().sum(dim=0) / values).tolist()
-        loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
+        loss = l1_weight * l1 + ssim_weight * dissimilarity
         if not math.isfinite(loss):
             raise _undefined(rgb, target)
         return loss, result.read() if with_gradient else None

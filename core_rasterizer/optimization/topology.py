@@ -1,8 +1,6 @@
-"""Clone, split and prune: one place where Gaussians come and go, with all that belongs to them."""
+"""One place where Gaussians come, go and move, with all that belongs to them."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -10,44 +8,15 @@ from torch import Tensor
 
 from ..device import DeviceArray, Program
 from ..errors import GaussianError
-from ..layout import padded
+from ..gaussians import Gaussians
+from ..layout import padded, rows_of
+from ..raster import pack
 from .adam import Adam
+from .edit import Carried, Edit, Relocation
 from .model import GaussianModel
-
-CHILDREN = 2
-"""How many Gaussians a split one becomes (3DGS)."""
-SHRINK = 1.6
-"""The children of a split are smaller than their parent by this factor (3DGS)."""
+from .relocation import shared_among_copies
 
 _GROUP = 64
-
-
-@dataclass(frozen=True, eq=False)
-class Edit:
-    """What a policy wants: boolean masks `[N]` over the current Gaussians; None means none.
-
-    Args:
-        clone: add an exact copy.
-        split: replace by two smaller ones, drawn from the Gaussian itself.
-        prune: remove; wins over the other two.
-    """
-
-    clone: Tensor | None = None
-    split: Tensor | None = None
-    prune: Tensor | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """Where the Gaussians after an edit come from.
-
-    Args:
-        source: `[N_new]` int64, the index before the edit.
-        fresh: `[N_new]` bool, True for clones and children.
-    """
-
-    source: Tensor
-    fresh: Tensor
 
 
 def apply_edit(
@@ -55,99 +24,156 @@ def apply_edit(
 ) -> Carried:
     """Carry out an edit on the parameters and the optimizer's moments.
 
-    The Gaussians that stay keep their order; clones follow, then the children of splits. New ones
-    start with zero moments, and gradients and densification statistics start anew for all.
+    The Gaussians that stay keep their order, relocated ones among them; clones follow, then the children
+    of splits, then those that were added. New ones start with zero moments, as do the sources of
+    relocations, and gradients and densification statistics start anew for all. An edit that is refused
+    changes nothing.
 
     Args:
         generator: draws the children's offsets from N(0, covariance of the parent).
 
     Raises:
-        GaussianError: a mask of a wrong shape or type, or an edit that leaves no Gaussian.
+        GaussianError: an edit that does not fit the Gaussians (`Edit.check`), that adds ones with
+            other SH bands, or that leaves none.
     """
-    count = model.count
-    clone, split, prune = (_mask(edit, name, count) for name in ("clone", "split", "prune"))
-    clone &= ~prune
-    split &= ~prune
-    cloned, divided = clone.nonzero()[:, 0], split.nonzero()[:, 0]
-    kept = (~(prune | split)).nonzero()[:, 0]
-    source = torch.cat([kept, cloned, divided.repeat(CHILDREN)])
-    fresh = torch.arange(len(source)) >= len(kept)
-    if not len(source):
+    edit.check(model.count)
+    added = edit.add if edit.add is not None and len(edit.add) else None
+    if added is not None and added.sh_degree != model.sh_degree:
         raise GaussianError(
-            f"the edit would remove all {count} Gaussians",
-            field="prune",
-            fix="keep at least one, or stop the policy that removes them",
+            f"the added Gaussians have SH degree {added.sh_degree}, the model has {model.sh_degree}",
+            field="add",
         )
-    mover = _Mover(model, source, fresh)
-    optimizer.first_moments = mover.move(optimizer.first_moments, zero_fresh=True)
-    optimizer.second_moments = mover.move(optimizer.second_moments, zero_fresh=True)
-    parameters = mover.move(model.parameters, zero_fresh=False)
-    children = CHILDREN * len(divided)
-    if children:
-        noise = torch.randn(children, 3, generator=generator, dtype=torch.float64)
-        mover.spread(parameters, noise, first=len(source) - children)
-    model.adopt(parameters, len(source))
-    return Carried(source, fresh)
+    plan = _Plan(edit, model.count)
+    mover = _Mover(model, plan)
+    parameters = mover.move(model.parameters)
+    if edit.relocate is not None:
+        _share(model, edit.relocate, plan, parameters)
+    if plan.children:
+        noise = torch.randn(plan.children, 3, generator=generator, dtype=torch.float64)
+        mover.spread(parameters, noise, plan.first_child, edit.shrink)
+    if added is not None:
+        mover.append(parameters, added, plan.first_child + plan.children)
+    moments = [
+        mover.move(values, zero=plan.restarted)
+        for values in (optimizer.first_moments, optimizer.second_moments)
+    ]
+    model.adopt(parameters, plan.count)
+    optimizer.first_moments, optimizer.second_moments = moments
+    return Carried(plan.source, plan.fresh)
+
+
+class _Plan:
+    """Where each Gaussian after an edit comes from.
+
+    Attributes:
+        source, fresh: as in `Carried`.
+        restarted: `[N_new]` bool, whose moments become zero.
+        children, first_child: how many children there are, and where they begin.
+    """
+
+    def __init__(self, edit: Edit, count: int) -> None:
+        origin, moved, restarted = torch.arange(count), *torch.zeros(2, count, dtype=torch.bool)
+        if edit.relocate is not None:
+            origin[edit.relocate.target] = edit.relocate.source
+            moved[edit.relocate.target] = True
+            restarted[edit.relocate.source] = True
+        prune, split = edit.mask("prune", count), edit.mask("split", count)
+        kept = (~(prune | split)).nonzero()[:, 0]
+        cloned = edit.mask("clone", count).nonzero()[:, 0]
+        children = split.nonzero()[:, 0].repeat(edit.split_into)
+        parents = children[:0] if edit.parents is None else edit.parents
+        self.source = torch.cat([origin[kept], origin[cloned], origin[children], parents])
+        self.count, self.children = len(self.source), len(children)
+        self.first_child = len(kept) + len(cloned)
+        if not self.count:
+            raise GaussianError(
+                f"the edit would remove all {count} Gaussians",
+                field="prune",
+                fix="keep at least one, or stop the policy that removes them",
+            )
+        self.fresh = torch.ones(self.count, dtype=torch.bool)
+        self.fresh[: len(kept)] = moved[kept]
+        self.restarted = self.fresh.clone()
+        self.restarted[: len(kept)] |= restarted[kept]
+
+
+def _share(model: GaussianModel, move: Relocation, plan: _Plan, parameters: DeviceArray) -> None:
+    """Give the sources and their copies the opacities and scales of copies."""
+    copies = 1 + torch.bincount(move.source, minlength=model.count)
+    shared = (copies > 1).nonzero()[:, 0]
+    logits, log_scales = (model.read(n).clone() for n in ("opacity_logits", "log_scales"))
+    new_logits, log_factors = shared_among_copies(logits[shared], copies[shared])
+    logits[shared] = new_logits.to(logits.dtype)
+    log_scales[shared] += log_factors.to(logits.dtype)[:, None]
+    for name, values in (("opacity_logits", logits), ("log_scales", log_scales)):
+        first, last = rows_of(name, model.sh_degree)
+        rows = torch.zeros(last - first, parameters.shape[1], dtype=logits.dtype)
+        rows[:, : plan.count] = values[plan.source].reshape(plan.count, -1).T
+        parameters.write(rows, first, last)
 
 
 class _Mover:
-    """Gathers columns of device arrays by one index list."""
+    """Gathers columns of device arrays as a plan says, and changes those that are new."""
 
-    def __init__(self, model: GaussianModel, source: Tensor, fresh: Tensor) -> None:
+    def __init__(self, model: GaussianModel, plan: _Plan) -> None:
         self._device, self._dtype = model.device, model.dtype
         self._program: Program = model.device.program(
             "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP
         )
-        self._count, self._capacity = len(source), padded(len(source))
-        self._source = DeviceArray(model.device, (len(source),), torch.int32)
-        self._source.write(source)
-        self._fresh = DeviceArray(model.device, (len(source),), torch.int32)
-        self._fresh.write(fresh)
+        self._count, self._capacity = plan.count, padded(plan.count)
+        self._source = self._array(plan.source, torch.int32)
+        self._none = self._array(torch.zeros(plan.count), torch.int32)
 
-    def move(self, values: DeviceArray, *, zero_fresh: bool) -> DeviceArray:
+    def move(self, values: DeviceArray, zero: Tensor | None = None) -> DeviceArray:
+        """The gathered columns; those in the mask `zero`, `[N_new]`, are zero instead."""
         target = DeviceArray(self._device, (values.shape[0], self._capacity), self._dtype)
         self._run(
             "gather_columns",
             self._capacity,
             values,
             self._source,
-            self._fresh,
+            self._none if zero is None else self._array(zero, torch.int32),
             target,
             np.uint32(self._count),
             np.uint32(values.shape[1]),
             np.uint32(self._capacity),
             np.uint32(values.shape[0]),
-            np.uint32(zero_fresh),
         )
         return target
 
-    def spread(self, parameters: DeviceArray, noise: Tensor, first: int) -> None:
-        array = DeviceArray(self._device, tuple(noise.shape), self._dtype)
-        array.write(noise)
+    def spread(self, parameters: DeviceArray, noise: Tensor, first: int, shrink: float) -> None:
+        """Set children, of which the first is column `first`, apart by standard normal noise."""
         self._run(
             "spread_children",
             noise.shape[0],
             parameters,
-            array,
+            self._array(noise, self._dtype),
             np.uint32(first),
             np.uint32(noise.shape[0]),
             np.uint32(self._capacity),
-            (np.float64 if self._dtype == torch.float64 else np.float32)(SHRINK),
+            (np.float64 if self._dtype == torch.float64 else np.float32)(shrink),
         )
+
+    def append(self, parameters: DeviceArray, gaussians: Gaussians, first: int) -> None:
+        """Write Gaussians from elsewhere to the columns from `first` on."""
+        rows = pack(gaussians, self._dtype, len(gaussians))
+        self._run(
+            "append_columns",
+            len(gaussians),
+            self._array(rows, self._dtype),
+            parameters,
+            np.uint32(first),
+            np.uint32(len(gaussians)),
+            np.uint32(self._capacity),
+            np.uint32(rows.shape[0]),
+        )
+
+    def _array(self, values: Tensor, dtype: torch.dtype) -> DeviceArray:
+        array = DeviceArray(self._device, tuple(values.shape), dtype)
+        array.write(values)
+        return array
 
     def _run(self, kernel: str, items: int, *arguments: DeviceArray | np.generic) -> None:
         size = -(-items // _GROUP) * _GROUP
         self._program.run(kernel, (size,), (_GROUP,), *arguments)
         self._device.finish()
-
-
-def _mask(edit: Edit, name: str, count: int) -> Tensor:
-    mask: Tensor | None = getattr(edit, name)
-    if mask is None:
-        return torch.zeros(count, dtype=torch.bool)
-    if mask.dtype != torch.bool or tuple(mask.shape) != (count,):
-        raise GaussianError(
-            f"the mask is {mask.dtype} {tuple(mask.shape)}, expected torch.bool ({count},)",
-            field=name,
-        )
-    return mask.clone()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import weakref
+
 from ..device import Device, Scratch
+from .coverage import Coverage
 from .request import RenderRequest
 
 
@@ -16,6 +19,19 @@ class Frame:
         self.pair_limit = 0
         self.visible = 0
         self.pairs = 0
+        self._coverage: weakref.ref[Coverage] | None = None
+
+    def coverage(self, count: int) -> Coverage:
+        """Which of so many Gaussians the render shows; right for as long as somebody keeps it."""
+        coverage = Coverage(self.arrays["slot_count"], count)
+        self._coverage = weakref.ref(coverage)
+        return coverage
+
+    def leave_coverage(self) -> None:
+        """Before the frame is used again: who still keeps the last render's coverage gets the array."""
+        if self._coverage is not None and self._coverage() is not None:
+            self.arrays.give_away("slot_count")
+        self._coverage = None
 
 
 class Lease:
@@ -24,6 +40,7 @@ class Lease:
     def __init__(self, pool: list[Frame], device: Device) -> None:
         self._pool = pool
         self.frame = pool.pop() if pool else Frame(device)
+        self.frame.leave_coverage()
 
     def __del__(self) -> None:
         self._pool.append(self.frame)

@@ -6,7 +6,7 @@ Gaussians) and `rasterize.py` (plain torch tensors).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..camera import Camera
 from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
 from ..finite import undefined_places
+from ..layout import PARAMETER_BITS
 from .block import Block
 from .budget import RECORD, Budget
 from .frame import Frame, Lease
@@ -150,6 +151,7 @@ class Renderer:
         *,
         accumulate: bool,
         statistics: DeviceArray | None = None,
+        detach: Collection[str] = (),
     ) -> None:
         """Turn gradients of the images into gradients of the parameters.
 
@@ -159,13 +161,14 @@ class Renderer:
             accumulate: add to what `gradients` holds instead of replacing it.
             statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
                 screen-space mean gradient, row 1 gains one for it.
+            detach: parameters to whose gradient nothing is added.
 
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
             sums = self._raster_backward(frame, image_gradients)
-            self._project_backward(frame, block, sums, gradients, accumulate, statistics)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
             self.device.finish()
 
     def _raster_backward(
@@ -211,6 +214,7 @@ class Renderer:
         gradients: DeviceArray,
         accumulate: bool,
         statistics: DeviceArray | None,
+        detach: Collection[str],
     ) -> None:
         arrays, modified = frame.arrays, frame.request.modifiers is not None
         self._run_blocks(
@@ -232,6 +236,7 @@ class Renderer:
             np.int32(modified),
             np.int32(accumulate),
             np.int32(statistics is not None),
+            np.int32(sum(PARAMETER_BITS[name] for name in detach)),
         )
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:

@@ -4,7 +4,8 @@
  * of dimension 0 share its columns, `span` neighbouring ones each. It is bound by memory: one pass
  * reads four arrays and writes three.
  *
- * Six learning rates, over the first bias correction; `correction` is 1 / sqrt of the second.
+ * Six groups of rows have a learning rate, over the first bias correction, and 1 / sqrt of the second
+ * each; a group that is not among the bits of `moving` is left alone.
  */
 
 #define BETA1 ((real)0.9)
@@ -56,15 +57,22 @@ __kernel void adam(
     __global real *restrict parameters, __global const real *restrict gradients,
     __global real *restrict first_moments, __global real *restrict second_moments,
     real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,
-    real sh_rest, real correction, int columns, int capacity, int span)
+    real sh_rest, real correct_means, real correct_log_scales, real correct_quaternions,
+    real correct_opacity_logits, real correct_sh_constant, real correct_sh_rest, int moving, int columns,
+    int capacity, int span)
 {
     const size_t row = get_global_id(1);
     const int begin = get_global_id(0) * span;
     const int end = begin + span < columns ? begin + span : columns;
-    /* An array keeps the choice out of the loop, where a chain of ?: cost a tenth of the time. */
+    const int group = (row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY)
+        + (row >= ROW_SH) + (row >= ROW_SH + 3);
+    if ((moving >> group & 1) == 0)
+        return;
+    /* Arrays keep the choice out of the loop, where a chain of ?: cost a tenth of the time. */
     const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};
-    const real rate = rates[(row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY)
-        + (row >= ROW_SH) + (row >= ROW_SH + 3)];
+    const real corrections[] = {correct_means, correct_log_scales, correct_quaternions,
+        correct_opacity_logits, correct_sh_constant, correct_sh_rest};
+    const real rate = rates[group], correction = corrections[group];
     const size_t first = row * capacity;
 #if VISIBLE_ONLY
     for (size_t at = first + begin; at < first + end; at += BLOCK)

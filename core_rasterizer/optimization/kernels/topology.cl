@@ -1,23 +1,36 @@
-/* Topology: move columns of a [rows][capacity] array, and set the children of a split apart. */
+/* Topology: move columns of a [rows][capacity] array, append others, and set the children of a split apart. */
 
-/* target[row][j] = values[row][source[j]]; columns beyond `count`, and fresh ones where asked, are zero. */
+/* target[row][j] = values[row][source[j]]; columns beyond `count`, and those with zero[j], are zero. */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
 void gather_columns(
-    __global const real *values, __global const uint *source, __global const uint *fresh,
-    __global real *target, uint count, uint capacity, uint target_capacity, uint rows, uint zero_fresh)
+    __global const real *values, __global const uint *source, __global const uint *zero,
+    __global real *target, uint count, uint capacity, uint target_capacity, uint rows)
 {
     const size_t j = get_global_id(0);
     if (j >= target_capacity)
         return;
-    const int keep = j < count && !(zero_fresh && fresh[j]);
+    const int keep = j < count && !zero[j];
     const size_t from = keep ? source[j] : 0;
     for (uint row = 0; row < rows; row++)
         target[(size_t)row * target_capacity + j] = keep ? values[(size_t)row * capacity + from] : 0;
 }
 
+/* target[row][first + j] = values[row][j], for j below `columns`. */
+__kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
+void append_columns(
+    __global const real *values, __global real *target, uint first, uint columns,
+    uint target_capacity, uint rows)
+{
+    const size_t j = get_global_id(0);
+    if (j >= columns)
+        return;
+    for (uint row = 0; row < rows; row++)
+        target[(size_t)row * target_capacity + first + j] = values[(size_t)row * columns + j];
+}
+
 #define LARGEST_LOG_SCALE ((real)80) /* e^80 times the noise is still a number */
 
-/* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks (3DGS: 1.6). */
+/* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks. */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
 void spread_children(
     __global real *parameters, __global const real *noise, uint first, uint children, uint capacity,

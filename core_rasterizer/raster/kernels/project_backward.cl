@@ -36,11 +36,20 @@ static inline void put(__global real *row, lane value, int accumulate)
     STORE_GLOBAL(row, lane_abs(value) < (lane)REAL_LARGEST ? value : (lane)0);
 }
 
+/* A detached parameter gains nothing; rows that are not added to must hold zeros all the same. */
+static inline void put_unless(int detached, __global real *row, lane value, int accumulate)
+{
+    if (!detached)
+        put(row, value, accumulate);
+    else if (!accumulate)
+        STORE_GLOBAL(row, (lane)0);
+}
+
 /* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`. */
 static inline void color_backward(
     __global const real *parameters, __global real *gradients, size_t capacity, size_t i,
     __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
-    lane *d_mean)
+    int detached, lane *d_mean)
 {
     __global const real *row = parameters + i;
     lane dx = LOAD_GLOBAL(row + ROW_MEAN * capacity) - (real)camera[CAMERA_CENTER];
@@ -59,7 +68,7 @@ static inline void color_backward(
             const size_t at = (ROW_SH + 3 * k + c) * capacity;
             if (k > 0)
                 sum += d_color[c] * (visible ? LOAD_GLOBAL(row + at) : (lane)0);
-            put(gradients + i + at, basis[k] * d_color[c], accumulate);
+            put_unless(detached & BIT_SH, gradients + i + at, basis[k] * d_color[c], accumulate);
         }
         weight[k] = sum;
     }
@@ -132,7 +141,8 @@ void project_backward(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
-    uint capacity, int degree, int activated, int modified, int accumulate, int collect)
+    uint capacity, int degree, int activated, int modified, int accumulate, int collect,
+    int detached)
 {
     const size_t i = get_global_id(0) * LANES, stride = capacity;
     if (i >= count)
@@ -189,17 +199,20 @@ void project_backward(
     const lane_mask dark = LOAD_BYTES(clamped + i);
     for (int channel = 0; channel < 3; channel++) /* a clamped colour has no gradient */
         d_color[channel] = (dark & 1 << channel) == 0 ? sums[PAIR_RED + channel] : (lane)0;
-    color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate, d_mean);
+    color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate,
+        detached, d_mean);
 
     for (int k = 0; k < 3; k++) {
-        put(gradients + (ROW_MEAN + k) * stride + i, visible ? d_mean[k] : (lane)0, accumulate);
-        put(gradients + (ROW_SCALE + k) * stride + i, visible ? d_scale[k] : (lane)0, accumulate);
+        put_unless(detached & BIT_MEANS, gradients + (ROW_MEAN + k) * stride + i,
+            visible ? d_mean[k] : (lane)0, accumulate);
+        put_unless(detached & BIT_LOG_SCALES, gradients + (ROW_SCALE + k) * stride + i,
+            visible ? d_scale[k] : (lane)0, accumulate);
     }
     for (int k = 0; k < 4; k++)
-        put(gradients + (ROW_QUATERNION + k) * stride + i, visible ? d_quaternion[k] : (lane)0,
-            accumulate);
+        put_unless(detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * stride + i,
+            visible ? d_quaternion[k] : (lane)0, accumulate);
     /* dL/d(opacity) = sum of dL/dp / opacity, because alpha = opacity e^p. */
-    put(gradients + ROW_OPACITY * stride + i,
+    put_unless(detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * stride + i,
         visible ? sums[PAIR_P] / g.opacity * g.opacity_slope : (lane)0, accumulate);
     if (collect) {
         const lane ndc_x = d_mean_x * (real)(camera[CAMERA_WIDTH] / 2);
