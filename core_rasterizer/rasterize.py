@@ -150,7 +150,6 @@ class _Rasterize(torch.autograd.Function):
             (d_rgb, d_depth, d_alpha),
             gradients,
             accumulate=False,
-            of_pose=ctx.needs_input_grad[5],
         )
         by_name = unpack_all(gradients.read(), block.count, ctx.sh_degree)
         return *(by_name[name] for name in PARAMETERS), d_pose, None, None

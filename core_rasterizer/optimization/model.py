@@ -310,12 +310,11 @@ class GaussianModel:
         image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
         collect_statistics: bool,
         detach: frozenset[str],
-        of_pose: bool,
     ) -> Tensor | None:
         """Run the backward pass of one render into `gradients`.
 
         Returns:
-            The gradient of the camera's pose, `[4, 4]` float64, if it is asked for.
+            The gradient of the camera's pose, `[4, 4]` float64, if it requires one.
         """
         degree = frame.request.bands
         pose_gradient = self.renderer.backward(
@@ -326,7 +325,6 @@ class GaussianModel:
             accumulate=self._gradients.make_ready(degree),
             statistics=self._statistics if collect_statistics else None,
             detach=detach,
-            of_pose=of_pose,
         )
         self._gradients.written(degree)
         return pose_gradient
@@ -392,6 +390,5 @@ class _Render(torch.autograd.Function):
             (d_rgb, d_depth, d_alpha),
             ctx.collect_statistics,
             ctx.detach,
-            ctx.needs_input_grad[1],
         )
         return None, d_pose, *(None,) * 4

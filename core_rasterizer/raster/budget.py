@@ -49,7 +49,7 @@ class Budget:
         gaussians = block.capacity * (RECORD * self._real + 16 + 5 * 4 + 2 * 4 + 1)
         counts = 4 * self._chunks * max(self._table, frame.tiles[0] * frame.tiles[1])
         # What each block adds to the gradient of the pose.
-        posed = camera.world_to_camera.requires_grad
+        posed = frame.request.wants_pose_gradient
         poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
         needed = pixels + gaussians + counts + poses
         if needed > self.limit:

@@ -170,7 +170,6 @@ class Renderer:
         accumulate: bool,
         statistics: DeviceArray | None = None,
         detach: Collection[str] = (),
-        of_pose: bool = False,
     ) -> Tensor | None:
         """Turn gradients of the images into gradients of the parameters.
 
@@ -181,22 +180,22 @@ class Renderer:
             statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
                 screen-space mean gradient, row 1 gains one for it.
             detach: parameters to whose gradient nothing is added.
-            of_pose: whether the gradient of the camera's pose is asked for.
 
         Returns:
-            The gradient of `world_to_camera`, `[4, 4]` float64, if it was asked for.
+            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it requires none.
 
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
             sums = self._raster_backward(frame, image_gradients)
-            parts = self._pose_parts(block) if of_pose else None
-            self._project_backward(
-                frame, block, sums, gradients, accumulate, statistics, detach, parts
-            )
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            wants_pose = frame.request.wants_pose_gradient
+            pose_sums = self._sum_poses(frame, block) if wants_pose else None
             self.device.finish()
-            return None if parts is None else self._pose_gradient(frame, block, parts)
+            if pose_sums is None:
+                return None
+            return pose_gradient(pose_sums.read(), frame.request.camera)
 
     def _raster_backward(
         self, frame: Frame, image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
@@ -242,11 +241,10 @@ class Renderer:
         accumulate: bool,
         statistics: DeviceArray | None,
         detach: Collection[str],
-        pose_parts: DeviceArray | None,
     ) -> None:
         arrays, request = frame.arrays, frame.request
         self._run_blocks(
-            self._projection(request.features, of_pose=pose_parts is not None),
+            self._projection(request),
             "project_backward",
             block.capacity,
             block.parameters,
@@ -266,37 +264,37 @@ class Renderer:
             np.int32(accumulate),
             np.int32(statistics is not None),
             np.int32(sum(PARAMETER_BITS[name] for name in detach)),
-            *(() if pose_parts is None else (pose_parts,)),
+            *((self._pose_parts(block),) if request.wants_pose_gradient else ()),
         )
 
     def _pose_parts(self, block: Block) -> DeviceArray:
-        """Room for what each block of Gaussians adds to the gradient of the pose."""
+        """What each block of Gaussians adds to the gradient of the pose."""
         blocks = block.capacity // self.device.lanes
         return self._scratch.reserve("pose_parts", self._wide, blocks * POSE_NUMBERS)
 
-    def _pose_gradient(self, frame: Frame, block: Block, parts: DeviceArray) -> Tensor:
+    def _sum_poses(self, frame: Frame, block: Block) -> DeviceArray:
         sums = self._scratch.reserve("pose_sums", self._wide, POSE_CHUNKS * POSE_NUMBERS)
-        self._projection(frame.request.features, of_pose=True).run(
+        self._projection(frame.request).run(
             "sum_poses",
             (POSE_CHUNKS, POSE_NUMBERS),
             (1, POSE_NUMBERS),
-            parts,
+            self._pose_parts(block),
             sums,
             np.uint32(-(-block.count // self.device.lanes)),
         )
-        return pose_gradient(sums.read(), frame.request.camera)
+        return sums
 
-    def _projection(self, features: frozenset[str], *, of_pose: bool = False) -> Program:
+    def _projection(self, request: RenderRequest) -> Program:
         """The projection kernels for what a render asks for; built when it is asked for first."""
-        if not features and not of_pose:
+        if not request.features:
             return self.program
         return self.device.program(
             *_PROJECTION,
-            *(("raster/pose",) if of_pose else ()),
+            *(("raster/pose",) if request.wants_pose_gradient else ()),
             _BACKWARD,
             dtype=self.dtype,
             **self._projection_macros,
-            **dict.fromkeys(features | ({"POSED"} if of_pose else set()), 1),
+            **dict.fromkeys(request.features, 1),
         )
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
@@ -326,7 +324,7 @@ class Renderer:
     def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays
         self._run_blocks(
-            self._projection(request.features),
+            self._projection(request),
             "project",
             block.capacity,
             block.parameters,

@@ -40,9 +40,18 @@ class RenderRequest:
         return math.ceil(self.sh_degree)
 
     @property
+    def wants_pose_gradient(self) -> bool:
+        """Whether a backward pass gives the gradient of `camera.world_to_camera`."""
+        return self.camera.world_to_camera.requires_grad
+
+    @property
     def features(self) -> frozenset[str]:
         """What the projection kernels must be built with beyond what every render needs."""
-        wanted = {"FADED": self.sh_degree != self.bands, "SMOOTHED": self.smoothing is not None}
+        wanted = {
+            "FADED": self.sh_degree != self.bands,
+            "POSED": self.wants_pose_gradient,
+            "SMOOTHED": self.smoothing is not None,
+        }
         return frozenset(name for name, is_wanted in wanted.items() if is_wanted)
 
     @property
