@@ -20,7 +20,8 @@ class Camera:
 
     Args:
         world_to_camera: `[4, 4]` rigid transform from world to camera coordinates; anything that
-            torch can turn into a tensor. Kept as float64 on the CPU.
+            torch can turn into a tensor. Kept as a copy, float64 on the CPU, that stays in autograd's
+            graph: where it requires a gradient, `backward` of a render gives it one (`rasterize`).
         fx, fy: focal lengths in pixels, > 0.
         cx, cy: principal point in pixels; it may lie outside the image.
         width, height: image size in pixels, >= 1.
@@ -147,7 +148,12 @@ class Camera:
 
 
 def _as_pose(matrix: Any) -> Tensor:
-    pose = torch.as_tensor(matrix).detach().to("cpu", torch.float64).clone()
+    pose = torch.as_tensor(matrix).to("cpu", torch.float64).clone()
+    _check_rigid(pose.detach())
+    return pose
+
+
+def _check_rigid(pose: Tensor) -> None:
     if pose.shape != (4, 4):
         raise CameraError(
             f"world_to_camera has shape {tuple(pose.shape)}; it must be (4, 4)",
@@ -165,4 +171,3 @@ def _as_pose(matrix: Any) -> Tensor:
             where="camera.world_to_camera",
             fix="remove scale or mirroring from the pose",
         )
-    return pose

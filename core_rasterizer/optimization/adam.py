@@ -50,7 +50,7 @@ class Adam:
     def step(
         self,
         learning_rates: Mapping[str, float],
-        active_sh_degree: int,
+        active_sh_degree: float,
         *,
         skip: Collection[str] = (),
     ) -> None:
@@ -59,8 +59,8 @@ class Adam:
         Args:
             learning_rates: one for each name in `PARAMETER_GROUPS`; 0 leaves a group where it is, but
                 its moments take the step.
-            active_sh_degree: SH bands above it are skipped. That is exact as long as they never had
-                a gradient, because their moments are then zero.
+            active_sh_degree: SH bands above it are skipped; one that counts by a fraction is not.
+                That is exact as long as they never had a gradient, because their moments are then zero.
             skip: groups that this step leaves entirely alone, as torch does with what has no gradient:
                 parameters, moments, and the count of steps that corrects the moments' bias. "sh" is
                 short for both of its groups.
@@ -91,7 +91,7 @@ class Adam:
         steps = {name: max(1, taken) for name, taken in self._steps.items()}
         rates = (learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS)
         corrections = ((1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS)
-        rows = row_count(min(active_sh_degree, model.sh_degree))
+        rows = row_count(min(math.ceil(active_sh_degree), model.sh_degree))
         columns = padded(model.count)
         on_cpu = model.device.variant == "cpu"
         span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)

@@ -17,7 +17,18 @@ from ..errors import GaussianError
 from ..finite import undefined_places
 from ..gaussians import Gaussians
 from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count, rows_of
-from ..raster import NEAR_PLANE, Block, Coverage, Frame, Renderer, RenderRequest, pack, unpack
+from ..raster import (
+    DILATION,
+    NEAR_PLANE,
+    Block,
+    Coverage,
+    Footprint,
+    Frame,
+    Renderer,
+    RenderRequest,
+    pack,
+    unpack,
+)
 from ..rendering import Rendering
 from .gradients import Gradients
 from .model_reader import ModelReader
@@ -31,9 +42,13 @@ class GaussianModel:
         gaussians: the starting parameters; must be finite.
         device: where they live; None chooses (`open_device`).
         dtype: torch.float32, or torch.float64 for tests.
+        dilation: added to the variances of every ellipse on the image, square pixels, >= 0.
+        compensate_dilation: let the opacity fall as dilation widens the ellipse, as the 2D filter of
+            Mip-Splatting does (Yu et al. 2024, eq. 10). Both hold for every render, so that Gaussians are
+            looked at as they were trained.
 
     Raises:
-        GaussianError: a parameter is not finite.
+        GaussianError: a parameter or the dilation is not finite, or the dilation is negative.
     """
 
     def __init__(
@@ -42,12 +57,15 @@ class GaussianModel:
         device: Device | None = None,
         *,
         dtype: torch.dtype = torch.float32,
+        dilation: float = DILATION,
+        compensate_dilation: bool = False,
     ) -> None:
         gaussians.check_finite()
         self.device = device or open_device()
         self.dtype = dtype
         self.sh_degree = gaussians.sh_degree
-        self.renderer = Renderer(self.device, dtype)
+        footprint = Footprint(dilation, compensate_dilation)
+        self.renderer = Renderer(self.device, dtype, footprint=footprint)
         self._anchor = torch.zeros((), requires_grad=True)
         self.adopt(pack(gaussians, dtype, padded(len(gaussians))), len(gaussians))
 
@@ -234,8 +252,9 @@ class GaussianModel:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0),
-        sh_degree: int | None = None,
+        sh_degree: float | None = None,
         opacity_scale: Tensor | None = None,
+        smoothing: Tensor | None = None,
         collect_statistics: bool = False,
         near: float = NEAR_PLANE,
         detach: Collection[str] = (),
@@ -243,26 +262,29 @@ class GaussianModel:
         """Render one camera.
 
         The images take part in autograd: `loss.backward()` adds to the parameters' gradients on the
-        device. Under `torch.no_grad()` nothing is kept for a backward pass.
+        device, and gives `camera.world_to_camera` its own where that requires one (`rasterize`). Under
+        `torch.no_grad()` nothing is kept for a backward pass.
 
         Args:
             camera: what to look through.
             background: colour behind the scene, three numbers.
-            sh_degree: bands to use, 0 to the stored degree; None uses all.
+            sh_degree: bands to use, 0 to the stored degree, the last by a fraction: 1.5 is bands 0 and 1
+                and half of band 2. None uses all.
             opacity_scale: `[N]` factors >= 0 of the activated opacities. No gradient flows to them.
+            smoothing: `[N]` standard deviations >= 0, world units, of the 3D filter of Mip-Splatting (Yu
+                et al. 2024, eq. 9): scales become sqrt(s^2 + f^2) and the opacity shrinks by the product
+                of s / sqrt(s^2 + f^2). No gradient flows to them.
             collect_statistics: let the backward pass of this render count for `screen_gradient`.
             near: z-depth below which Gaussians are culled, world units, > 0.
             detach: names of parameters, as in `read`, to whose gradient this render adds nothing.
                 Statistics are collected all the same.
 
         Raises:
-            GaussianError: opacity factors, a background, a degree or a name that do not fit.
+            GaussianError: opacity factors, smoothing, a background, a degree or a name that do not fit.
             CameraError: the image is too large to address, or `near` is not positive.
             MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
-        if degree < 0:
-            raise GaussianError(f"the SH degree is {degree}", field="sh_degree", fix="use 0 to 3")
         if opacity_scale is not None and tuple(opacity_scale.shape) != (self.count,):
             raise GaussianError(
                 f"the shape is {tuple(opacity_scale.shape)}, expected ({self.count},)",
@@ -270,9 +292,16 @@ class GaussianModel:
             )
         for name in detach:
             self._rows_of(name)
-        request = RenderRequest(camera, tuple(background), degree, near, opacity_scale)
+        request = RenderRequest(camera, tuple(background), degree, near, opacity_scale, smoothing)
         return Rendering(
-            *_Render.apply(self._anchor, self, request, collect_statistics, frozenset(detach))
+            *_Render.apply(
+                self._anchor,
+                camera.world_to_camera,
+                self,
+                request,
+                collect_statistics,
+                frozenset(detach),
+            )
         )
 
     def add_gradients(
@@ -281,10 +310,14 @@ class GaussianModel:
         image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
         collect_statistics: bool,
         detach: frozenset[str],
-    ) -> None:
-        """Run the backward pass of one render into `gradients`."""
-        degree = frame.request.sh_degree
-        self.renderer.backward(
+    ) -> Tensor | None:
+        """Run the backward pass of one render into `gradients`.
+
+        Returns:
+            The gradient of the camera's pose, `[4, 4]` float64, if it requires one.
+        """
+        degree = frame.request.bands
+        pose_gradient = self.renderer.backward(
             frame,
             self.block,
             image_gradients,
@@ -294,6 +327,7 @@ class GaussianModel:
             detach=detach,
         )
         self._gradients.written(degree)
+        return pose_gradient
 
     def check_unedited(self, parameters: DeviceArray) -> None:
         """Refuse a backward pass for Gaussians that are no more.
@@ -331,6 +365,7 @@ class _Render(torch.autograd.Function):
     def forward(
         ctx: Any,
         anchor: Tensor,
+        pose: Tensor,
         model: GaussianModel,
         request: RenderRequest,
         collect_statistics: bool,
@@ -346,11 +381,14 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[None, ...]:
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         _ = ctx.saved_tensors
         ctx.model.check_unedited(ctx.parameters)
         d_rgb, d_depth, d_alpha, _ = gradients
-        ctx.model.add_gradients(
-            ctx.lease.frame, (d_rgb, d_depth, d_alpha), ctx.collect_statistics, ctx.detach
+        d_pose = ctx.model.add_gradients(
+            ctx.lease.frame,
+            (d_rgb, d_depth, d_alpha),
+            ctx.collect_statistics,
+            ctx.detach,
         )
-        return (None,) * 5
+        return None, d_pose, *(None,) * 4

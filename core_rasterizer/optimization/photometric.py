@@ -139,11 +139,8 @@ class _Workspace:
     def run(
         self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image.
-
-        Threads take turns.
-        """
-        with self._device.lock:
+        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image."""
+        with self._device.lock:  # threads take turns
             return self._run(rgb, target, weights, with_gradient)
 
     def _run(

@@ -2,14 +2,17 @@
 
 from .block import Block, pack, unpack, unpack_all
 from .coverage import Coverage
+from .footprint import DILATION, Footprint
 from .frame import Frame
 from .renderer import Renderer
 from .request import NEAR_PLANE, RenderRequest
 
 __all__ = [
+    "DILATION",
     "NEAR_PLANE",
     "Block",
     "Coverage",
+    "Footprint",
     "Frame",
     "RenderRequest",
     "Renderer",

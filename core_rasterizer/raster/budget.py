@@ -7,6 +7,7 @@ import torch
 from ..errors import MemoryBudgetError
 from .block import Block
 from .frame import Frame
+from .pose import POSE_NUMBERS
 
 RECORD = 16
 """Numbers in a Gaussian's record, and in a pair's sums."""
@@ -22,12 +23,13 @@ class Budget:
         dtype: of the kernels.
         table: entries of one row of the tables of counts, the number of tiles aside.
         chunks: rows of those tables.
+        lanes: Gaussians of a block.
     """
 
-    def __init__(self, limit: int, dtype: torch.dtype, table: int, chunks: int) -> None:
+    def __init__(self, limit: int, dtype: torch.dtype, table: int, chunks: int, lanes: int) -> None:
         self.limit = limit
         self._real = dtype.itemsize
-        self._table, self._chunks = table, chunks
+        self._table, self._chunks, self._lanes = table, chunks, lanes
 
     @property
     def bytes_of_pair(self) -> int:
@@ -46,7 +48,10 @@ class Budget:
         # Record, cover, sort keys and orders, slots; the tables of counts, a row a chunk.
         gaussians = block.capacity * (RECORD * self._real + 16 + 5 * 4 + 2 * 4 + 1)
         counts = 4 * self._chunks * max(self._table, frame.tiles[0] * frame.tiles[1])
-        needed = pixels + gaussians + counts
+        # What each block adds to the gradient of the pose.
+        posed = frame.request.wants_pose_gradient
+        poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
+        needed = pixels + gaussians + counts + poses
         if needed > self.limit:
             raise self._exceeded(
                 frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"

@@ -14,18 +14,29 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from ..device import Device, DeviceArray, Scratch, read_together
+from ..device import Device, DeviceArray, Program, Scratch, read_together
 from ..errors import ExplainedError
 from ..finite import undefined_places
 from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
+from .footprint import Footprint
 from .frame import Frame, Lease
+from .pose import POSE_CHUNKS, POSE_NUMBERS, pose_gradient
 from .request import RenderRequest
 from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
+
+_PROJECTION = (
+    "raster/scene",
+    "raster/harmonics",
+    "raster/projection",
+    "raster/cover",
+    "raster/project",
+)
+_BACKWARD = "raster/project_backward"
 
 OVERRIDES = frozenset(
     (
@@ -49,6 +60,7 @@ class Renderer:
         dtype: torch.float32, or torch.float64 where the device supports it.
         memory_budget: bytes that one render and its backward pass may take; None is half of the device's
             memory.
+        footprint: what is added to a Gaussian's ellipse on the image; None is a dilation of 0.3.
         overrides: values of macros in `OVERRIDES`, for benchmarks and tests that measure what the
             kernels' approximations cost and save.
 
@@ -62,6 +74,7 @@ class Renderer:
         dtype: torch.dtype = torch.float32,
         memory_budget: int | None = None,
         *,
+        footprint: Footprint | None = None,
         overrides: Mapping[str, float] | None = None,
     ) -> None:
         overrides = overrides or {}
@@ -82,20 +95,24 @@ class Renderer:
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self.group = 16 if self.on_cpu else 64
         self.budget = Budget(
-            memory_budget or device.memory_bytes // 2, dtype, BUCKETS, chunks_of(device)
+            memory_budget or device.memory_bytes // 2,
+            dtype,
+            BUCKETS,
+            chunks_of(device),
+            device.lanes,
         )
         self._lists = TileLists(device)
+        self._projection_macros = {
+            **macros,
+            **(footprint or Footprint()).macros,
+            "PROJECT_GROUP": self.group,
+        }
         self.program = device.program(
-            "raster/scene",
-            "raster/harmonics",
-            "raster/projection",
-            "raster/cover",
-            "raster/project",
-            "raster/project_backward",
+            *_PROJECTION,
+            _BACKWARD,
             *SOURCES,
             dtype=dtype,
-            PROJECT_GROUP=self.group,
-            **macros,
+            **self._projection_macros,
             **self._lists.macros,
         )
         self.raster_program = device.program(
@@ -106,6 +123,7 @@ class Renderer:
             **macros,
             LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
         )
+        self._wide = torch.float64 if device.supports_double else dtype
         self._scratch = Scratch(device)
         self._frames: list[Frame] = []
         self._pair_capacity = PAIRS_AT_FIRST
@@ -121,7 +139,7 @@ class Renderer:
             MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
             CameraError: the image is larger than a device index can address, or the near plane is not
                 in front of the camera.
-            GaussianError: a background that is not three numbers.
+            GaussianError: a background, an SH degree or a smoothing that `RenderRequest.check` refuses.
         """
         with self.device.lock:
             lease = Lease(self._frames, self.device)
@@ -151,7 +169,7 @@ class Renderer:
         accumulate: bool,
         statistics: DeviceArray | None = None,
         detach: Collection[str] = (),
-    ) -> None:
+    ) -> Tensor | None:
         """Turn gradients of the images into gradients of the parameters.
 
         Args:
@@ -162,20 +180,27 @@ class Renderer:
                 screen-space mean gradient, row 1 gains one for it.
             detach: parameters to whose gradient nothing is added.
 
+        Returns:
+            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it requires none.
+
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
             images = self._image_gradients(frame, image_gradients)
-            if frame.pairs:
-                with_depth = image_gradients[1] is not None
-                sums = self._raster_backward(frame, images, with_depth)
-                self._project_backward(
-                    frame, block, sums, gradients, accumulate, statistics, detach
-                )
-                self.device.finish()
-            elif not accumulate:
-                gradients.fill(0, 0, row_count(frame.request.sh_degree))
+            wants_pose = frame.request.wants_pose_gradient
+            if not frame.pairs:
+                if not accumulate:
+                    gradients.fill(0, 0, row_count(frame.request.bands))
+                return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
+            with_depth = image_gradients[1] is not None
+            sums = self._raster_backward(frame, images, with_depth)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            pose_sums = self._sum_poses(frame, block) if wants_pose else None
+            self.device.finish()
+            if pose_sums is None:
+                return None
+            return pose_gradient(pose_sums.read(), frame.request.camera)
 
     def _image_gradients(
         self, frame: Frame, gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
@@ -223,12 +248,13 @@ class Renderer:
         statistics: DeviceArray | None,
         detach: Collection[str],
     ) -> None:
-        arrays, modified = frame.arrays, frame.request.modifiers is not None
+        arrays, request = frame.arrays, frame.request
         self._run_blocks(
+            self._projection(request),
             "project_backward",
             block.capacity,
             block.parameters,
-            arrays["modifiers"] if modified else block.parameters,
+            _modifiers(frame, block),
             arrays["camera"],
             arrays["clamped"],
             sums,
@@ -238,18 +264,49 @@ class Renderer:
             statistics if statistics is not None else gradients,
             np.uint32(block.count),
             np.uint32(block.capacity),
-            np.int32(frame.request.sh_degree),
+            np.int32(request.bands),
             np.int32(block.activated),
-            np.int32(modified),
+            np.int32(request.modifiers is not None),
             np.int32(accumulate),
             np.int32(statistics is not None),
             np.int32(sum(PARAMETER_BITS[name] for name in detach)),
+            *((self._pose_parts(block),) if request.wants_pose_gradient else ()),
+        )
+
+    def _pose_parts(self, block: Block) -> DeviceArray:
+        """What each block of Gaussians adds to the gradient of the pose."""
+        blocks = block.capacity // self.device.lanes
+        return self._scratch.reserve("pose_parts", self._wide, blocks * POSE_NUMBERS)
+
+    def _sum_poses(self, frame: Frame, block: Block) -> DeviceArray:
+        sums = self._scratch.reserve("pose_sums", self._wide, POSE_CHUNKS * POSE_NUMBERS)
+        self._projection(frame.request).run(
+            "sum_poses",
+            (POSE_CHUNKS, POSE_NUMBERS),
+            (1, POSE_NUMBERS),
+            self._pose_parts(block),
+            sums,
+            np.uint32(-(-block.count // self.device.lanes)),
+        )
+        return sums
+
+    def _projection(self, request: RenderRequest) -> Program:
+        """The projection kernels for what a render asks for; built when it is asked for first."""
+        if not request.features:
+            return self.program
+        return self.device.program(
+            *_PROJECTION,
+            *(("raster/pose",) if request.wants_pose_gradient else ()),
+            _BACKWARD,
+            dtype=self.dtype,
+            **self._projection_macros,
+            **dict.fromkeys(request.features, 1),
         )
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
-        """Make room, and send the camera and the opacity factors."""
+        """Make room, and send the camera, the opacity factors and the smoothing."""
         camera = request.camera
-        request.check()
+        request.check(block.count)
         width, height = self.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
@@ -264,31 +321,29 @@ class Renderer:
         frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
         frame.arrays["camera"] = self._camera(request)
-        if request.modifiers is not None:
-            frame.arrays.reserve("modifiers", self.dtype, capacity)
-            factors = torch.zeros(capacity, dtype=self.dtype)
-            factors[: block.count] = request.modifiers
-            frame.arrays["modifiers"].write(factors, 0, capacity)
+        if request.is_modified:
+            rows = request.modifier_rows(capacity, self.dtype)
+            frame.arrays.reserve("modifiers", self.dtype, rows.numel())
+            frame.arrays["modifiers"].write(rows, 0, rows.numel())
 
     def _camera(self, request: RenderRequest) -> DeviceArray:
         """A new array: kernels under way may still read the last render's."""
-        wide = torch.float64 if self.device.supports_double else self.dtype
-        numbers = request.camera_block().to(wide)
+        numbers = request.camera_block().to(self._wide)
         shape = tuple(numbers.shape)
         if self.device.shares_memory:
-            return DeviceArray(self.device, shape, wide, over=numbers)
-        array = DeviceArray(self.device, shape, wide)
+            return DeviceArray(self.device, shape, self._wide, over=numbers)
+        array = DeviceArray(self.device, shape, self._wide)
         array.write(numbers)
         return array
 
     def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays
-        modified = request.modifiers is not None
         self._run_blocks(
+            self._projection(request),
             "project",
             block.capacity,
             block.parameters,
-            arrays["modifiers"] if modified else block.parameters,
+            _modifiers(frame, block),
             arrays["camera"],
             arrays["records"],
             self._lists.keys,
@@ -297,9 +352,9 @@ class Renderer:
             self._lists.covers,
             np.uint32(block.count),
             np.uint32(block.capacity),
-            np.int32(request.sh_degree),
+            np.int32(request.bands),
             np.int32(block.activated),
-            np.int32(modified),
+            np.int32(request.modifiers is not None),
         )
 
     def _blend(self, frame: Frame, camera: Camera) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
@@ -344,15 +399,20 @@ class Renderer:
         array.write(gradient, 0, size)
         return array
 
-    def _run_blocks(self, kernel: str, capacity: int, *arguments: Any) -> None:
+    def _run_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
         blocks = capacity // self.device.lanes
         size = -(-blocks // self.group) * self.group
-        self.program.run(kernel, (size,), (self.group,), *arguments)
+        program.run(kernel, (size,), (self.group,), *arguments)
 
     def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
         tiles = frame.tiles[0] * frame.tiles[1]
         local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
         self.raster_program.run(kernel, (tiles * local,), (local,), *arguments)
+
+
+def _modifiers(frame: Frame, block: Block) -> DeviceArray:
+    """Opacity factors and smoothing, or where there are none an array that is not read."""
+    return frame.arrays["modifiers"] if frame.request.is_modified else block.parameters
 
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:

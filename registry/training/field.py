@@ -139,9 +139,9 @@ class Field:
         self._rendering = self.model.render(
             sample.camera,
             background=sample.background,
-            sh_degree=int(sample.sh_degree),  # FRACTION
+            sh_degree=sample.sh_degree,
             opacity_scale=self._opacity_scale(),
-            # SMOOTHING
+            smoothing=sample.smoothing,
             collect_statistics=self._statistics_wanted(step.iteration),
         )
         step.rendered(lambda: self._rendering)

@@ -46,7 +46,12 @@ def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) 
     Raises:
         GaussianError: a parameter is not finite.
     """
-    return GaussianModel(gaussians, device)  # DILATION
+    return GaussianModel(
+        gaussians,
+        device,
+        dilation=settings.dilation,
+        compensate_dilation=settings.compensate_dilation,
+    )
 
 
 def mean_squared_distances(positions: Tensor) -> Tensor:

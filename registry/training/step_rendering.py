@@ -40,9 +40,7 @@ class StepRenderer:
             return self._model.render(
                 camera,
                 background=self._sample.background if background is None else background,
-                sh_degree=int(
-                    self._sample.sh_degree if sh_degree is None else sh_degree
-                ),  # FRACTION
+                sh_degree=int(self._sample.sh_degree if sh_degree is None else sh_degree),
                 opacity_scale=opacity_scale,
                 detach=detach,
             )

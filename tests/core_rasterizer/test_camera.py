@@ -88,6 +88,30 @@ def test_resizing_keeps_the_field_of_view() -> None:
     assert (small.width, small.height) == (20, 15)
 
 
+def test_a_pose_stays_in_the_graph_of_autograd() -> None:
+    """Through every helper, and as often as `backward` is called; in the pose's own type."""
+    pose = turned().float().requires_grad_()
+    left = camera(world_to_camera=pose)
+    right = left.shifted_right(0.3).resized(20, 15)
+    u, _, z = right.project(torch.tensor([[0.2, -0.1, 2.0]]))
+    for values in (u.sum() + z.sum(), left.center.sum() + left.camera_to_world.sum()):
+        for _ in range(2):
+            pose.grad = None
+            values.backward(retain_graph=True)
+            assert pose.grad is not None
+            assert pose.grad[:3].any()
+            assert not pose.grad[3].any()
+    with torch.no_grad():
+        assert not camera(world_to_camera=pose).world_to_camera.requires_grad
+
+
+def test_a_camera_keeps_the_pose_that_it_was_given() -> None:
+    pose = turned()
+    view = camera(world_to_camera=pose)
+    pose[0, 3] = 9.0
+    assert view.world_to_camera[0, 3] == 0.5
+
+
 @pytest.mark.parametrize(
     ("changes", "field", "message"),
     [

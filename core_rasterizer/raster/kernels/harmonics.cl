@@ -67,3 +67,13 @@ static inline void sh_direction_gradient(
         + 3 * SH_C3D * (2 * zz - xx - yy) * weight[12] - 8 * SH_C3C * xz * weight[13]
         + SH_C3E * (xx - yy) * weight[14];
 }
+
+/* The last band may count by a fraction, where a build is asked for that. */
+static inline void fade_last_band(lane *coefficients, int degree, __global const wide *camera)
+{
+#ifdef FADED
+    const real weight = camera[CAMERA_LAST_BAND];
+    for (int k = degree * degree; k < (degree + 1) * (degree + 1); k++)
+        coefficients[k] *= weight;
+#endif
+}

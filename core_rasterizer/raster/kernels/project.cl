@@ -27,6 +27,7 @@ static inline void shade(
     const lane scale = 1 / lane_sqrt(dx * dx + dy * dy + dz * dz);
     lane basis[16];
     sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);
+    fade_last_band(basis, degree, camera);
     for (int c = 0; c < 3; c++) {
         lane sum = (lane)0.5;
         for (int k = 0; k < (degree + 1) * (degree + 1); k++)
@@ -54,8 +55,7 @@ void project(
 
     prefetch_rows(parameters, capacity, i, ROW_SH + 3 * (degree + 1) * (degree + 1));
     projected g;
-    const lane modifier = modified ? LOAD_GLOBAL(modifiers + i) : (lane)1;
-    project_block(&g, parameters, capacity, i, camera, modifier, activated);
+    project_block(&g, parameters, capacity, i, camera, modifiers, modified, activated);
 
     const lane inverse = 1 / g.determinant;
     const lane a = g.covariance_yy * inverse, b = -g.covariance_xy * inverse,

@@ -45,11 +45,12 @@ static inline void put_unless(int detached, __global real *row, lane value, int 
         STORE_GLOBAL(row, (lane)0);
 }
 
-/* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`. */
+/* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`, and leaves
+ * it alone in `d_view`. */
 static inline void color_backward(
     __global const real *parameters, __global real *gradients, size_t capacity, size_t i,
     __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
-    int detached, lane *d_mean)
+    int detached, lane *d_mean, lane *d_view)
 {
     __global const real *row = parameters + i;
     lane dx = LOAD_GLOBAL(row + ROW_MEAN * capacity) - (real)camera[CAMERA_CENTER];
@@ -61,6 +62,7 @@ static inline void color_backward(
     dz = visible ? dz * scale : (lane)0;
     lane basis[16], weight[16];
     sh_basis(basis, degree, dx, dy, dz);
+    fade_last_band(basis, degree, camera);
     const int coefficients = (degree + 1) * (degree + 1);
     for (int k = 0; k < coefficients; k++) {
         lane sum = (lane)0;
@@ -72,9 +74,15 @@ static inline void color_backward(
         }
         weight[k] = sum;
     }
+    fade_last_band(weight, degree, camera);
     lane gx = (lane)0, gy = (lane)0, gz = (lane)0;
     sh_direction_gradient(weight, degree, dx, dy, dz, &gx, &gy, &gz);
     const lane along = gx * dx + gy * dy + gz * dz;
+#ifdef POSED
+    d_view[0] = (gx - along * dx) * scale;
+    d_view[1] = (gy - along * dy) * scale;
+    d_view[2] = (gz - along * dz) * scale;
+#endif
     d_mean[0] += (gx - along * dx) * scale;
     d_mean[1] += (gy - along * dy) * scale;
     d_mean[2] += (gz - along * dz) * scale;
@@ -96,18 +104,51 @@ static inline void rotation_backward(const projected *g, const lane *d, lane *d_
     d_quaternion[3] = (q[3] - along * z) * g->inverse_norm;
 }
 
-/* From dL/d(2D covariance) to the scales, the rotation and, through the Jacobian, the mean. */
-static inline void covariance_backward(
-    const projected *g, lane d_xx, lane d_xy, lane d_yy, int activated, __global const wide *camera,
-    lane *d_scale, lane *d_quaternion, lane *d_camera)
+#ifdef COMPENSATED
+/* Adds the path from the logarithm of the opacity to the rows of J W R S, through the determinant before
+ * dilation, which is |a0 x a1|^2: with its square root the opacity grows. As cross products nothing
+ * cancels, however thin the ellipse. */
+static inline void compensation_backward(
+    const projected *g, int k, lane d_log_opacity, lane *d_a0, lane *d_a1)
 {
-    lane d_u[9], d_j00 = (lane)0, d_j02 = (lane)0, d_j11 = (lane)0, d_j12 = (lane)0;
+    const int next = (k + 1) % 3, last = (k + 2) % 3;
+    const lane *n = g->cross;
+    const lane share = d_log_opacity / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    *d_a0 += share * (g->a1[next] * n[last] - g->a1[last] * n[next]);
+    *d_a1 += share * (n[next] * g->a0[last] - n[last] * g->a0[next]);
+}
+#endif
+
+#ifdef SMOOTHED
+/* From the scale that smoothing left to that of the parameter. The opacity is proportional to
+ * `shrinkage`, whose logarithm grows with that of the scale by `share`. */
+static inline lane smoothing_backward(
+    const projected *g, int k, lane d_log_opacity, int activated, lane d_scale)
+{
+    const lane kept = g->shrinkage[k], path = d_log_opacity * g->share[k];
+    return activated ? d_scale * kept + path / (g->scale[k] * kept) : d_scale * kept * kept + path;
+}
+#endif
+
+/* From dL/d(2D covariance) to the scales, the rotation, the camera-from-Gaussian rotation `d_u` and,
+ * through the Jacobian, the mean. Filters also lead from the opacity to the scales. */
+static inline void covariance_backward(
+    const projected *g, lane d_xx, lane d_xy, lane d_yy, lane d_log_opacity, int activated,
+    __global const wide *camera, lane *d_scale, lane *d_quaternion, lane *d_camera, lane *d_u)
+{
+    lane d_j00 = (lane)0, d_j02 = (lane)0, d_j11 = (lane)0, d_j12 = (lane)0;
     for (int k = 0; k < 3; k++) {
-        const lane d_a0 = 2 * d_xx * g->a0[k] + d_xy * g->a1[k];
-        const lane d_a1 = 2 * d_yy * g->a1[k] + d_xy * g->a0[k];
+        lane d_a0 = 2 * d_xx * g->a0[k] + d_xy * g->a1[k];
+        lane d_a1 = 2 * d_yy * g->a1[k] + d_xy * g->a0[k];
+#ifdef COMPENSATED
+        compensation_backward(g, k, d_log_opacity, &d_a0, &d_a1);
+#endif
         const lane v0 = g->j00 * g->u[k] + g->j02 * g->u[6 + k];
         const lane v1 = g->j11 * g->u[3 + k] + g->j12 * g->u[6 + k];
         d_scale[k] = (d_a0 * v0 + d_a1 * v1) * (activated ? (lane)1 : g->scale[k]);
+#ifdef SMOOTHED
+        d_scale[k] = smoothing_backward(g, k, d_log_opacity, activated, d_scale[k]);
+#endif
         const lane s0 = g->scale[k] * d_a0, s1 = g->scale[k] * d_a1;
         d_j00 += s0 * g->u[k];
         d_j02 += s0 * g->u[6 + k];
@@ -142,11 +183,20 @@ void project_backward(
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
     uint capacity, int degree, int activated, int modified, int accumulate, int collect,
-    int detached)
+    int detached
+#ifdef POSED
+    , __global wide *pose_sums
+#endif
+)
 {
     const size_t i = get_global_id(0) * LANES, stride = capacity;
     if (i >= count)
         return;
+#ifdef POSED
+    pose_sums += get_global_id(0) * POSE;
+    for (int k = 0; k < POSE; k++)
+        pose_sums[k] = 0;
+#endif
     const int rows = ROW_SH + 3 * (degree + 1) * (degree + 1);
     int any = 0;
     for (int l = 0; l < LANES; l++)
@@ -166,8 +216,7 @@ void project_backward(
     const lane_mask visible = sums[PAIR_TOUCHED] > (lane)0;
 
     projected g;
-    const lane modifier = modified ? LOAD_GLOBAL(modifiers + i) : (lane)1;
-    project_block(&g, parameters, stride, i, camera, modifier, activated);
+    project_block(&g, parameters, stride, i, camera, modifiers, modified, activated);
     const lane inverse = 1 / g.determinant;
     const lane a = g.covariance_yy * inverse, b = -g.covariance_xy * inverse,
                c = g.covariance_xx * inverse;
@@ -177,18 +226,26 @@ void project_backward(
     /* dL/d(covariance) = -Q dL/dQ Q with Q the inverse covariance; dL/dQ from the second moments. */
     const lane d_a = (real)-0.5 * sums[PAIR_PXX], d_b = -sums[PAIR_PXY],
                d_c = (real)-0.5 * sums[PAIR_PYY];
-    const lane d_xx = -(a * a * d_a + a * b * d_b + b * b * d_c);
-    const lane d_xy = -(2 * a * b * d_a + (a * c + b * b) * d_b + 2 * b * c * d_c);
-    const lane d_yy = -(b * b * d_a + b * c * d_b + c * c * d_c);
+    lane d_xx = -(a * a * d_a + a * b * d_b + b * b * d_c);
+    lane d_xy = -(2 * a * b * d_a + (a * c + b * b) * d_b + 2 * b * c * d_c);
+    lane d_yy = -(b * b * d_a + b * c * d_b + c * c * d_c);
+    const lane d_log_opacity = sums[PAIR_P]; /* because alpha = opacity e^p */
+#ifdef COMPENSATED
+    /* The opacity falls with the square root of the determinant after dilation. */
+    d_xx -= (real)0.5 * d_log_opacity * a;
+    d_xy -= d_log_opacity * b;
+    d_yy -= (real)0.5 * d_log_opacity * c;
+#endif
 
-    lane d_camera[3], d_mean[3], d_scale[3], d_quaternion[4], d_color[3];
+    lane d_camera[3], d_mean[3], d_scale[3], d_quaternion[4], d_color[3], d_u[9], d_view[3];
     const real fx = camera[CAMERA_FX], fy = camera[CAMERA_FY];
     const lane inverse_z = 1 / g.z;
     d_camera[0] = fx * inverse_z * d_mean_x;
     d_camera[1] = fy * inverse_z * d_mean_y;
     d_camera[2] = sums[PAIR_Z]
         - inverse_z * inverse_z * (fx * g.x * d_mean_x + fy * g.y * d_mean_y);
-    covariance_backward(&g, d_xx, d_xy, d_yy, activated, camera, d_scale, d_quaternion, d_camera);
+    covariance_backward(&g, d_xx, d_xy, d_yy, d_log_opacity, activated, camera, d_scale, d_quaternion,
+        d_camera, d_u);
     __global const wide *w = camera + CAMERA_ROTATION;
     real r[9];
     for (int k = 0; k < 9; k++)
@@ -200,7 +257,10 @@ void project_backward(
     for (int channel = 0; channel < 3; channel++) /* a clamped colour has no gradient */
         d_color[channel] = (dark & 1 << channel) == 0 ? sums[PAIR_RED + channel] : (lane)0;
     color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate,
-        detached, d_mean);
+        detached, d_mean, d_view);
+#ifdef POSED
+    store_pose_sums(pose_sums, &g, parameters, stride, i, visible, d_camera, d_u, d_view);
+#endif
 
     for (int k = 0; k < 3; k++) {
         put_unless(detached & BIT_MEANS, gradients + (ROW_MEAN + k) * stride + i,
@@ -211,9 +271,8 @@ void project_backward(
     for (int k = 0; k < 4; k++)
         put_unless(detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * stride + i,
             visible ? d_quaternion[k] : (lane)0, accumulate);
-    /* dL/d(opacity) = sum of dL/dp / opacity, because alpha = opacity e^p. */
     put_unless(detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * stride + i,
-        visible ? sums[PAIR_P] / g.opacity * g.opacity_slope : (lane)0, accumulate);
+        visible ? d_log_opacity / g.opacity * g.opacity_slope : (lane)0, accumulate);
     if (collect) {
         const lane ndc_x = d_mean_x * (real)(camera[CAMERA_WIDTH] / 2);
         const lane ndc_y = d_mean_y * (real)(camera[CAMERA_HEIGHT] / 2);

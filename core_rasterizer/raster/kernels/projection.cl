@@ -1,4 +1,10 @@
-/* The projection of one block of Gaussians, shared by the forward and the backward pass. */
+/* The projection of one block of Gaussians, shared by the forward and the backward pass.
+ *
+ * Every build says what is added to the variances on the image, VARIANCE_ADDED in square pixels. One that
+ * is asked for more defines COMPENSATED or SMOOTHED, here, FADED or POSED elsewhere. What was not asked for
+ * costs nothing. */
+
+#define DILATION ((real)VARIANCE_ADDED)
 
 typedef struct {
     lane x, y, z;             /* mean in camera coordinates */
@@ -10,6 +16,13 @@ typedef struct {
     lane u[9];                /* camera-from-Gaussian rotation, row-major */
     lane scale[3];
     lane a0[3], a1[3];        /* rows of J W R S; their Gram matrix is the 2D covariance */
+#ifdef COMPENSATED
+    lane cross[3];            /* a0 x a1; its square is the determinant before dilation */
+#endif
+#ifdef SMOOTHED
+    lane shrinkage[3];        /* scale before smoothing over scale after it */
+    lane share[3];            /* what smoothing gave to the variance, from 0 to 1 */
+#endif
     lane qw, qx, qy, qz;      /* unit quaternion */
     lane inverse_norm;        /* 1 / |q|, 0 where q was zero */
     lane covariance_xx, covariance_xy, covariance_yy;
@@ -44,6 +57,20 @@ static inline void read_opacity(
     g->opacity_slope = near_one * near_zero * modifier;
 }
 
+/* The matrix of a unit quaternion, row-major. */
+static inline void rotation_of(lane w, lane x, lane y, lane z, lane *rotation)
+{
+    rotation[0] = 1 - 2 * (y * y + z * z);
+    rotation[1] = 2 * (x * y - w * z);
+    rotation[2] = 2 * (x * z + w * y);
+    rotation[3] = 2 * (x * y + w * z);
+    rotation[4] = 1 - 2 * (x * x + z * z);
+    rotation[5] = 2 * (y * z - w * x);
+    rotation[6] = 2 * (x * z - w * y);
+    rotation[7] = 2 * (y * z + w * x);
+    rotation[8] = 1 - 2 * (x * x + y * y);
+}
+
 static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, lane *rotation)
 {
     lane largest = LANE_MAX(LANE_MAX(lane_abs(w), lane_abs(x)), LANE_MAX(lane_abs(y), lane_abs(z)));
@@ -58,21 +85,46 @@ static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, l
     g->inverse_norm = zero ? (lane)0 : scale / largest;
     w *= scale, x *= scale, y *= scale, z *= scale;
     g->qw = w, g->qx = x, g->qy = y, g->qz = z;
-    rotation[0] = 1 - 2 * (y * y + z * z);
-    rotation[1] = 2 * (x * y - w * z);
-    rotation[2] = 2 * (x * z + w * y);
-    rotation[3] = 2 * (x * y + w * z);
-    rotation[4] = 1 - 2 * (x * x + z * z);
-    rotation[5] = 2 * (y * z - w * x);
-    rotation[6] = 2 * (x * z - w * y);
-    rotation[7] = 2 * (y * z + w * x);
-    rotation[8] = 1 - 2 * (x * x + y * y);
+    rotation_of(w, x, y, z, rotation);
+}
+
+#ifdef SMOOTHED
+/* Convolution with a Gaussian of the deviation f, Mip-Splatting's 3D filter (Yu et al. 2024, eq. 9):
+ * variances add up. No square overflows or underflows that matters. */
+static inline void widen(projected *g, int k, lane f)
+{
+    const lane s = g->scale[k];
+    const lane larger = LANE_MAX(s, f), quotient = LANE_MIN(s, f) / larger;
+    const lane widened = larger * lane_sqrt(1 + quotient * quotient), given = f / widened;
+    const lane_mask filtered = f > (lane)0;
+    g->shrinkage[k] = filtered ? s / widened : (lane)1;
+    g->share[k] = filtered ? given * given : (lane)0;
+    g->scale[k] = filtered ? widened : s;
+}
+#endif
+
+/* What both filters leave of the opacity. */
+static inline void filter_opacity(projected *g)
+{
+#ifdef SMOOTHED
+    const lane kept = g->shrinkage[0] * g->shrinkage[1] * g->shrinkage[2];
+    g->opacity *= kept;
+    g->opacity_slope *= kept;
+#endif
+#ifdef COMPENSATED
+    /* Mip-Splatting's 2D filter (eq. 10): dilation leaves the Gaussian's mass as it was. */
+    const lane undilated
+        = g->cross[0] * g->cross[0] + g->cross[1] * g->cross[1] + g->cross[2] * g->cross[2];
+    const lane compensation = lane_sqrt(undilated / g->determinant);
+    g->opacity *= compensation;
+    g->opacity_slope *= compensation;
+#endif
 }
 
 /* Twin: reference.py, `project`. Nothing is culled here; values behind the camera are meaningless. */
 static inline void project_block(
     projected *g, __global const real *parameters, size_t capacity, size_t i,
-    __global const wide *camera, lane modifier, int activated)
+    __global const wide *camera, __global const real *modifiers, int modified, int activated)
 {
     __global const real *row = parameters + i;
     const lane mx = LOAD_GLOBAL(row + ROW_MEAN * capacity),
@@ -119,6 +171,9 @@ static inline void project_block(
     for (int k = 0; k < 3; k++) {
         const lane parameter = LOAD_GLOBAL(row + (ROW_SCALE + k) * capacity);
         g->scale[k] = activated ? parameter : lane_exp(parameter);
+#ifdef SMOOTHED
+        widen(g, k, LOAD_GLOBAL(modifiers + capacity + i));
+#endif
         g->a0[k] = g->scale[k] * (g->j00 * g->u[k] + g->j02 * g->u[6 + k]);
         g->a1[k] = g->scale[k] * (g->j11 * g->u[3 + k] + g->j12 * g->u[6 + k]);
         xx += g->a0[k] * g->a0[k];
@@ -130,9 +185,14 @@ static inline void project_block(
     const lane c0 = g->a0[1] * g->a1[2] - g->a0[2] * g->a1[1];
     const lane c1 = g->a0[2] * g->a1[0] - g->a0[0] * g->a1[2];
     const lane c2 = g->a0[0] * g->a1[1] - g->a0[1] * g->a1[0];
+#ifdef COMPENSATED
+    g->cross[0] = c0, g->cross[1] = c1, g->cross[2] = c2;
+#endif
     g->determinant = c0 * c0 + c1 * c1 + c2 * c2 + DILATION * (xx + yy) + DILATION * DILATION;
     g->covariance_xx = xx + DILATION;
     g->covariance_xy = xy;
     g->covariance_yy = yy + DILATION;
+    const lane modifier = modified ? LOAD_GLOBAL(modifiers + i) : (lane)1;
     read_opacity(g, LOAD_GLOBAL(row + ROW_OPACITY * capacity), modifier, activated);
+    filter_opacity(g);
 }

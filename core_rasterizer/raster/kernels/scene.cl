@@ -14,6 +14,7 @@
 #define CAMERA_HEIGHT 24
 #define CAMERA_NEAR 25
 #define CAMERA_BACKGROUND 26
+#define CAMERA_LAST_BAND 29 /* the weight of the last SH band, where it is a fraction */
 
 /* One record a Gaussian for the raster stages, 16 reals: a cache line in float. */
 #define RECORD 16
@@ -48,6 +49,12 @@
 #define PAIR_Z 9
 #define PAIR_TOUCHED 10 /* positive if any pixel was touched */
 
+/* What a block of Gaussians adds to the gradient of the pose, 16 of `wide`. */
+#define POSE 16
+#define POSE_ROTATION 0 /* 9, row-major */
+#define POSE_TRANSLATION 9
+#define POSE_VIEW 12 /* 3: the sum of dL/d(mean - camera centre) along the view directions of colours */
+
 /* The counters block: unsigned 64-bit numbers. */
 #define COUNT_VISIBLE 0
 #define COUNT_PAIRS 1
@@ -64,7 +71,6 @@
 #define ALPHA_CUT ((real)(1.0 / ALPHA_CUT_INVERSE))
 #define ALPHA_MAX ((real)0.99)
 #define TRANSMITTANCE_STOP ((real)EARLY_STOP)
-#define DILATION ((real)0.3)
 #define LOG2_E ((real)1.4426950408889634)
 #define LN_2 ((real)0.6931471805599453)
 #define SMALLEST_QUATERNION ((real)1e-12)
