@@ -81,15 +81,21 @@ static inline void show_background(
     const int width = (int)camera[CAMERA_WIDTH];
     const real red = camera[CAMERA_BACKGROUND], green = camera[CAMERA_BACKGROUND + 1],
                blue = camera[CAMERA_BACKGROUND + 2];
-    for (int y = area.y; y < area.y + area.height; y++)
-        for (int x = area.x; x < area.x + area.width; x++) {
-            const size_t pixel = (size_t)y * width + x;
+    for (int y = area.y; y < area.y + area.height; y++) {
+        const size_t first = (size_t)y * width + area.x;
+        /* A loop for each image: a compiler makes vectors of these, not of stores to four places. */
+        for (size_t pixel = first; pixel < first + area.width; pixel++) {
             rgb[3 * pixel] = red;
             rgb[3 * pixel + 1] = green;
             rgb[3 * pixel + 2] = blue;
-            depth[pixel] = alpha[pixel] = 0;
-            final_transmittance[pixel] = 1;
         }
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            depth[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            alpha[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            final_transmittance[pixel] = 1;
+    }
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
