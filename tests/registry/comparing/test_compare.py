@@ -114,6 +114,10 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
             "the other the protocol 'llff-3, scene.downsample=4'",
         ),
         ({"protocol/scale": "1/4"}, "had another `scale`"),
+        (
+            {"protocol/loaders/llff/train_views": 4},
+            "'llff-3' had another `loaders.llff.train_views` when the other was run",
+        ),
         ({"scene/width": 252}, "'fern' differs in `width`: 504 and 252"),
         ({"scene/test": [0, 8]}, "differs in `test`"),
         ({"scene/extent": 4.3}, "differs in `extent`"),
@@ -126,6 +130,31 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
 )
 def test_runs_that_cannot_be_compared(make: Make, changes: dict[str, Any], message: str) -> None:
     assert message in refusal(make("a"), make("b", changes)).what
+
+
+def test_what_a_protocol_says_to_people_may_change(make: Make) -> None:
+    runs(make("a"), make("b", {"protocol/notes": "another sentence", "protocol/title": "LLFF"}))
+
+
+LEGO = {
+    "scene/name": "lego",
+    "protocol": AppliedProtocol(load_protocol("blender-8"), {}).record(),
+}
+OLD_VIEWS = {"protocol/loaders/blender/train_ids": [26, 86, 2, 55, 75, 93, 16, 73]}
+
+
+def test_records_of_another_list_of_views_under_one_name_are_told_apart(
+    make: Make, capsys: Capture
+) -> None:
+    new, old = make("new", LEGO), make("old", LEGO | OLD_VIEWS)
+    assert "had another `loaders.blender.train_ids`" in refusal(new, old).what
+    assert main(["compare", str(new), "--paper", "blender-8"]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(old), "--paper", "blender-8"]) == 2
+    said = capsys.readouterr().err
+    assert "the protocol 'blender-8' has changed since this run: `loaders.blender.train_ids`" in (
+        said
+    )
 
 
 def test_two_scenes_need_a_protocol(make: Make) -> None:
