@@ -137,7 +137,7 @@ def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
             fix = "within { } put quotes around a value that contains ${...}"
         raise refused(f"this is not valid YAML: {problem}", line, fix) from error
     except ReaderError as error:
-        what = f"the character U+{ord(error.character):04X} is not allowed in YAML"
+        what = f"the character U+{error.character:04X} is not allowed in YAML"
         raise refused(what, len(text[: error.position + 1].splitlines()) - 1) from error
     except (ValueError, OverflowError) as error:  # PyYAML looks no escape up before it uses it
         what = 'this is not valid YAML: an escape such as "\\U00110000" stands for no character'

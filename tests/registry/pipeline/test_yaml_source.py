@@ -68,9 +68,9 @@ def test_keys_are_text_even_when_they_look_like_something_else() -> None:
         ("a: 1\n---\nb: 2", 2, "not valid YAML"),
         ("? [a]\n: 1", 1, "plain word"),
         ("a: " + "[" * 40 + "]" * 40, 1, "deep"),
-        ("a:\n" + "[" * 5000, 2, "deep"),
+        ("a:\n" + "- " * 3000, 2, "deep"),
         ("scene: {use: llff\n", 1, "not valid YAML"),
-        ("a: 1\nb: [1,\n\n", 2, "not valid YAML"),
+        ("a: 1\nb: [1\n\n", 2, "not valid YAML"),
         ("a: 'open\n", 1, "not valid YAML"),
         ("a: 1\nb: \x00", 2, r"U\+0000"),
         ('a: 1\nb: "\\U00110000"', 2, "escape"),
@@ -147,10 +147,12 @@ def test_what_is_written_is_read_back_unchanged(tree: dict[str, Any]) -> None:
 
 @given(st.text(st.sampled_from(LETTERS + "aUud0\r\x00\ud800"), max_size=14))
 def test_any_text_is_read_or_refused_with_its_line(text: str) -> None:
+    refusal: PipelineError | None = None
     try:
         parse(text, "a.yaml")
     except PipelineError as error:
-        assert re.fullmatch(r"a\.yaml:[1-9][0-9]*", error.where)
+        refusal = error
+    assert refusal is None or re.fullmatch(r"a\.yaml:[1-9][0-9]*", refusal.where)
 
 
 @given(st.text(st.sampled_from(LETTERS), max_size=8))
