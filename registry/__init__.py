@@ -29,6 +29,7 @@ from .contract.components import (
     Unavailable,
     ViewMetric,
 )
+from .contract.fact import Fact
 from .contract.hook_points import API_VERSION
 from .contract.hooks import Register, hookimpl
 from .contract.prior import Prior
@@ -56,6 +57,7 @@ __all__ = [
     "DepthMap",
     "Disparity",
     "Exporter",
+    "Fact",
     "Initializer",
     "Metric",
     "Modifier",

@@ -10,8 +10,8 @@ from ..errors import RunError
 from ..pipeline.protocols import load_protocol
 from .comparison import FinishedRun, metric_names
 
-NOT_ABOUT_SCORES = {"points", "near", "far", "image_memory_mb", "dark_background"}
-"""Facts of a scene that may differ between runs whose scores can be compared."""
+NOT_ABOUT_SCORES = {"points", "near", "far", "image_memory_mb", "notes"}
+"""What is recorded of a scene and may differ between runs whose scores can be compared."""
 
 
 EXPLANATIONS = {"title", "notes"}
@@ -94,7 +94,7 @@ def _said(protocol: str | None) -> str:
 
 def _check_scene(first: FinishedRun, other: FinishedRun) -> None:
     one, two = (
-        {k: v for k, v in run.results["scene"].items() if k not in NOT_ABOUT_SCORES}
+        dict(_dotted({k: v for k, v in run.results["scene"].items() if k not in NOT_ABOUT_SCORES}))
         for run in (first, other)
     )
     key = _first_difference(one, two)

@@ -14,11 +14,11 @@ from typing import Annotated, ClassVar, Literal
 import pydantic
 from pydantic import Field
 
-from registry import Register, Scene, SceneError, SceneLoader, Settings, hookimpl
+from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, hookimpl
 
 from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
 from ._lens import Lens
-from ._loaded_photos import LoadedPhotos, Notes
+from ._loaded_photos import LoadedPhotos
 from ._opengl import world_to_camera
 from ._posed_photos import PosedPhoto
 from ._reading import Finite, Matrix, inside, read_document
@@ -84,11 +84,11 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         )
         loaded = LoadedPhotos.load(photos, decoder, train_ids, test_ids)
         loaded.require_one_size()
-        notes: Notes = {
-            "transparent_pixels": f"laid on {settings.background}",
-            **loaded.split_notes(f"given numbers train, every {settings.test_every}th tests"),
-        }
-        return loaded.scene("blender", folder, (settings.near, settings.far), None, notes)
+        facts = (
+            Fact("transparent_pixels", f"laid on {settings.background}"),
+            *loaded.split_facts(f"given numbers train, every {settings.test_every}th tests"),
+        )
+        return loaded.scene("blender", folder, (settings.near, settings.far), None, facts)
 
 
 class _Frame(pydantic.BaseModel):

@@ -7,14 +7,14 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneLoader, hookimpl
+from registry import Fact, Register, Scene, SceneLoader, hookimpl
 
 from ._bounds import estimate_bounds
 from ._colmap_model import ColmapModel, pose
 from ._disconnected import refuse_disconnected
 from ._found_cameras import remembered_model
 from ._images import IMAGE_SUFFIXES, Decoder, ResizeFilter, longest_side
-from ._loaded_photos import LoadedPhotos, Notes
+from ._loaded_photos import LoadedPhotos
 from ._posed_photos import PosedPhoto
 from ._splits import SplitSettings, split, split_rule
 from ._structure_from_motion import image_index, reconstruct
@@ -75,14 +75,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         tracks.check(len(found), str(folder))
         points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        notes: Notes = {
-            "cameras": "found in all photographs by COLMAP",
-            "lenses": len(model.cameras),
-            "turned_upright": sum(photo.turned for photo in found),
-            "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
-            **loaded.split_notes(split_rule(settings.test_every)),
-        }
-        return loaded.scene("photos", folder, bounds, points, notes)
+        facts = (
+            Fact("cameras", "found in all photographs by COLMAP"),
+            Fact("lenses", len(model.cameras)),
+            Fact("turned_upright", sum(photo.turned for photo in found)),
+            Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
+            *loaded.split_facts(split_rule(settings.test_every)),
+        )
+        return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
         settings = self.settings

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from core_rasterizer import Camera
-from registry import PointCloud, Register, Scene, SceneLoader, Settings, View, hookimpl, validate
+from registry import (
+    Fact,
+    PointCloud,
+    Register,
+    Scene,
+    SceneLoader,
+    Settings,
+    View,
+    hookimpl,
+    validate,
+)
 
 from ._procedural_room import furnish
 from ._ray_casting import Surface, cast
@@ -78,12 +88,7 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
                 test=tuple(test),
                 bounds=(0.95 * float(depths.min()), 1.05 * float(depths.max())),
                 points=points,
-                notes={
-                    "source": "ray-cast room",
-                    "resolution": f"{settings.width}x{settings.height}",
-                    "points": settings.points,
-                    "seed": settings.seed,
-                },
+                facts=(Fact("source", "ray-cast room"), Fact("seed", settings.seed)),
             )
         )
 

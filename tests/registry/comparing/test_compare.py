@@ -29,12 +29,14 @@ RESULTS: dict[str, Any] = {
     "protocol": AppliedProtocol(load_protocol("llff-3"), {}).record(),
     "scene": {
         "name": "fern",
-        "train": [1, 10, 19],
-        "test": [0, 8, 16],
+        "train": ["image001", "image010", "image019"],
+        "test": ["image000", "image008", "image016"],
         "width": 504,
         "height": 378,
         "extent": 4.25,
         "points": 700,
+        "facts": {"source": "images_8"},
+        "notes": {"dark_background": "kept"},
     },
     "metrics": {
         "psnr": {"use": "psnr", "quantize": "png8"},
@@ -100,7 +102,11 @@ def runs(*folders: Path) -> list[FinishedRun]:
 
 def test_runs_of_one_protocol_are_compared(make: Make) -> None:
     flower = {"scene/name": "flower", "scene/width": 500, "scene/test": [0, 8]}
-    repeated = {"scene/points": 3, "scene/extent": 4.25 * (1 + 1e-9)}
+    repeated = {
+        "scene/points": 3,
+        "scene/extent": 4.25 * (1 + 1e-9),
+        "scene/notes": {"dark_background": "black"},
+    }
     assert len(runs(make("a"), make("b", flower), make("c", repeated))) == 3
 
 
@@ -121,7 +127,8 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
         ({"scene/width": 252}, "'fern' differs in `width`: 504 and 252"),
         ({"scene/test": [0, 8]}, "differs in `test`"),
         ({"scene/extent": 4.3}, "differs in `extent`"),
-        ({"scene/source": "images"}, "differs in `source`: None and images"),
+        ({"scene/facts/source": "images"}, "differs in `facts.source`: images_8 and images"),
+        ({"scene/facts/masks": "none"}, "differs in `facts.masks`: None and none"),
         (
             {"metrics/psnr/quantize": "float"},
             "psnr was measured with `quantize` 'png8' and 'float'",
@@ -184,6 +191,8 @@ def test_a_run_without_results_is_explained(make: Make, tmp_path: Path) -> None:
         read_run(folder)
     with pytest.raises(RunError, match="does not say metrics, gaussians"):
         read_run(make("b", {"metrics": ..., "gaussians": ...}))
+    with pytest.raises(RunError, match="does not say the scene's facts"):
+        read_run(make("c", {"scene/facts": ...}))
     with pytest.raises(RunError, match="not a run folder"):
         read_run(tmp_path)
 

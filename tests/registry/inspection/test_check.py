@@ -15,7 +15,6 @@ from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
 from registry.inspection.scene_facts import (
     facts,
-    notes,
     points_in_view,
     summary,
     typical_depth,
@@ -56,7 +55,7 @@ class Marked(registry.SceneLoader[Settings]):
     def load(self):
         if not self.settings.path.is_dir():
             raise registry.SceneError("no such folder", where=str(self.settings.path))
-        return replace(tiny_scene(), name=self.settings.title, notes={"changed": "nothing"})
+        return replace(tiny_scene(), name=self.settings.title, facts=(registry.Fact("changed", "nothing"),))
 
 
 class AlsoMarked(Marked):
@@ -189,9 +188,7 @@ def wall(count: int, depth: float = 2.0) -> PointCloud:
 def test_facts() -> None:
     scene = tiny_scene()
     lens = replace(scene.test[0].camera, fx=50.0, cx=17.0)
-    scene = replace(
-        scene, test=(replace(scene.test[0], camera=lens),), notes={"format": "x", "near": 1}
-    )
+    scene = replace(scene, test=(replace(scene.test[0], camera=lens),))
     found = dict(facts(scene))
     size = scene.train[0].camera
     assert found["views"] == "3: 2 train, 1 test"
@@ -202,7 +199,6 @@ def test_facts() -> None:
     assert found["depth"] == "1.5 .. 5"
     assert found["points"].startswith("60; ")
     assert found["true depth"] == "3 of 3 views"
-    assert notes(scene) == [("format", "x")]
 
 
 def test_the_line_before_training() -> None:

@@ -39,7 +39,7 @@ def test_transparent_pixels_take_the_background(
     scene = load(write_blender(tmp_path, World()), background=background)
     assert scene.background == (level,) * 3
     assert scene.train[0].image[0, 0].tolist() == [level] * 3
-    assert background in str(scene.notes["transparent_pixels"])
+    assert background in str(scene.fact("transparent_pixels"))
 
 
 def test_half_transparent_pixels_are_mixed(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_larger_photographs_are_reduced_and_the_notes_say_so(tmp_path: Path) -> 
     view = scene.train[0]
     assert view.image.shape == (24, 32, 3)
     assert view.camera.fx == pytest.approx(World().focal / 2)
-    assert scene.notes["changed"] == "resized from 64x48 to 32x24 with the box filter"
+    assert scene.fact("changed") == "resized from 64x48 to 32x24 with the box filter"
 
 
 def change(folder: Path, key: str, value: Any) -> None:
