@@ -12,7 +12,12 @@ import pytest
 from core_rasterizer import Device, open_device
 from registry.plugins import GROUP, SELECTION, Plugins
 
-TOY = EntryPoint("toy", "tests.registry.toy_plugin", GROUP)
+TOY_NAMES = (
+    *("toy_scene", "toy_points", "toy_prior", "toy_term", "toy_dropout", "toy_growth", "toy_fade"),
+    *("toys.psnr", "toy_files", "toy_report"),
+)
+TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
+TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]
 
 Install = Callable[..., Path]
 
@@ -25,7 +30,7 @@ def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def toys() -> Plugins:
     """The toy components alone."""
-    return Plugins([TOY])
+    return Plugins(TOYS)
 
 
 @pytest.fixture(scope="session")

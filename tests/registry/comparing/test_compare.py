@@ -19,7 +19,7 @@ from registry.pipeline.protocols import load_protocol
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 
-from ..conftest import Install
+from ..conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
 Make = Callable[..., Path]
@@ -300,7 +300,7 @@ def test_help_has_examples(capsys: Capture) -> None:
 def test_real_runs_are_compared(
     install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     monkeypatch.chdir(tmp_path)
     Path("toy.yaml").write_text(
         "name: toy\nscene: toy_scene\ninitializer: toy_points\nmetrics: [psnr]\n"

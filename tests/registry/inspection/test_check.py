@@ -26,7 +26,7 @@ from registry.inspection.top_view import make_plan, round_step
 from registry.plugins import Plugins
 from registry.testing import tiny_scene
 
-from ..conftest import Install
+from ..conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
 LOADERS = '''
@@ -72,7 +72,8 @@ def stereogs_register_scenes(register):
 @pytest.fixture
 def folder(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder that the loader `marked` recognizes, in an otherwise empty working folder."""
-    install("loaders", "1.0", {"marked": "loaders_module"}, loaders_module=LOADERS)
+    entries = {"marked": "loaders_module", "also_marked": "loaders_module"}
+    install("loaders", "1.0", entries, loaders_module=LOADERS)
     folder = tmp_path / "work" / "data${x}"
     folder.mkdir(parents=True)
     (folder / "MARKER").touch()
@@ -102,7 +103,7 @@ def test_settings_may_be_named_as_in_a_pipeline(folder: Path, capsys: Capture) -
 
 
 def test_the_scene_of_a_pipeline(install: Install, tmp_path: Path, capsys: Capture) -> None:
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     pipeline, out = tmp_path / "toy.yaml", str(tmp_path / "check.png")
     pipeline.write_text("name: toy\nscene: toy_scene\ninitializer: toy_points\n")
     assert main(["check", str(pipeline), "--set", "test_views=0", "--out", out]) == 0
