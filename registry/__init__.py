@@ -16,6 +16,7 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 from . import web_page
 from .contract.component import Component, Context, Settings
 from .contract.components import (
+    AverageErrorRole,
     Densification,
     Exporter,
     Initializer,
@@ -51,6 +52,7 @@ from .priors.prior_cache import cache_folder
 
 __all__ = [
     "API_VERSION",
+    "AverageErrorRole",
     "Component",
     "Context",
     "Densification",

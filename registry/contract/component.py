@@ -48,6 +48,9 @@ class Component(Generic[SettingsType]):
     """Base of all plugins. A subclass may define a nested `Settings` class of its own."""
 
     Settings: ClassVar[type[Settings]] = Settings
+    ablation_baseline: ClassVar[str | None] = None
+    """What stands in its place where an ablation switches it off, as a pipeline writes a component:
+    "name", or "{use: name, ...}". None: nothing does."""
 
     def __init__(self, settings: SettingsType, context: Context) -> None:
         self.settings = settings

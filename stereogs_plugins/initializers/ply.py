@@ -22,6 +22,7 @@ class PlyInitializer(Initializer[PlySettings]):
     """
 
     Settings = PlySettings
+    ablation_baseline = "sfm"
 
     def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return the file's points.

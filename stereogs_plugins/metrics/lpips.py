@@ -18,7 +18,7 @@ import pydantic
 import torch
 from torch import Tensor
 
-from registry import Metric, PluginError, Register, Sha256, Unavailable, hookimpl
+from registry import AverageErrorRole, Metric, PluginError, Register, Sha256, Unavailable, hookimpl
 
 from ._images import ImageSettings, white_outside
 from ._lpips_files import Network, read_heads, read_network
@@ -61,6 +61,7 @@ class LPIPS(Metric[LPIPSSettings]):
 
     Settings = LPIPSSettings
     higher_is_better = False
+    average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
     proper: ClassVar[bool] = False
 
     def measure(
@@ -101,6 +102,7 @@ class LPIPS(Metric[LPIPSSettings]):
 class ProperLPIPS(LPIPS):
     """On colours in [-1, 1], as the authors of LPIPS define it; with a mask, white outside it."""
 
+    average_error_role = None
     proper = True
 
 

@@ -19,6 +19,7 @@ class PSNR(Metric[ImageSettings]):
 
     Settings = ImageSettings
     unit = "dB"
+    average_error_role = "peak_signal_to_noise_ratio"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return decibels, at most 100.

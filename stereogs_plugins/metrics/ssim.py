@@ -27,6 +27,7 @@ class SSIM(Metric[ImageSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
     Settings = ImageSettings
+    average_error_role = "structural_similarity"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
