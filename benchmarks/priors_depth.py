@@ -52,7 +52,7 @@ def point_errors(folder: Path, scene: Scene, depths: Sequence[DepthImage]) -> Fl
         positions, lengths = arrays["xyz"].astype(np.float64), arrays["track_len"]
         owners, photographs = np.repeat(np.arange(len(lengths)), lengths), arrays["track_image_ids"]
     errors = []
-    numbers: Any = scene.notes["train"]
+    numbers: Any = scene.fact("train_photographs")
     for view, number, depth in zip(scene.train, numbers, depths, strict=True):
         seen = np.unique(owners[photographs == number + 1])
         seen = seen[lengths[seen] >= SHORTEST_TRACK]

@@ -8,7 +8,9 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from registry.comparing.comparison import FinishedRun
+from registry.drawing.pictures import ViewPictures
 from registry.files import replacing
+from registry.runs.results import RENDERS
 
 THUMBNAIL = (160, 120)
 """The box that each picture is made to fit into, pixels."""
@@ -47,12 +49,12 @@ def draw(groups: Sequence[tuple[str, Sequence[FinishedRun]]], path: Path) -> Non
 
 def _thumbnails(runs: Sequence[FinishedRun]) -> list[Image.Image]:
     """The truth, then each run's render."""
-    name = next(iter(runs[0].results["views"]["test"])).removesuffix(".png")
+    name = next(iter(runs[0].results["views"]["test"]))
     renders = []
     for run in runs:
-        with Image.open(run.folder / "renders" / f"{name}.png") as picture:
+        with Image.open(ViewPictures.of(name, run.folder / RENDERS).render) as picture:
             renders.append(picture.convert("RGB"))
-    with Image.open(runs[0].folder / "renders" / f"{name}_comparison.png") as picture:
+    with Image.open(ViewPictures.of(name, runs[0].folder / RENDERS).comparison) as picture:
         # The truth comes first in a comparison, in the size of the render.
         truth = picture.convert("RGB").crop((0, 0, *renders[0].size))
     for image in (truth, *renders):

@@ -17,6 +17,7 @@ from . import cache, image_fitting, photos, web_page
 from .contract.component import Component, Context, ParameterGroup, Settings
 from .contract.components import (
     Appearance,
+    AverageErrorRole,
     Densification,
     Exporter,
     Initializer,
@@ -32,6 +33,7 @@ from .contract.components import (
     Unavailable,
     ViewMetric,
 )
+from .contract.fact import Fact
 from .contract.hook_points import API_VERSION
 from .contract.hooks import Register, hookimpl
 from .contract.maps import DepthMap, Disparity
@@ -52,12 +54,14 @@ from .priors.onnx_settings import OnnxModelSettings
 __all__ = [
     "API_VERSION",
     "Appearance",
+    "AverageErrorRole",
     "Component",
     "Context",
     "Densification",
     "DepthMap",
     "Disparity",
     "Exporter",
+    "Fact",
     "ImageMetricSettings",
     "Initializer",
     "LearnedFeatures",

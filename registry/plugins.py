@@ -57,9 +57,10 @@ class Offer:
 class Plugins:
     """The installed plugins. Reading their names imports nothing; `find` imports what it must.
 
-    Looking for a component first tries the plugins whose entry is named like it (`psnr`, or
-    `anything.psnr`). Only when none of them offers it are the others imported, each guarded: one
-    that fails is remembered in `broken` and named if the component is not found anywhere.
+    An entry offers what it is named after: `psnr` and `anything.psnr` a component `psnr`. So the
+    entries of that name are all that could offer it; they alone are imported, and two that do are
+    never missed. A module that registers a name without an entry is refused. Each import is guarded:
+    one that fails is remembered in `broken`.
 
     Args:
         entries: entry points to use instead of the installed ones that STEREOGS_PLUGINS selects.
@@ -85,17 +86,17 @@ class Plugins:
             PluginError: no plugin offers it, the plugin named like it cannot be loaded, or two
                 plugins offer it.
         """
-        alike = [e for e in self.entries if e.name == name or e.name.endswith(f".{name}")]
-        for batch in (alike, self.entries):
-            self._load_all(batch)
-            found = [o for o in self._offers if o.point is point and o.name == name]
-            if len(found) > 1:
-                raise _conflict(found)
-            if found:
-                return found[0]
+        alike = [entry for entry in self.entries if offered_name(entry) == name]
+        self._load_all(alike)
+        found = [o for o in self._offers if o.point is point and o.name == name]
+        if len(found) > 1:
+            raise _conflict(found)
+        if found:
+            return found[0]
         for entry in alike:
             if _key(entry) in self.broken:
                 raise self.broken[_key(entry)]
+        self._load_all(self.entries)  # to say what there is
         raise self._unknown(point, name)
 
     def all(self) -> Sequence[Offer]:
@@ -126,15 +127,31 @@ class Plugins:
         try:
             module = entry.load()
             _check_api(entry, module)
-            self._manager.register(module, name=key)
+            if not self._manager.is_registered(module):  # by another entry of the same module
+                self._manager.register(module, name=key)
             self._manager.check_pending()
             offers = list(self._collect(entry, module))
+            self._check_entries(entry, offers)
         except Exception as error:  # a stranger's module may raise anything while it is imported
             if self._manager.has_plugin(key):
                 self._manager.unregister(name=key)
             raise _unusable(entry, error) from error
         self._loaded.add(key)
-        self._offers.extend(offers)
+        self._offers.extend(offer for offer in offers if offer.name == offered_name(entry))
+
+    def _check_entries(self, entry: EntryPoint, offers: Iterable[Offer]) -> None:
+        """Refuse a module that registers what no entry of its package is named after."""
+        beside = entry.dist.entry_points if entry.dist else self.entries
+        mine = [e for e in beside if e.group == GROUP and e.value == entry.value]
+        named = {offered_name(e) for e in mine}
+        for offer in offers:
+            if offer.name not in named:
+                raise PluginError(
+                    f"it registers the {offer.point.title} {offer.name!r}, but no entry point of "
+                    f"{offer.distribution} that leads to {entry.value} is named so",
+                    fix=f'add `{offer.name} = "{entry.value}"` to its entry points, and install it '
+                    "again",
+                )
 
     def _collect(self, entry: EntryPoint, module: object) -> Iterator[Offer]:
         distribution, version = _distribution(entry)
@@ -163,6 +180,11 @@ class Plugins:
         if not self.entries:
             fix = f"install a plugin package, or unset {SELECTION}"
         return PluginError(what, fix=fix)
+
+
+def offered_name(entry: EntryPoint) -> str:
+    """The name of the component that an entry offers: its own, without what stands before a dot."""
+    return entry.name.rpartition(".")[2]
 
 
 def installed_entries() -> tuple[EntryPoint, ...]:

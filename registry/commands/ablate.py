@@ -32,8 +32,8 @@ examples:
   stereogs ablate pipelines/stereogs.yaml --toggle initializer,stereo_depth,opacity
   stereogs ablate pipelines/ablations/parts.yaml --scenes llff_fern,llff_flower --seeds 3
 
-On is what the pipeline says. Off: a component of a list, and the densification, is disabled; the
-initializer is `sfm`; the opacity policy is 3DGS's periodic reset. An ablation file may say otherwise.
+On is what the pipeline says. Off: a component is disabled, unless it names what it takes the place of;
+so decays of opacity give way to 3DGS's periodic reset. An ablation file may say otherwise.
 
 Runs that are finished are found by their pipeline and not trained again: the same command goes on
 where it was stopped. It writes ablation.txt, ablation.csv and index.html.

@@ -9,7 +9,7 @@ from core_rasterizer import open_device
 
 from ..drawing.pictures import save_png
 from ..errors import RunError
-from ..inspection.scene_facts import facts, notes, warnings
+from ..inspection.scene_facts import facts, warnings
 from ..inspection.scene_picture import scene_picture
 from ..inspection.scene_source import load_data
 from ..plugins import Plugins
@@ -65,9 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     output.print(f"{scene.name}, read by the {item.point.title} {item.offer.name}")
     for label, text in facts(scene):
         output.print(f"  {label:<10}  {text}")
-    output.print("noted by the loader")
-    for label, text in notes(scene):
-        output.print(f"  {label:<10}  {text}")
+    output.print("said by the loader")
+    for fact in scene.facts:
+        output.print(f"  {fact.name:<10}  {fact}")
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), arguments.out)

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich import box
 from rich.table import Table
 
-from ..comparing.comparability import check_comparable
+from ..comparing.comparability import check_comparable, check_present
 from ..comparing.comparison import FinishedRun, MethodMean, method_means, metric_names, read_run
 from ..comparing.paper_tables import PUBLISHED_METRICS, PaperTables, paper_tables
 from ..errors import RunError
@@ -170,3 +170,4 @@ def _check_paper(paper: str, runs: Sequence[FinishedRun], tables: PaperTables) -
                 where=str(finished.folder),
                 fix=f"train it with --set protocol={paper}",
             )
+        check_present(finished)

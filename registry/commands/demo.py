@@ -11,6 +11,7 @@ from pathlib import Path
 
 from core_rasterizer import open_device
 
+from ..drawing.pictures import COMPARISONS
 from ..files import replacing
 from ..pipeline.pipeline import parse_pipeline
 from ..plugins import Plugins
@@ -57,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         console=output,
     )
     if finished:
-        comparison = sorted((folder.path / RENDERS).glob("*_comparison.png"))[0]
+        comparison = min((folder.path / RENDERS / COMPARISONS).iterdir())
         with replacing(folder.path / "demo.png") as temporary:
             shutil.copyfile(comparison, temporary)
     status = conclude(folder, finished, output)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ..errors import RunError
+from ..pipeline.protocols import load_protocol
 from .comparison import FinishedRun, metric_names
 
-NOT_ABOUT_SCORES = {"points", "near", "far", "image_memory_mb", "dark_background"}
-"""Facts of a scene that may differ between runs whose scores can be compared."""
+NOT_ABOUT_SCORES = {"points", "near", "far", "image_memory_mb", "notes"}
+"""What is recorded of a scene and may differ between runs whose scores can be compared."""
+
+
+EXPLANATIONS = {"title", "notes"}
+"""What a protocol says to people alone."""
 
 
 def check_comparable(runs: Sequence[FinishedRun]) -> None:
@@ -43,10 +48,44 @@ def _check_protocol(first: FinishedRun, other: FinishedRun) -> None:
                 fix="name a protocol in the pipeline, for example --set protocol=llff-3",
             )
         return
-    key = _first_difference(first.results["protocol"], other.results["protocol"])
+    key = _first_difference(_rules(first.results["protocol"]), _rules(other.results["protocol"]))
     if key is not None:
         what = f"the protocol {first.protocol!r} had another `{key}` when the other was run"
-        raise _refusal(first, other, what, fix="run the older one again")
+        raise _refusal(first, other, what, fix="train the older one again, as the protocol is now")
+
+
+def check_present(run: FinishedRun) -> None:
+    """Refuse a run whose protocol has changed since.
+
+    Raises:
+        RunError: the record of the protocol differs from the protocol as it is now; says in what.
+    """
+    record = run.results["protocol"]
+    if record is None:
+        return
+    now = load_protocol(record["name"]).model_dump(mode="json")
+    was, is_now = _rules({**record, "modified": {}}), _rules({**now, "modified": {}})
+    key = _first_difference(was, is_now)
+    if key is not None:
+        raise RunError(
+            f"the protocol {record['name']!r} has changed since this run: `{key}` was "
+            f"{was.get(key)}, now it is {is_now.get(key)}",
+            where=str(run.folder),
+            fix="train it again, as the protocol is now",
+        )
+
+
+def _rules(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a protocol's record moves scores; nested settings by dotted names."""
+    return dict(_dotted({k: v for k, v in record.items() if k not in EXPLANATIONS}))
+
+
+def _dotted(tree: Mapping[str, Any], start: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{start}{key}.")
+        else:
+            yield f"{start}{key}", value
 
 
 def _said(protocol: str | None) -> str:
@@ -55,7 +94,7 @@ def _said(protocol: str | None) -> str:
 
 def _check_scene(first: FinishedRun, other: FinishedRun) -> None:
     one, two = (
-        {k: v for k, v in run.results["scene"].items() if k not in NOT_ABOUT_SCORES}
+        dict(_dotted({k: v for k, v in run.results["scene"].items() if k not in NOT_ABOUT_SCORES}))
         for run in (first, other)
     )
     key = _first_difference(one, two)

@@ -86,6 +86,8 @@ def read_run(path: Path) -> FinishedRun:
             fix=f"stereogs train --resume {path}",
         )
     missing = [key for key in _NEEDED if key not in results]
+    if "facts" not in results.get("scene", {}):
+        missing.append("the scene's facts")
     if missing:
         raise RunError(
             f"results.json does not say {', '.join(missing)}: an older version wrote it",

@@ -71,6 +71,9 @@ class Component(Generic[SettingsType]):
     """
 
     Settings: ClassVar[type[Settings]] = Settings
+    ablation_baseline: ClassVar[str | None] = None
+    """What stands in its place where an ablation switches it off, as a pipeline writes a component:
+    "name", or "{use: name, ...}". None: nothing does."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from torch import Tensor
 
@@ -154,11 +154,19 @@ class Unavailable:
     reason: str
 
 
+AverageErrorRole = Literal[
+    "peak_signal_to_noise_ratio", "structural_similarity", "perceptual_distance"
+]
+"""Which of the three parts of the average error AVGE a metric can be."""
+
+
 class ViewMetric(Component[SettingsType], ABC):
     """Scores one rendered view against whatever the scene knows about it."""
 
     higher_is_better: ClassVar[bool] = True
     unit: ClassVar[str] = ""
+    average_error_role: ClassVar[AverageErrorRole | None] = None
+    """The average error takes the pipeline's first metric of each role; None: never this one."""
 
     @abstractmethod
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,8 +14,10 @@ from torch import Tensor
 from core_rasterizer import Camera
 
 from ..errors import PluginError, SceneError
+from .fact import Fact, FactValue
 from .maps import DepthMap
 
+_FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _ROTATION_TOLERANCE = 1e-4
 _FARTHEST = 1e9
 """World units; beyond, squares and products of positions leave single precision."""
@@ -149,7 +153,8 @@ class Scene:
         bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
         points: sparse points seen by the training views alone, or None.
         background: colour behind the scene, three numbers in [0, 1].
-        notes: facts about the protocol (resolution, split, source) that go into the results.
+        facts: what the loader wants on record beside that: where photographs come from, how they were
+            changed and split. They go into the results.
     """
 
     name: str
@@ -158,7 +163,7 @@ class Scene:
     bounds: tuple[float, float]
     points: PointCloud | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    notes: dict[str, str | int | float | list[int]] = field(default_factory=dict)
+    facts: tuple[Fact, ...] = ()
 
     @property
     def extent(self) -> float:
@@ -170,6 +175,10 @@ class Scene:
         views = tuple(view.for_training() for view in self.train)
         return TrainingScene(self.name, views, self.bounds, self.points, self.background)
 
+    def fact(self, name: str) -> FactValue:
+        """The value of the fact of that name; KeyError if there is none."""
+        return {fact.name: fact.value for fact in self.facts}[name]
+
 
 def validate(scene: Scene) -> Scene:
     """Refuse a scene that training could not use; return it unchanged otherwise.
@@ -180,7 +189,8 @@ def validate(scene: Scene) -> Scene:
             size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
             bool, does not fit or leaves no pixel; an alpha that does not fit or is not in [0, 1]; a
             depth that does not fit or is not finite; points
-            that are not finite or have colours outside [0, 1]; bounds out of order.
+            that are not finite or have colours outside [0, 1]; bounds out of order; two facts of one
+            name, or a fact that JSON cannot say.
     """
     if not scene.train:
         raise SceneError(
@@ -201,6 +211,7 @@ def validate(scene: Scene) -> Scene:
         )
     if scene.points is not None:
         _validate_points(scene.points, scene.name)
+    _validate_facts(scene)
     return scene
 
 
@@ -287,6 +298,20 @@ def _refuse_equal_poses(scene: Scene) -> None:
                     where=scene.name,
                     fix="leave one of them out, or correct its pose",
                 )
+
+
+def _validate_facts(scene: Scene) -> None:
+    names = [fact.name for fact in scene.facts]
+    for fact in scene.facts:
+        if not _FACT_NAME.fullmatch(fact.name) or names.count(fact.name) > 1:
+            raise SceneError(
+                f"the fact {fact.name!r} has no plain name of its own",
+                where=scene.name,
+                fix="letters, digits, '-' and '_'; each name once",
+            )
+        numbers = fact.value if isinstance(fact.value, tuple) else (fact.value,)
+        if not all(isinstance(n, str) or math.isfinite(n) for n in numbers):
+            raise SceneError(f"the fact {fact.name!r} is not finite", where=scene.name)
 
 
 def _validate_points(points: PointCloud, scene_name: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -22,6 +24,8 @@ _RAMP = (
     (1.00, 0.92, 0.45),
 )
 """Colours from far to near, equally spaced; lightness grows steadily."""
+DEPTHS, COMPARISONS = "depth", "comparison"
+"""Folders within the one of the renders."""
 PNG_EFFORT = 2
 """Of zlib's 9: a twentieth larger files than by default, in a third of the time."""
 _GAP = 4
@@ -46,22 +50,37 @@ def grey(image: Tensor) -> Tensor:
     return image @ image.new_tensor(_LUMA)
 
 
-def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> list[Path]:
-    """Write a view's render, its depth, and truth | render | depth side by side.
+@dataclass(frozen=True)
+class ViewPictures:
+    """Where the pictures of one view lie; no two views share a file, whatever their names.
 
-    Returns:
-        The three files: NAME.png, NAME_depth.png, NAME_comparison.png.
+    Args:
+        render: the colours.
+        depth: in colours, see `depth_picture`.
+        comparison: truth, render and depth side by side.
     """
-    name = view.name.removesuffix(".png")
+
+    render: Path
+    depth: Path
+    comparison: Path
+
+    @classmethod
+    def of(cls, name: str, folder: Path) -> Self:
+        """Of the view of that name, in a run's folder of renders."""
+        file = f"{name}.png"
+        return cls(folder / file, folder / DEPTHS / file, folder / COMPARISONS / file)
+
+
+def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPictures:
+    """Write a view's render, its depth, and truth | render | depth side by side."""
+    files = ViewPictures.of(view.name, folder)
     depth = depth_picture(rendering)
-    pictures = {
-        f"{name}.png": rendering.rgb,
-        f"{name}_depth.png": depth,
-        f"{name}_comparison.png": side_by_side(view.image, rendering.rgb, depth),
-    }
-    for file_name, picture in pictures.items():
-        save_png(picture, folder / file_name)
-    return [folder / file_name for file_name in pictures]
+    for file in (files.depth, files.comparison):
+        file.parent.mkdir(exist_ok=True)
+    save_png(rendering.rgb, files.render)
+    save_png(depth, files.depth)
+    save_png(side_by_side(view.image, rendering.rgb, depth), files.comparison)
+    return files
 
 
 def depth_picture(rendering: Rendering) -> Tensor:

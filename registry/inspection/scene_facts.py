@@ -31,7 +31,7 @@ def summary(scene: Scene) -> str:
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
-    """Label and text of what the loader found, in the order in which people read it."""
+    """Label and text of what the scene shows, in the order in which people read it."""
     views = (*scene.train, *scene.test)
     masked = sum(view.mask is not None for view in views)
     with_depth = sum(view.depth is not None for view in views)
@@ -49,15 +49,6 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("true depth", f"{with_depth} of {len(views)} views" if with_depth else "none"),
         ("background", " ".join(f"{channel:g}" for channel in scene.background)),
     ]
-
-
-def notes(scene: Scene) -> list[tuple[str, str]]:
-    """What the loader noted beside that: the format, what it changed, how it split the views."""
-    return [(name, _note(value)) for name, value in scene.notes.items() if name not in _SHOWN]
-
-
-_SHOWN = ("train", "test", "points", "resolution", "focal_x", "focal_y", "near", "far")
-"""Notes that repeat the facts."""
 
 
 def warnings(scene: Scene) -> list[str]:
@@ -170,9 +161,3 @@ def _points(scene: Scene) -> str:
         return "none"
     counts = [points_in_view(scene, view) for view in scene.train]
     return f"{len(scene.points):,}; {min(counts):,} to {max(counts):,} in each training view"
-
-
-def _note(value: str | int | float | list[int]) -> str:
-    if isinstance(value, list):
-        return ", ".join(map(str, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -34,7 +34,7 @@ from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
 from .images.image_source import ImageSourceSettings
 from .images.parallel import in_parallel
 from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
-from .loaded_photos import LoadedPhotos, Notes
+from .loaded_photos import LoadedPhotos
 from .posed_photos import PosedPhoto, load_views
 from .reading import Finite, Matrix4x4, MatrixRow, decoding, inside, read_document, view_names
 from .splits import SplitSettings, evenly_spaced, split, split_rule
@@ -56,7 +56,6 @@ __all__ = [
     "LoadedPhotos",
     "Matrix4x4",
     "MatrixRow",
-    "Notes",
     "Pixels",
     "PosedPhoto",
     "ResizeFilter",

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from core_rasterizer import Camera
 
+from ..contract.fact import Fact
 from ..contract.scene import PointCloud, Scene, View, validate
 from ..errors import SceneError
 from .cameras.bounds import Bounds
 from .images.decoder import Decoder, stored_size
 from .images.image_files import find_image
 from .posed_photos import PosedPhoto, load_views
-
-Notes = dict[str, str | int | float | list[int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +66,13 @@ class LoadedPhotos:
                     fix="resize all photographs of the scene in one way",
                 )
 
-    def split_notes(self, rule: str) -> Notes:
-        """The split, for the scene's notes; `rule` says in words how it was made."""
-        return {"split": rule, "train": self.train, "test": self.test}
+    def split_facts(self, rule: str) -> tuple[Fact, ...]:
+        """The split by numbers of photographs; `rule` says in words how it was made."""
+        return (
+            Fact("split", rule),
+            Fact("train_photographs", tuple(self.train)),
+            Fact("test_photographs", tuple(self.test)),
+        )
 
     def scene(
         self,
@@ -77,12 +80,12 @@ class LoadedPhotos:
         folder: Path,
         bounds: Bounds,
         points: PointCloud | None,
-        notes: Notes,
+        facts: Iterable[Fact],
     ) -> Scene:
         """The scene, named after its folder, on the background that transparent pixels were laid on.
 
         Args:
-            notes: what this format adds to the facts that are noted of every scene.
+            facts: what this format adds to those of every scene of photographs.
 
         Raises:
             SceneError: what `validate` refuses.
@@ -95,27 +98,14 @@ class LoadedPhotos:
                 bounds=bounds,
                 points=points,
                 background=self.decoder.background,
-                notes={
-                    "format": format_name,
-                    **self._facts(bounds),
-                    **notes,
-                    "points": len(points) if points else 0,
-                },
+                facts=(
+                    Fact("format", format_name),
+                    Fact("source", self.photos[0].path.parent.name),
+                    Fact("changed", "; ".join(_changes(self.photos[0], self.decoder)) or "nothing"),
+                    *facts,
+                ),
             )
         )
-
-    def _facts(self, bounds: Bounds) -> Notes:
-        camera = self.views[0].camera
-        return {
-            "source": self.photos[0].path.parent.name,
-            "resolution": f"{camera.width}x{camera.height}",
-            "focal_x": camera.fx,
-            "focal_y": camera.fy,
-            "near": bounds[0],
-            "far": bounds[1],
-            "image_memory_mb": round(sum(view.image.nbytes for view in self.views) / 1e6, 1),
-            "changed": "; ".join(_changes(self.photos[0], self.decoder)) or "nothing",
-        }
 
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:

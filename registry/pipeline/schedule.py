@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Annotated, Literal, Self
 
 import pydantic
@@ -12,7 +12,7 @@ import pydantic
 from ..contract.component import Settings
 from .yaml_source import Node
 
-_SHARE = re.compile(r"(\d+(?:\.\d+)?)%")
+_SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
 
 
 class Schedule(Settings):
@@ -76,7 +76,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
         node = settings.get(name)
         share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
         if node and share:
-            moment = math.floor(float(share[1]) / 100 * iterations)
+            moment = int(Fraction(share[1]) * iterations / 100)  # floats make 57 % of 10,000 5,699
             result[name] = Node(max(1, moment), node.place)
             shares.append(result[name])
     start, stop = (result[name].content if name in result else None for name in ("start", "stop"))

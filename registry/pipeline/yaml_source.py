@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.reader import ReaderError
 
 from ..errors import PipelineError
 
@@ -110,25 +111,46 @@ def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
     Raises:
         PipelineError: see `read`.
     """
-    try:
-        root = yaml.compose(text, Loader=yaml.BaseLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark and has_lines else None
-        problem = " ".join(filter(None, (error.context, error.problem)))
-        fix = "check the indentation, colons and quotes at this line"
-        if mark and "${" in text.splitlines()[mark.line]:
-            fix = "within { } put quotes around a value that contains ${...}"
-        raise PipelineError(
-            f"this is not valid YAML: {problem}", where=str(Place(source, line)), fix=fix
-        ) from error
-    except yaml.YAMLError as error:  # a character that YAML does not allow
-        raise PipelineError(f"this is not valid YAML: {error}", where=source) from error
-    except RecursionError as error:
-        raise PipelineError("the YAML is nested too deeply", where=source) from error
+    root = _compose(text, source, has_lines)
     if root is None:
         return Node(None, Place(source, 1 if has_lines else None))
     return _Converter(source, has_lines).convert(root)
+
+
+def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
+    """PyYAML's tree, its errors explained with their line."""
+
+    def refused(what: str, line: int, fix: str = "") -> PipelineError:
+        where = Place(source, line + 1 if has_lines else None)
+        return PipelineError(what, where=str(where), fix=fix)
+
+    loader: yaml.BaseLoader | None = None
+    try:
+        loader = yaml.BaseLoader(text)
+        return loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        lines = text.splitlines()
+        line = _error_line(error, len(lines))
+        problem = " ".join(filter(None, (error.context, error.problem)))
+        fix = "check the indentation, colons, quotes and brackets at this line"
+        if "${" in lines[line]:
+            fix = "within { } put quotes around a value that contains ${...}"
+        raise refused(f"this is not valid YAML: {problem}", line, fix) from error
+    except ReaderError as error:
+        what = f"the character U+{error.character:04X} is not allowed in YAML"
+        raise refused(what, len(text[: error.position + 1].splitlines()) - 1) from error
+    except (ValueError, OverflowError) as error:  # PyYAML looks no escape up before it uses it
+        what = 'this is not valid YAML: an escape such as "\\U00110000" stands for no character'
+        raise refused(what, loader.line if loader else 0) from error
+    except RecursionError as error:
+        what = "the YAML is nested too deeply"
+        raise refused(what, loader.line if loader else 0) from error
+
+
+def _error_line(error: yaml.MarkedYAMLError, count: int) -> int:
+    """The 0-based line of an error; of what was left open, where the text itself ends too early."""
+    lines = [mark.line for mark in (error.problem_mark, error.context_mark) if mark is not None]
+    return next((line for line in lines if line < count), count - 1)
 
 
 class _Converter:
@@ -159,8 +181,9 @@ class _Converter:
             return Node(self._mapping(node, depth), place)
         if isinstance(node, yaml.SequenceNode):
             return Node([self.convert(item, depth + 1) for item in node.value], place)
+        text = _whole_characters(node.value, place)
         quoted = isinstance(node, yaml.ScalarNode) and node.style
-        return Node(node.value if quoted else resolve(node.value), place)
+        return Node(text if quoted else resolve(text), place)
 
     def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Node]:
         result: dict[str, Node] = {}
@@ -168,18 +191,26 @@ class _Converter:
             place = self._place(key)
             if not isinstance(key, yaml.ScalarNode):
                 raise PipelineError("a key must be a plain word", where=str(place))
-            if key.value in result:
+            name = _whole_characters(key.value, place)
+            if name in result:
                 raise PipelineError(
-                    f"the key {key.value!r} is written twice",
+                    f"the key {name!r} is written twice",
                     where=str(place),
-                    fix=f"remove one of them; the first is at {result[key.value].place}",
+                    fix=f"remove one of them; the first is at {result[name].place}",
                 )
             child = self.convert(value, depth + 1)
-            result[key.value] = Node(child.content, place)
+            result[name] = Node(child.content, place)
         return result
 
     def _place(self, node: yaml.Node) -> Place:
         return Place(self._source, node.start_mark.line + 1 if self._has_lines else None)
+
+
+def _whole_characters(text: str, place: Place) -> str:
+    """The text, which can be written to a file; an escape such as "\\uD800" alone could not."""
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise PipelineError("half of a surrogate pair is no character", where=str(place))
+    return text
 
 
 def resolve(text: str) -> Scalar:

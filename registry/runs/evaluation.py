@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import get_args
 
 import torch
 
 from core_rasterizer import GaussianModel, Rendering
 
 from ..contract.answers import check_score
-from ..contract.components import Unavailable
+from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..drawing.pictures import save_view_pictures
 from ..pipeline.blame import blame
@@ -19,8 +20,8 @@ from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR, average_error
 
-_AVERAGED = (("psnr",), ("ssim", "ssim_skimage"), ("lpips",))
-"""The metrics that `avge` is made of."""
+_ROLES: tuple[AverageErrorRole, ...] = get_args(AverageErrorRole)
+"""In the order in which `average_error` takes them."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def evaluate(
 ) -> Scores:
     """Render views and score them, colours clamped to [0, 1].
 
-    A view that has PSNR, SSIM and LPIPS also gets `avge` (`average_error`).
+    A view that has a score in each role of the average error also gets `avge` (`average_error`).
 
     Args:
         metrics: the pipeline's metric components.
@@ -82,9 +83,10 @@ def evaluate(
 
 def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:
     """The three metrics that `avge` is made of, the pipeline's first of each; empty if one lacks."""
-    firsts = [next((i for i in metrics if i.offer.name in uses), None) for uses in _AVERAGED]
-    found = tuple(item for item in firsts if item is not None)
-    return found if len(found) == len(_AVERAGED) else ()
+    roles = [getattr(item.offer.component, "average_error_role", None) for item in metrics]
+    if not set(_ROLES) <= set(roles):
+        return ()
+    return tuple(metrics[roles.index(role)] for role in _ROLES)
 
 
 def _average_error(
@@ -93,7 +95,7 @@ def _average_error(
     """AVGE of one view; empty if a metric for it is missing or not available, or if a metric is called so."""
     scores = [row[item.name] for item in averaged([part.item for part in metrics])]
     known = [score for score in scores if score is not None]
-    if len(known) < len(_AVERAGED) or AVERAGE_ERROR in row:
+    if len(known) < len(_ROLES) or AVERAGE_ERROR in row:
         return {}
     return {AVERAGE_ERROR: average_error(*known)}
 

@@ -138,15 +138,22 @@ def _score(value: float | None) -> str:
 
 
 def _describe_scene(scene: Scene) -> dict[str, Any]:
+    """What the host sees, then the loader's facts: those that scores depend on, and the others."""
+    camera, views = scene.train[0].camera, (*scene.train, *scene.test)
     return {
         "name": scene.name,
         "train": [view.name for view in scene.train],
         "test": [view.name for view in scene.test],
-        "width": scene.train[0].camera.width,
-        "height": scene.train[0].camera.height,
+        "width": camera.width,
+        "height": camera.height,
         "background": list(scene.background),
         "extent": scene.extent,
-        **scene.notes,
+        "near": scene.bounds[0],
+        "far": scene.bounds[1],
+        "points": len(scene.points) if scene.points is not None else 0,
+        "image_memory_mb": round(sum(view.image.nbytes for view in views) / 1e6, 1),
+        "facts": {fact.name: fact.value for fact in scene.facts if fact.affects_scores},
+        "notes": {fact.name: fact.value for fact in scene.facts if not fact.affects_scores},
     }
 
 

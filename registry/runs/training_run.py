@@ -85,8 +85,8 @@ def start(
         "initializer": initializer.item.name,
         "points": len(points),
         "seconds": round(time.monotonic() - begin, 3),
-        **points.facts,
     }
+    facts |= {name: value for name, value in points.facts.items() if name not in facts}
     run.write_initialization(facts, points.pictures)
     console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
     trainer = Trainer(pipeline.training, parts, scene, model, points.maps)

@@ -168,9 +168,9 @@ def _ask_report(bench: Bench, built: Any) -> Any:
     results = {
         "pipeline": "tiny",
         "scene": {"name": "tiny"},
-        "test": {"psnr": 20.0},
-        "train": {"psnr": 30.0},
-        "views": {"test": {"view1": {"psnr": 20.0}}, "train": {}},
+        "test": {"score": 20.0},
+        "train": {"score": 30.0},
+        "views": {"test": {"view1": {"score": 20.0}}, "train": {}},
         "unavailable": {},
     }
     with tempfile.TemporaryDirectory() as name:

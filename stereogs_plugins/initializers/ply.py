@@ -31,6 +31,7 @@ class PlyInitializer(Initializer[PlySettings]):
     """
 
     Settings = PlySettings
+    ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return the file's points.

@@ -24,6 +24,7 @@ class RandomInitializer(Initializer[RandomSettings]):
     """
 
     Settings = RandomSettings
+    ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return `count` points; the component's generator decides where."""

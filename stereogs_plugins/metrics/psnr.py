@@ -17,6 +17,7 @@ class PSNR(Metric[ImageMetricSettings]):
 
     Settings = ImageMetricSettings
     unit = "dB"
+    average_error_role = "peak_signal_to_noise_ratio"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return decibels, at most 100.

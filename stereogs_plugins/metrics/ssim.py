@@ -23,7 +23,7 @@ Image = np.ndarray[Any, Any]
 class SSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageMetricSettings
+    average_error_role = "structural_similarity"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""

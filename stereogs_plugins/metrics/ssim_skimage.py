@@ -13,7 +13,7 @@ from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outs
 class ScikitImageSSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageMetricSettings
+    average_error_role = "structural_similarity"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Literal
 import pydantic
 from pydantic import Field
 
-from registry import Register, Scene, SceneError, SceneLoader, Settings, hookimpl
+from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, hookimpl
 from registry.photos import (
     BACKGROUNDS,
     Decoder,
@@ -22,7 +22,6 @@ from registry.photos import (
     Lens,
     LoadedPhotos,
     Matrix4x4,
-    Notes,
     PosedPhoto,
     ResizeFilter,
     at_most,
@@ -33,8 +32,8 @@ from registry.photos import (
     stored_size,
 )
 
-STANDARD_VIEWS = (26, 86, 2, 55, 75, 93, 16, 73)
-"""The eight training views of the sparse-view literature."""
+STANDARD_VIEWS = (2, 16, 26, 55, 73, 76, 86, 93)
+"""The eight training views of sparse-view Gaussian splatting; DietNeRF's list has 75 for 76."""
 _FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with a 4x4 matrix each"
 
 
@@ -94,11 +93,11 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         )
         loaded = LoadedPhotos.load(photos, decoder, train_ids, test_ids)
         loaded.require_one_size()
-        notes: Notes = {
-            "transparent_pixels": f"laid on {settings.background}",
-            **loaded.split_notes(f"given numbers train, every {settings.test_every}th tests"),
-        }
-        return loaded.scene("blender", folder, (settings.near, settings.far), None, notes)
+        facts = (
+            Fact("transparent_pixels", f"laid on {settings.background}"),
+            *loaded.split_facts(f"given numbers train, every {settings.test_every}th tests"),
+        )
+        return loaded.scene("blender", folder, (settings.near, settings.far), None, facts)
 
 
 class _Frame(pydantic.BaseModel):

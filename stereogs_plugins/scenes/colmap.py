@@ -70,8 +70,8 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             tracks.check(len(model.images), str(model.folder))
             points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        notes = loaded.split_notes(split_rule(settings.test_every))
-        return loaded.scene("colmap", folder, bounds, points, notes)
+        facts = loaded.split_facts(split_rule(settings.test_every))
+        return loaded.scene("colmap", folder, bounds, points, facts)
 
 
 def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:

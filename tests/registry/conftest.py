@@ -12,8 +12,17 @@ import pytest
 from core_rasterizer import Device, open_device
 from registry.plugins import GROUP, SELECTION, Plugins
 
-TOY = EntryPoint("toy", "tests.registry.toy_plugin", GROUP)
-DOORS = EntryPoint("doors", "tests.registry.toy_doors", GROUP)
+TOY_NAMES = (
+    *("toy_scene", "toy_points", "toy_prior", "toy_term", "toy_dropout", "toy_growth", "toy_fade"),
+    *("toys.psnr", "toy_files", "toy_report"),
+)
+TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
+TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]
+DOOR_NAMES = (
+    *("toy_target", "toy_exposure", "toy_noise", "toy_shape", "toy_picture", "toy_twin"),
+    *("toy_guide", "toy_peek", "toy_guided", "toy_move"),
+)
+DOORS = [EntryPoint(name, "tests.registry.toy_doors", GROUP) for name in DOOR_NAMES]
 
 Install = Callable[..., Path]
 
@@ -26,13 +35,13 @@ def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def toys() -> Plugins:
     """The toy components alone."""
-    return Plugins([TOY])
+    return Plugins(TOYS)
 
 
 @pytest.fixture
 def doors() -> Plugins:
     """The toy components, and those that go through every door of the host."""
-    return Plugins([TOY, DOORS])
+    return Plugins([*TOYS, *DOORS])
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from registry import API_VERSION, PluginError
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
 from registry.plugins import GROUP, SELECTION, Plugins
 
-from .conftest import DOORS, TOY, Install
+from .conftest import DOORS, TOYS, Install
 
 POINTS = {point.section: point for point in HOOK_POINTS}
 METRICS = POINTS["metrics"]
@@ -36,7 +36,7 @@ def refusal(plugins: Plugins, name: str, point: HookPoint = METRICS) -> PluginEr
 
 
 def test_every_hook_point_collects() -> None:
-    toys = Plugins([TOY, DOORS])
+    toys = Plugins([*TOYS, *DOORS])
     offers = toys.all()
     assert {offer.point.section for offer in offers} == set(POINTS)
     assert not toys.broken
@@ -65,7 +65,7 @@ def test_only_the_plugin_that_is_named_is_imported(install: Install, entry: str)
 
 
 def test_a_broken_plugin_harms_only_those_who_use_it(install: Install) -> None:
-    install("good", "1", {"pack": "good_pack"}, good_pack=metric("inside_pack"))
+    install("good", "1", {"pack.inside_pack": "good_pack"}, good_pack=metric("inside_pack"))
     install("bad", "3.1", {"monster": "bad_monster"}, bad_monster="import does_not_exist")
     plugins = Plugins()
     assert plugins.find(METRICS, "inside_pack").distribution == "good"
@@ -139,6 +139,30 @@ def test_two_packages_with_one_name_conflict(install: Install) -> None:
     assert [str(e) for e in Plugins().conflicts()] == [str(error)]
 
 
+@pytest.mark.parametrize("first", ["mine", "twin"])
+def test_an_entry_offers_nothing_but_what_it_is_named_after(install: Install, first: str) -> None:
+    install("stranger", "3", {"mine": "stranger_a"}, stranger_a=metric("twin"))
+    install("owner", "1", {"twin": "owner_a"}, owner_a=metric("twin", "Owned"))
+    plugins = Plugins()
+    if first == "mine":
+        refusal(plugins, "mine")
+    assert plugins.find(METRICS, "twin").distribution == "owner", "whatever was imported before"
+    error = refusal(plugins, "mine")
+    assert "registers the metric 'twin', but no entry point of stranger" in error.what
+    assert 'add `twin = "stranger_a"`' in error.fix
+    install("honest", "1", {"too.twin": "honest_a"}, honest_a=metric("twin", "Other"))
+    assert "offered twice" in refusal(Plugins(), "twin").what
+
+
+def test_a_module_of_several_components_is_imported_for_each_alone(install: Install) -> None:
+    source = metric("one") + '    register("two", Score)\n'
+    install("duo", "1", {"one": "duo_a", "two": "duo_a", "far": "duo_b"}, duo_a=source, duo_b="1/0")
+    plugins = Plugins()
+    assert [plugins.find(METRICS, name).plugin for name in ("two", "one")] == ["two", "one"]
+    assert "duo_b" not in sys.modules
+    assert [offer.name for offer in plugins.all()] == ["one", "two"]
+
+
 def test_one_name_at_two_hook_points_is_no_conflict(install: Install) -> None:
     source = metric("same") + (
         "class Out(registry.Exporter[registry.Settings]):\n"
@@ -172,5 +196,5 @@ def test_no_plugins_at_all() -> None:
 
 
 def test_an_entry_without_a_package_still_has_a_name() -> None:
-    plugins = Plugins([TOY, EntryPoint("gone", "no_such_module_anywhere", GROUP)])
+    plugins = Plugins([*TOYS, EntryPoint("gone", "no_such_module_anywhere", GROUP)])
     assert "gone (unknown package ?)" in refusal(plugins, "gone").what

@@ -37,7 +37,7 @@ class Toggle:
     Args:
         name: a section that holds one component, or a component of a list.
         place: where it was written.
-        off: the component that takes its place when off; None means the default (see toggles.py).
+        off: the component that takes its place when off; None: see toggles.py.
     """
 
     name: str

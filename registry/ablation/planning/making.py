@@ -43,7 +43,7 @@ def make_plan(description: Description, plugins: Plugins) -> Plan:
             fix="give --toggle NAME or --vary a.b=value,value, or an ablation file",
         )
     base = build_pipeline(deepcopy(description.pipeline), plugins)
-    switches = find_switches(description.pipeline, description.toggles)
+    switches = find_switches(description.pipeline, base, description.toggles)
     _check_seeds_are_free(description.variations)
     scenes = find_scenes(description.pipeline, description.scenes)
     seeds = tuple(range(base.training.seed, base.training.seed + description.seeds))

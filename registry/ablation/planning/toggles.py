@@ -1,9 +1,8 @@
 """What "off" means. "On" is always: as the pipeline says.
 
-A component of a list (a regularizer, a modifier, ...) is disabled when off, and so is the
-densification. An initializer cannot be missing: it is `sfm` when off. The opacity policy is 3DGS's
-periodic reset when off, which is what every policy of the literature takes the place of. An ablation
-file may name another component as `off`.
+A component is disabled when off, unless it names what it takes the place of
+(`Component.ablation_baseline`), or an ablation file does (`off`). What a pipeline cannot do without,
+the initializer, needs one of the two.
 """
 
 from __future__ import annotations
@@ -11,18 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...errors import PipelineError
-from ...pipeline.edits import component_items, item_names
+from ...pipeline.edits import SECTIONS, component_items, item_names
+from ...pipeline.pipeline import Pipeline
 from ...pipeline.yaml_source import Node, Place, parse
 from ...suggestions import did_you_mean, listing
 from .description import Toggle
 from .variations import Change
-
-BASELINES = {
-    "initializer": "sfm",
-    "opacity": "{use: opacity_reset, every: 10%, stop: 49.9%}",
-}
-"""What a section's component is when off, where being without it is no baseline. 3DGS resets every
-3,000 of 30,000 iterations, in their first half."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +33,16 @@ class Switch:
     off: Change
 
 
-def find_switches(root: Node, toggles: tuple[Toggle, ...]) -> tuple[Switch, ...]:
+def find_switches(root: Node, base: Pipeline, toggles: tuple[Toggle, ...]) -> tuple[Switch, ...]:
     """Find what is toggled.
 
+    Args:
+        root: the pipeline as written.
+        base: the pipeline itself.
+
     Raises:
-        PipelineError: an unknown or ambiguous name, the same component twice, or a scene.
+        PipelineError: an unknown or ambiguous name, the same component twice, a scene, or what a
+            pipeline cannot do without and nothing takes the place of.
     """
     switches: dict[str, Switch] = {}
     for toggle in toggles:
@@ -53,7 +51,7 @@ def find_switches(root: Node, toggles: tuple[Toggle, ...]) -> tuple[Switch, ...]
             raise PipelineError(
                 f"{target} is toggled twice", where=str(toggle.place), fix="name it once"
             )
-        switches[target] = Switch(toggle.name, target, _off(toggle, target))
+        switches[target] = Switch(toggle.name, target, _off(toggle, target, base))
     return tuple(switches.values())
 
 
@@ -95,10 +93,19 @@ def _target(root: Node, toggle: Toggle) -> str:
     return found[0]
 
 
-def _off(toggle: Toggle, target: str) -> Change:
+def _off(toggle: Toggle, target: str, base: Pipeline) -> Change:
     if toggle.off is not None:
         return Change(target, toggle.off)
-    if target in BASELINES:
+    component = next(
+        (i.offer.component for i in base if target in (i.qualified_name, i.point.section)), None
+    )
+    if component is not None and component.ablation_baseline is not None:
         place = Place(f"{toggle.place} (the baseline of {target})")
-        return Change(target, parse(BASELINES[target], str(place), has_lines=False))
+        return Change(target, parse(component.ablation_baseline, str(place), has_lines=False))
+    if SECTIONS[target.partition(".")[0]].required:
+        raise PipelineError(
+            f"nothing takes the place of the {target} where it is off",
+            where=str(toggle.place),
+            fix=f"say what does, in an ablation file: `toggles: {{{target}: {{off: NAME}}}}`",
+        )
     return Change(f"{target}.enabled", Node(False, toggle.place))

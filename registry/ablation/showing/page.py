@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
+from ...drawing.pictures import ViewPictures
 from ...runs.results import RENDERS
 from ...web_page import Cell, figure, grid, image, note, page, score_table, section
 from ..planning.plan import Plan
@@ -51,19 +52,18 @@ def _pictures(plan: Plan, results: Results, folder: AblationFolder, scene: str) 
     """The photograph of the first test view, then each combination's render and depth of it."""
     figures: list[str] = []
     for run, found in results.items():
-        views = found.get("scene", {}).get("test", []) if found else []
+        views: Mapping[str, Any] = found.get("views", {}).get("test", {})
         if run.scene != scene or run.seed != plan.seeds[0] or not views:
             continue
-        renders = folder.run(run).path / RENDERS
-        name = str(views[0]).removesuffix(".png")
-        render, depth = renders / f"{name}.png", renders / f"{name}_depth.png"
-        comparison = renders / f"{name}_comparison.png"
-        if not all(file.is_file() for file in (render, depth, comparison)):
+        name, scores = next(iter(views.items()))
+        files = ViewPictures.of(name, folder.run(run).path / RENDERS)
+        if not all(file.is_file() for file in (files.render, files.depth, files.comparison)):
             continue
         if not figures:
-            figures.append(figure(f"{views[0]}: photograph", _photograph(comparison, render)))
-        caption = [plan.describe(run.combination), *_scores(found["views"]["test"][views[0]])]
-        images = image(render, "render", _LONGEST_SIDE) + image(depth, "depth", _LONGEST_SIDE)
+            figures.append(figure(f"{name}: photograph", _photograph(files)))
+        caption = [plan.describe(run.combination), *_scores(scores)]
+        images = image(files.render, "render", _LONGEST_SIDE)
+        images += image(files.depth, "depth", _LONGEST_SIDE)
         figures.append(figure(", ".join(caption), images))
     return figures
 
@@ -72,7 +72,7 @@ def _scores(view: Mapping[str, float | None]) -> list[str]:
     return [f"{name} {score:.4g}" for name, score in view.items() if score is not None]
 
 
-def _photograph(comparison: Path, render: Path) -> str:
+def _photograph(files: ViewPictures) -> str:
     """Cut out of truth, render, depth side by side; the run keeps it nowhere else."""
-    with Image.open(render) as one, Image.open(comparison) as picture:
+    with Image.open(files.render) as one, Image.open(files.comparison) as picture:
         return image(picture.crop((0, 0, *one.size)), "photograph", _LONGEST_SIDE)

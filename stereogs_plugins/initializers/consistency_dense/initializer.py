@@ -81,6 +81,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     """Points from a multi-view depth prior, filtered by agreement between the views."""
 
     Settings = ConsistencyDenseSettings
+    ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, with facts and a picture for each training view.

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from registry import (
+    AverageErrorRole,
     ImageMetricSettings,
     Metric,
     PluginError,
@@ -69,6 +70,7 @@ class LPIPS(Metric[LPIPSSettings]):
 
     Settings = LPIPSSettings
     higher_is_better = False
+    average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
     proper: ClassVar[bool] = False
 
     def measure(
@@ -109,6 +111,7 @@ class LPIPS(Metric[LPIPSSettings]):
 class ProperLPIPS(LPIPS):
     """On colours in [-1, 1], as the authors of LPIPS define it; with a mask, white outside it."""
 
+    average_error_role = None
     proper = True
 
 

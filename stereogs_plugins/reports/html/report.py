@@ -98,7 +98,7 @@ def _views(run: RunFiles, scene: Scene) -> str:
     missing: Mapping[str, str] = run.results.get("unavailable", {})
     figures = []
     for view in scene.test:
-        path = run.renders.get(view.name.removesuffix(".png"))
+        path = run.renders.get(view.name)
         if path is not None:
             row = run.results["views"]["test"].get(view.name, {})
             scores = [f"{metric} {_score(row, metric, missing)}" for metric in row]

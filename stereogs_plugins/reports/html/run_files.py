@@ -10,8 +10,8 @@ from typing import Any
 
 from registry import RunError
 
-TRUTH_RENDER_DEPTH = "_comparison.png"
-"""Ending of the pictures in renders/ that show truth, render and depth side by side."""
+TRUTH_RENDER_DEPTH = "comparison"
+"""The folder in renders/ whose pictures show truth, render and depth side by side."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class RunFiles:
         metrics: the lines of metrics.jsonl, in order.
         initialization: what the initializer reported.
         initial_pictures: its pictures, by name.
-        renders: truth | render | depth of test views, by file name of the view's picture.
+        renders: truth | render | depth of test views, by the view's name.
     """
 
     results: dict[str, Any]
@@ -59,8 +59,8 @@ def read_run(folder: Path) -> RunFiles:
         initialization=_json_file(folder / "initialization" / "facts.json"),
         initial_pictures=tuple(sorted((folder / "initialization").glob("*.png"))),
         renders={
-            path.name.removesuffix(TRUTH_RENDER_DEPTH): path
-            for path in sorted((folder / "renders").glob(f"*{TRUTH_RENDER_DEPTH}"))
+            path.stem: path
+            for path in sorted((folder / "renders" / TRUTH_RENDER_DEPTH).glob("*.png"))
         },
     )
 

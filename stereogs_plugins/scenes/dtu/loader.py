@@ -13,11 +13,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
+from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
 from registry.photos import (
     Decoder,
     LoadedPhotos,
-    Notes,
     PosedPhoto,
     ResizeFilter,
     at_most,
@@ -83,15 +82,18 @@ class DTUScene(SceneLoader[DTUSettings]):
         loaded.require_one_size()
         bounds = found.bounds or estimate_bounds(loaded.training_cameras, found.points, str(folder))
         rule = f"the standard {settings.train_views} train, the standard 25 test"
-        notes: Notes = {
-            "cameras": settings.cameras,
-            **loaded.split_notes(rule),
-            "masks": "metrics inside object masks" if settings.masks else "none",
-            "dark_background": f"training pixels below {settings.dark_background} black"
-            if settings.dark_background
-            else "kept",
-        }
-        scene = loaded.scene("dtu", folder, bounds, found.points, notes)
+        dark = settings.dark_background
+        facts = (
+            Fact("cameras", settings.cameras),
+            *loaded.split_facts(rule),
+            Fact("masks", "metrics inside object masks" if settings.masks else "none"),
+            Fact(
+                "dark_background",
+                f"training pixels below {dark} black" if dark else "kept",
+                affects_scores=False,
+            ),
+        )
+        scene = loaded.scene("dtu", folder, bounds, found.points, facts)
         return replace(scene, train=tuple(self._darkened(view) for view in scene.train))
 
     def _read_cameras(self, folder: Path, train: list[int]) -> DtuCameras:

@@ -76,8 +76,8 @@ class LLFFScene(SceneLoader[LLFFSettings]):
         bounds = _published_bounds([rows[index] for index in train])
         if settings.bounds == "estimate":
             bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        notes = loaded.split_notes(split_rule(settings.test_every))
-        return loaded.scene("llff", folder, bounds, points, notes)
+        facts = loaded.split_facts(split_rule(settings.test_every))
+        return loaded.scene("llff", folder, bounds, points, facts)
 
 
 class _Split(pydantic.BaseModel):

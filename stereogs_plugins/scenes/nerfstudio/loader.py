@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 from pydantic import Field
 
 from core_rasterizer import load_points
-from registry import PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
+from registry import Fact, PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 from registry.photos import (
     Decoder,
     LoadedPhotos,
@@ -70,9 +69,9 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         points = _read_points(folder, transforms, path) if settings.points else None
         bounds = estimate_bounds(loaded.training_cameras, points, str(path))
-        scene = loaded.scene("nerfstudio", folder, bounds, points, loaded.split_notes(rule))
-        seen_by = "all photographs" if points else "none"
-        return replace(scene, notes={**scene.notes, "points_seen_by": seen_by})
+        seen_by = Fact("points_seen_by", "all photographs" if points else "none")
+        facts = (*loaded.split_facts(rule), seen_by)
+        return loaded.scene("nerfstudio", folder, bounds, points, facts)
 
     def _split(self, transforms: Transforms, where: str) -> tuple[list[int], list[int], str]:
         """Indices into the frames, sorted by file name, and the rule behind them."""

@@ -7,13 +7,12 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneLoader, hookimpl
+from registry import Fact, Register, Scene, SceneLoader, hookimpl
 from registry.photos import (
     IMAGE_SUFFIXES,
     ColmapModel,
     Decoder,
     LoadedPhotos,
-    Notes,
     PosedPhoto,
     ResizeFilter,
     SplitSettings,
@@ -83,14 +82,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         tracks.check(len(found), str(folder))
         points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        notes: Notes = {
-            "cameras": "found in all photographs by COLMAP",
-            "lenses": len(model.cameras),
-            "turned_upright": sum(photo.turned for photo in found),
-            "focal_lengths_by_exif": sum(photo.focal is not None for photo in found),
-            **loaded.split_notes(split_rule(settings.test_every)),
-        }
-        return loaded.scene("photos", folder, bounds, points, notes)
+        facts = (
+            Fact("cameras", "found in all photographs by COLMAP"),
+            Fact("lenses", len(model.cameras)),
+            Fact("turned_upright", sum(photo.turned for photo in found)),
+            Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
+            *loaded.split_facts(split_rule(settings.test_every)),
+        )
+        return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
         settings = self.settings

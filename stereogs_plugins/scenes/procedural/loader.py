@@ -13,7 +13,17 @@ import torch
 from pydantic import Field
 
 from core_rasterizer import Camera
-from registry import PointCloud, Register, Scene, SceneLoader, Settings, View, hookimpl, validate
+from registry import (
+    Fact,
+    PointCloud,
+    Register,
+    Scene,
+    SceneLoader,
+    Settings,
+    View,
+    hookimpl,
+    validate,
+)
 
 from .ray_casting import Surface, cast
 from .room import furnish
@@ -77,12 +87,7 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
                 test=tuple(test),
                 bounds=(0.95 * float(depths.min()), 1.05 * float(depths.max())),
                 points=points,
-                notes={
-                    "source": "ray-cast room",
-                    "resolution": f"{settings.width}x{settings.height}",
-                    "points": settings.points,
-                    "seed": settings.seed,
-                },
+                facts=(Fact("source", "ray-cast room"), Fact("seed", settings.seed)),
             )
         )
 

@@ -11,6 +11,7 @@ from registry import PipelineError
 from registry.ablation.planning.plan import Plan
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
+from tests.registry.toy_plugin import ToyTerm
 
 from .ablating import plan, write
 
@@ -110,6 +111,22 @@ def test_default_baselines_are_those_of_3dgs(
     (policy,) = off.items["opacity"]
     schedule = policy.schedule
     assert (policy.name, schedule.every, schedule.stop) == ("opacity_reset", 3000, 14970)
+
+
+def test_what_names_no_baseline_is_disabled_or_needs_one(toys: Plugins, tmp_path: Path) -> None:
+    off = plan(write(tmp_path), toys, toggles="opacity").runs[0].pipeline
+    assert off.items["opacity"] == ()
+    with pytest.raises(PipelineError, match="nothing takes the place of the initializer") as caught:
+        plan(write(tmp_path), toys, toggles="initializer")
+    assert "{initializer: {off: NAME}}" in caught.value.fix
+
+
+def test_any_component_may_name_a_baseline(
+    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ToyTerm, "ablation_baseline", "{use: toy_term, name: calm, weight: 0.5}")
+    off = plan(write(tmp_path), toys, toggles="second").runs[0].pipeline
+    assert [item.name for item in off.items["regularizers"]] == ["toy_term", "calm"]
 
 
 def test_named_alternatives_change_several_settings(toys: Plugins, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 from rich.console import Console
 
 from core_rasterizer import Device
@@ -27,6 +28,8 @@ from registry.cli import main
 from registry.plugins import SELECTION, Plugins
 from registry.runs.metrics_log import MetricsLog
 from registry.runs.training_run import start
+from tests.html_page import Page
+from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 
 from .ablating import plan, write
 
@@ -78,6 +81,28 @@ def test_an_ablation_from_the_command_line(
     assert again["1"]["psnr"] == first["1"]["psnr"]
     assert again["0"] == first["0"]
     assert (out / first["0"]["folder"] / "results.json").stat().st_mtime_ns == untouched
+
+
+def test_the_page_shows_photographs_named_by_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SELECTION, "llff,random,psnr")
+    capture = write_llff(tmp_path / "capture", World())
+    for number, photograph in enumerate(sorted((capture / "images_2").iterdir())):
+        with Image.open(photograph) as picture:
+            picture.save(photograph.with_name(f"{number}.jpg"))
+        photograph.unlink()
+    pipeline, out = tmp_path / "numbers.yaml", tmp_path / "out"
+    pipeline.write_text(
+        f"name: numbers\nscene: {{use: llff, path: {capture}, downsample: 2}}\n"
+        "initializer: {use: random, count: 50}\nmetrics: [psnr]\n"
+        "training: {iterations: 2, sh_degree: 0}\n"
+    )
+    vary = "training.initial_opacity=0.1,0.2"
+    assert main(["ablate", str(pipeline), "--vary", vary, "--out", str(out)]) == 0
+    page = Page((out / "index.html").read_text("utf-8"))
+    assert "0: photograph" in page.text
+    assert [image["alt"] for image in page.images] == ["photograph", *["render", "depth"] * 2]
 
 
 def test_a_failure_is_told_and_the_others_are_trained(

@@ -20,7 +20,7 @@ from registry.ablation.showing import scores
 from registry.ablation.showing.page import as_page
 from registry.ablation.showing.plots import plots
 from registry.ablation.showing.table import as_csv, as_text, rows
-from registry.drawing.pictures import save_png, side_by_side
+from registry.drawing.pictures import ViewPictures, save_png, side_by_side
 from registry.files import write_json
 from registry.plugins import Plugins
 
@@ -145,15 +145,15 @@ def test_the_page_stands_alone_and_escapes(made: Plan, tmp_path: Path) -> None:
     results = measured(made)
     folder = AblationFolder(tmp_path)
     for run, found in results.items():
-        found["scene"] = {"test": ["<view>.png"]}
         found["views"] = {"test": {"<view>.png": {"psnr": 21.0}}}
-        renders = tmp_path / "runs" / run.name / "renders"
-        renders.mkdir(parents=True)
+        files = ViewPictures.of("<view>.png", tmp_path / "runs" / run.name / "renders")
+        for file in (files.depth, files.comparison):
+            file.parent.mkdir(parents=True)
         red, blue = torch.zeros(6, 8, 3), torch.zeros(6, 8, 3)
         red[..., 0], blue[..., 2] = 1, 1
-        save_png(blue, renders / "<view>.png")
-        save_png(blue, renders / "<view>_depth.png")
-        save_png(side_by_side(red, blue, blue), renders / "<view>_comparison.png")
+        save_png(blue, files.render)
+        save_png(blue, files.depth)
+        save_png(side_by_side(red, blue, blue), files.comparison)
     text = as_page(made, results, folder)
     page = Page(text)
     assert "<b>" not in text

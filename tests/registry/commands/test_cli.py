@@ -9,7 +9,7 @@ from registry.self_test import Verdict
 from core_rasterizer import Device, open_device
 from registry.cli import build_parser, main
 
-from ..conftest import Install
+from ..conftest import TOY_ENTRIES, Install
 
 PIPELINE = """\
 name: toy
@@ -27,7 +27,7 @@ Capture = pytest.CaptureFixture[str]
 @pytest.fixture
 def pipeline(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A pipeline file in an otherwise empty working folder; the toy plugin is installed."""
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)

@@ -19,7 +19,7 @@ from registry.pipeline.protocols import load_protocol
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 
-from ..conftest import Install
+from ..conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
 Make = Callable[..., Path]
@@ -29,12 +29,14 @@ RESULTS: dict[str, Any] = {
     "protocol": AppliedProtocol(load_protocol("llff-3"), {}).record(),
     "scene": {
         "name": "fern",
-        "train": [1, 10, 19],
-        "test": [0, 8, 16],
+        "train": ["image001", "image010", "image019"],
+        "test": ["image000", "image008", "image016"],
         "width": 504,
         "height": 378,
         "extent": 4.25,
         "points": 700,
+        "facts": {"source": "images_8"},
+        "notes": {"dark_background": "kept"},
     },
     "metrics": {
         "psnr": {"use": "psnr", "quantize": "png8"},
@@ -100,7 +102,11 @@ def runs(*folders: Path) -> list[FinishedRun]:
 
 def test_runs_of_one_protocol_are_compared(make: Make) -> None:
     flower = {"scene/name": "flower", "scene/width": 500, "scene/test": [0, 8]}
-    repeated = {"scene/points": 3, "scene/extent": 4.25 * (1 + 1e-9)}
+    repeated = {
+        "scene/points": 3,
+        "scene/extent": 4.25 * (1 + 1e-9),
+        "scene/notes": {"dark_background": "black"},
+    }
     assert len(runs(make("a"), make("b", flower), make("c", repeated))) == 3
 
 
@@ -114,10 +120,15 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
             "the other the protocol 'llff-3, scene.downsample=4'",
         ),
         ({"protocol/scale": "1/4"}, "had another `scale`"),
+        (
+            {"protocol/loaders/llff/train_views": 4},
+            "'llff-3' had another `loaders.llff.train_views` when the other was run",
+        ),
         ({"scene/width": 252}, "'fern' differs in `width`: 504 and 252"),
         ({"scene/test": [0, 8]}, "differs in `test`"),
         ({"scene/extent": 4.3}, "differs in `extent`"),
-        ({"scene/source": "images"}, "differs in `source`: None and images"),
+        ({"scene/facts/source": "images"}, "differs in `facts.source`: images_8 and images"),
+        ({"scene/facts/masks": "none"}, "differs in `facts.masks`: None and none"),
         (
             {"metrics/psnr/quantize": "float"},
             "psnr was measured with `quantize` 'png8' and 'float'",
@@ -126,6 +137,31 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
 )
 def test_runs_that_cannot_be_compared(make: Make, changes: dict[str, Any], message: str) -> None:
     assert message in refusal(make("a"), make("b", changes)).what
+
+
+def test_what_a_protocol_says_to_people_may_change(make: Make) -> None:
+    runs(make("a"), make("b", {"protocol/notes": "another sentence", "protocol/title": "LLFF"}))
+
+
+LEGO = {
+    "scene/name": "lego",
+    "protocol": AppliedProtocol(load_protocol("blender-8"), {}).record(),
+}
+OLD_VIEWS = {"protocol/loaders/blender/train_ids": [26, 86, 2, 55, 75, 93, 16, 73]}
+
+
+def test_records_of_another_list_of_views_under_one_name_are_told_apart(
+    make: Make, capsys: Capture
+) -> None:
+    new, old = make("new", LEGO), make("old", LEGO | OLD_VIEWS)
+    assert "had another `loaders.blender.train_ids`" in refusal(new, old).what
+    assert main(["compare", str(new), "--paper", "blender-8"]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(old), "--paper", "blender-8"]) == 2
+    said = capsys.readouterr().err
+    assert "the protocol 'blender-8' has changed since this run: `loaders.blender.train_ids`" in (
+        said
+    )
 
 
 def test_two_scenes_need_a_protocol(make: Make) -> None:
@@ -155,6 +191,8 @@ def test_a_run_without_results_is_explained(make: Make, tmp_path: Path) -> None:
         read_run(folder)
     with pytest.raises(RunError, match="does not say metrics, gaussians"):
         read_run(make("b", {"metrics": ..., "gaussians": ...}))
+    with pytest.raises(RunError, match="does not say the scene's facts"):
+        read_run(make("c", {"scene/facts": ...}))
     with pytest.raises(RunError, match="not a run folder"):
         read_run(tmp_path)
 
@@ -262,7 +300,7 @@ def test_help_has_examples(capsys: Capture) -> None:
 def test_real_runs_are_compared(
     install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     monkeypatch.chdir(tmp_path)
     Path("toy.yaml").write_text(
         "name: toy\nscene: toy_scene\ninitializer: toy_points\nmetrics: [psnr]\n"

@@ -13,7 +13,7 @@ TABLES = paper_tables()
 
 
 def test_every_protocol_has_its_published_rows() -> None:
-    assert set(TABLES.results) == set(protocol_names())
+    assert set(TABLES.results) == {*protocol_names()} - {"blender-8-dietnerf"}
     assert all({"3dgs", "stereogs", "stereogs_drop"} <= set(t) for t in TABLES.results.values())
     assert "StereoGS" in TABLES.source
     used = {method for rows in TABLES.results.values() for method in rows}

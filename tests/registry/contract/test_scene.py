@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from core_rasterizer import Camera
-from registry import PointCloud, Scene, SceneError, View, validate
+from registry import Fact, PointCloud, Scene, SceneError, View, validate
 from registry.testing import tiny_scene
 
 
@@ -70,6 +70,15 @@ FAULTS: dict[str, tuple[Scene, str]] = {
     "nan bounds": (replace(tiny_scene(), bounds=(float("nan"), 1.0)), "0 < near < far"),
     "nan points": (some_points(float("nan")), "points.positions[0] is not finite"),
     "colours": (some_points(color=1.5), "colours outside [0, 1]"),
+    "one fact twice": (
+        replace(tiny_scene(), facts=(Fact("lens", 1), Fact("lens", 2))),
+        "'lens' has no plain name of its own",
+    ),
+    "name of a fact": (replace(tiny_scene(), facts=(Fact("a.b", 1),)), "'a.b' has no plain name"),
+    "nan in a fact": (
+        replace(tiny_scene(), facts=(Fact("scale", float("nan")),)),
+        "'scale' is not finite",
+    ),
 }
 
 

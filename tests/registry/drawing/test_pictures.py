@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,14 @@ from PIL import Image
 from core_rasterizer import Rendering
 from registry import RunError
 from registry.drawing.camera_path import smooth_path
-from registry.drawing.pictures import depth_picture, grey, nearness_picture, save_png, side_by_side
+from registry.drawing.pictures import (
+    depth_picture,
+    grey,
+    nearness_picture,
+    save_png,
+    save_view_pictures,
+    side_by_side,
+)
 from registry.drawing.video import write_video
 from registry.testing import tiny_scene
 
@@ -52,6 +60,17 @@ def test_nearness_that_is_not_known_changes_no_color() -> None:
 def test_grey_weighs_the_colors() -> None:
     colors = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]]])
     torch.testing.assert_close(grey(colors), torch.tensor([[0.299, 0.587, 0.114, 0.5]]))
+
+
+def test_no_two_views_share_a_file(tmp_path: Path) -> None:
+    names = ["a", "a_depth", "a_comparison", "a.png", "depth", "comparison"]
+    view = tiny_scene().test[0]
+    maps = torch.ones(view.image.shape[:2])
+    rendering = Rendering(view.image, maps, maps)
+    files = [save_view_pictures(rendering, replace(view, name=name), tmp_path) for name in names]
+    written = {path for f in files for path in (f.render, f.depth, f.comparison)}
+    assert written == {*tmp_path.rglob("*.png")}
+    assert len(written) == 3 * len(names)
 
 
 def test_side_by_side() -> None:

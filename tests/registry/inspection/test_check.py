@@ -15,7 +15,6 @@ from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
 from registry.inspection.scene_facts import (
     facts,
-    notes,
     points_in_view,
     summary,
     typical_depth,
@@ -27,7 +26,7 @@ from registry.inspection.top_view import make_plan, round_step
 from registry.plugins import Plugins
 from registry.testing import tiny_scene
 
-from ..conftest import Install
+from ..conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
 LOADERS = '''
@@ -56,7 +55,7 @@ class Marked(registry.SceneLoader[Settings]):
     def load(self):
         if not self.settings.path.is_dir():
             raise registry.SceneError("no such folder", where=str(self.settings.path))
-        return replace(tiny_scene(), name=self.settings.title, notes={"changed": "nothing"})
+        return replace(tiny_scene(), name=self.settings.title, facts=(registry.Fact("changed", "nothing"),))
 
 
 class AlsoMarked(Marked):
@@ -73,7 +72,8 @@ def stereogs_register_scenes(register):
 @pytest.fixture
 def folder(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder that the loader `marked` recognizes, in an otherwise empty working folder."""
-    install("loaders", "1.0", {"marked": "loaders_module"}, loaders_module=LOADERS)
+    entries = {"marked": "loaders_module", "also_marked": "loaders_module"}
+    install("loaders", "1.0", entries, loaders_module=LOADERS)
     folder = tmp_path / "work" / "data${x}"
     folder.mkdir(parents=True)
     (folder / "MARKER").touch()
@@ -103,7 +103,7 @@ def test_settings_may_be_named_as_in_a_pipeline(folder: Path, capsys: Capture) -
 
 
 def test_the_scene_of_a_pipeline(install: Install, tmp_path: Path, capsys: Capture) -> None:
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     pipeline, out = tmp_path / "toy.yaml", str(tmp_path / "check.png")
     pipeline.write_text("name: toy\nscene: toy_scene\ninitializer: toy_points\n")
     assert main(["check", str(pipeline), "--set", "test_views=0", "--out", out]) == 0
@@ -189,9 +189,7 @@ def wall(count: int, depth: float = 2.0) -> PointCloud:
 def test_facts() -> None:
     scene = tiny_scene()
     lens = replace(scene.test[0].camera, fx=50.0, cx=17.0)
-    scene = replace(
-        scene, test=(replace(scene.test[0], camera=lens),), notes={"format": "x", "near": 1}
-    )
+    scene = replace(scene, test=(replace(scene.test[0], camera=lens),))
     found = dict(facts(scene))
     size = scene.train[0].camera
     assert found["views"] == "3: 2 train, 1 test"
@@ -202,7 +200,6 @@ def test_facts() -> None:
     assert found["depth"] == "1.5 .. 5"
     assert found["points"].startswith("60; ")
     assert found["true depth"] == "3 of 3 views"
-    assert notes(scene) == [("format", "x")]
 
 
 def test_the_line_before_training() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins import Plugins
 
 NAMES = (
-    *("blender-8", "dtu-3", "dtu-6", "dtu-9", "llff-3", "llff-6", "llff-9"),
+    *("blender-8", "blender-8-dietnerf", "dtu-3", "dtu-6", "dtu-9", "llff-3", "llff-6", "llff-9"),
     *("mipnerf360-12", "mipnerf360-24"),
 )
 TOY_PROTOCOL = """\
@@ -67,7 +68,7 @@ def test_the_protocols_that_there_are() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_each_file_holds_the_protocol_of_its_name(name: str) -> None:
     protocol = load_protocol(name)
-    data_set, views = name.split("-")
+    data_set, views, *_ = name.split("-")
     assert protocol.name == name
     assert protocol.train_views == int(views)
     expected = {"llff": 8, "dtu": 15, "mipnerf360": 7, "blender": 8}
@@ -76,6 +77,25 @@ def test_each_file_holds_the_protocol_of_its_name(name: str) -> None:
     assert list(metrics) == ["psnr", "ssim", "ssim_skimage", "lpips"]
     assert all(rule["quantize"] == "png8" for rule in metrics.values())
     assert metrics["lpips"]["network"] == "vgg"
+
+
+@pytest.mark.parametrize(
+    ("name", "views"),
+    [
+        ("blender-8", [2, 16, 26, 55, 73, 76, 86, 93]),
+        ("blender-8-dietnerf", [26, 86, 2, 55, 75, 93, 16, 73]),
+    ],
+)
+def test_the_two_lists_of_blender_views(name: str, views: list[int]) -> None:
+    protocol = load_protocol(name)
+    assert protocol.loaders["blender"]["train_ids"] == views
+    said = protocol.split.partition(";")[0]
+    assert [int(number) for number in re.findall(r"\d+", said)] == views
+
+
+@pytest.mark.parametrize("name", ["mipnerf360-12", "mipnerf360-24"])
+def test_bounds_that_a_data_set_lacks_are_estimated(name: str) -> None:
+    assert load_protocol(name).loaders["llff"]["bounds"] == "estimate"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from registry import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.schedule import in_iterations
+from registry.pipeline.yaml_source import Node, Place
 from registry.plugins import Plugins
 
 TEXT = """\
@@ -26,6 +30,18 @@ def test_a_share_follows_the_number_of_iterations(toys: Plugins) -> None:
     assert (item.schedule.start, item.schedule.stop) == (3000, 14970)
     (item,) = parse(toys, "training.iterations=50").items["densification"]
     assert (item.schedule.start, item.schedule.stop) == (5, 24)
+
+
+@given(st.integers(0, 1000), st.integers(1, 100_000))
+def test_a_share_is_exact(tenths: int, iterations: int) -> None:
+    written = {"stop": Node(f"{tenths // 10}.{tenths % 10}%", Place("a.yaml", 1))}
+    stop = in_iterations(written, iterations)["stop"].content
+    assert stop == max(1, tenths * iterations // 1000)
+
+
+def test_a_share_without_a_fraction_is_exact(toys: Plugins) -> None:
+    changes = ("densification.stop=57%", "training.iterations=10000")
+    assert parse(toys, *changes).items["densification"][0].schedule.stop == 5700
 
 
 def test_every_may_be_a_share(toys: Plugins) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,15 @@ def test_keys_are_text_even_when_they_look_like_something_else() -> None:
         ("a: 1\n---\nb: 2", 2, "not valid YAML"),
         ("? [a]\n: 1", 1, "plain word"),
         ("a: " + "[" * 40 + "]" * 40, 1, "deep"),
+        ("a:\n" + "- " * 3000, 2, "deep"),
+        ("scene: {use: llff\n", 1, "not valid YAML"),
+        ("a: 1\nb: [1\n\n", 2, "not valid YAML"),
+        ("a: 'open\n", 1, "not valid YAML"),
+        ("a: 1\nb: \x00", 2, r"U\+0000"),
+        ('a: 1\nb: "\\U00110000"', 2, "escape"),
+        ('a: 1\nb: "\\UFFFFFFFF"', 2, "escape"),
+        ('a: 1\nb: "\\uD800"', 2, "surrogate"),
+        ('a: 1\n"\\uD800": 2', 2, "surrogate"),
     ],
 )
 def test_traps_are_refused_with_their_line(text: str, line: int, message: str) -> None:
@@ -133,6 +143,16 @@ trees = st.recursive(
 @given(st.dictionaries(st.sampled_from(["k", "no", "1e3"]), trees, max_size=3))
 def test_what_is_written_is_read_back_unchanged(tree: dict[str, Any]) -> None:
     assert plain(parse(to_yaml(escape_variables(tree)), "a.yaml")) == tree
+
+
+@given(st.text(st.sampled_from(LETTERS + "aUud0\r\x00\ud800"), max_size=14))
+def test_any_text_is_read_or_refused_with_its_line(text: str) -> None:
+    refusal: PipelineError | None = None
+    try:
+        parse(text, "a.yaml")
+    except PipelineError as error:
+        refusal = error
+    assert refusal is None or re.fullmatch(r"a\.yaml:[1-9][0-9]*", refusal.where)
 
 
 @given(st.text(st.sampled_from(LETTERS), max_size=8))

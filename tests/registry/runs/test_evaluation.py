@@ -57,8 +57,22 @@ def part(use: str, component: type[r.ViewMetric[Any]], device: Device, name: str
     return Part(item, component(r.Settings(), Context(use, 0, device)))
 
 
+ROLES = {
+    "psnr": "peak_signal_to_noise_ratio",
+    "ssim": "structural_similarity",
+    "ssim_skimage": "structural_similarity",
+    "lpips": "perceptual_distance",
+}
+
+
 def answering(use: str, answer: Any, device: Device, name: str = "") -> Part:
-    return part(use, type("Answering", (Fixed,), {"answer": answer}), device, name)
+    return part(use, in_role(use, answer), device, name)
+
+
+def in_role(use: str, answer: Any = 0.0) -> type[Fixed]:
+    """A metric that can be the part of the average error that its name is known for."""
+    content = {"answer": answer, "average_error_role": ROLES.get(use)}
+    return type("Answering", (Fixed,), content)
 
 
 def scored(device: Device, *parts: Part, scene: r.Scene | None = None) -> Scores:
@@ -109,7 +123,11 @@ def test_the_average_error_takes_the_first_of_each_kind() -> None:
     uses = ("ssim_skimage", "psnr", "ssim", "lpips")
     items = [
         Item(
-            use, r.Settings(), HostSettings(use=use), Offer(METRICS, use, Fixed, "", "", ""), PLACE
+            use,
+            r.Settings(),
+            HostSettings(use=use),
+            Offer(METRICS, use, in_role(use), "", "", ""),
+            PLACE,
         )
         for use in uses
     ]

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from rich.console import Console
 
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import PluginError, RunError, SceneError
+from registry import Fact, PluginError, RunError, SceneError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
 from registry.runs.training_run import open_run, resume, start
+from tests.registry.toy_plugin import ToyPoints, ToyScene
 
 TEXT = """\
 name: toy
@@ -70,8 +72,9 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert results["exports"] == ["exports/count.txt"]
     assert (folder.path / "exports/count.txt").read_text() == str(results["gaussians"])
     assert (folder.path / "report.txt").is_file()
-    names = {path.name for path in (folder.path / "renders").iterdir()}
-    assert names == {"view1.png", "view1_depth.png", "view1_comparison.png"}
+    renders = folder.path / "renders"
+    names = {str(path.relative_to(renders)) for path in renders.rglob("*.png")}
+    assert names == {"view1.png", "depth/view1.png", "comparison/view1.png"}
     facts = json.loads((folder.path / "provenance.json").read_text())
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
     assert facts["command"] == ["stereogs", "train"]
@@ -83,6 +86,27 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert {"loss", "photometric", "regularizers.toy_term", "calls"} <= lines[1].keys()
     again = parse_pipeline((folder.path / "pipeline.yaml").read_text(), toys)
     assert again == pipeline(toys)
+
+
+def test_facts_of_components_stand_beside_the_hosts(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load, initialize = ToyScene.load, ToyPoints.initialize
+    facts = (Fact("width", 7), Fact("test", "none"), Fact("paint", 3, affects_scores=False))
+    points = {"seconds": -1.0, "tries": 2}
+    monkeypatch.setattr(ToyScene, "load", lambda self: replace(load(self), facts=facts))
+    monkeypatch.setattr(
+        ToyPoints,
+        "initialize",
+        lambda self, scene, priors: replace(initialize(self, scene, priors), facts=points),
+    )
+    results = run(toys, device, tmp_path / "run")[0].results()
+    scene = results["scene"]
+    assert (scene["width"], scene["test"]) == (32, ["view1"])
+    assert scene["facts"] == {"width": 7, "test": "none"}
+    assert scene["notes"] == {"paint": 3}
+    assert results["initialization"]["tries"] == 2
+    assert results["initialization"]["seconds"] >= 0
 
 
 def test_one_seed_one_hash(toys: Plugins, device: Device, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_distorted_photographs_are_straightened(
     straight = World(width=256, height=192, shift=(9.0, -5.0))
     bent_by = np.abs(world.project(1) - straight.project(1)).max()
     assert bent_by > 2  # the squares reach 1.5 pixels: it would have missed without
-    assert "undistorted" in str(scene.notes["changed"])
+    assert "undistorted" in str(scene.fact("changed"))
 
 
 def test_photographs_at_another_size(tmp_path: Path) -> None:
@@ -78,11 +78,11 @@ def test_photographs_at_another_size(tmp_path: Path) -> None:
     camera = stored.train[0].camera
     assert (camera.width, camera.height, camera.cx, camera.cy) == (32, 24, 18, 11)
     assert camera.fx == pytest.approx(World().focal / 2)
-    assert stored.notes["source"] == "images_2"
+    assert stored.fact("source") == "images_2"
     resized = load(folder, downsample=2, image_source="resize", resize_filter="lanczos")
     assert resized.train[0].image.shape == (24, 32, 3)
-    assert resized.notes["source"] == "images"
-    assert resized.notes["changed"] == "resized from 64x48 to 32x24 with the lanczos filter"
+    assert resized.fact("source") == "images"
+    assert resized.fact("changed") == "resized from 64x48 to 32x24 with the lanczos filter"
 
 
 def test_points_need_two_training_views(tmp_path: Path) -> None:

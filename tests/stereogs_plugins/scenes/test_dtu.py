@@ -97,7 +97,7 @@ def test_dark_background_becomes_black_in_training_views_alone(folder: Path) -> 
     scene = load(folder, dark_background=70)  # the grey of the photographs is 60
     assert scene.train[0].image[0, 0].tolist() == [0, 0, 0]
     assert scene.test[0].image[0, 0].tolist() == pytest.approx([60 / 255] * 3)
-    assert "70" in str(scene.notes["dark_background"])
+    assert "70" in str(scene.fact("dark_background"))
 
 
 def test_cameras_of_a_colmap_model(tmp_path: Path) -> None:

@@ -61,20 +61,13 @@ def test_intrinsics_are_the_true_ones(case: Case, tmp_path: Path) -> None:
     assert found == pytest.approx((world.focal, world.focal, *world.principal_point), abs=1e-6)
 
 
-def test_notes_say_what_was_found(case: Case, tmp_path: Path) -> None:
+def test_facts_say_what_was_found(case: Case, tmp_path: Path) -> None:
     scene = load(case, tmp_path)
-    notes, world = scene.notes, case[2]
-    assert notes["resolution"] == f"{world.width}x{world.height}"
-    assert notes["focal_x"] == pytest.approx(world.focal)
-    assert (notes["near"], notes["far"]) == scene.bounds
-    assert notes["changed"] == "nothing"
-    assert len(notes["train"]) == len(scene.train)  # type: ignore[arg-type]
-    assert len(notes["test"]) == len(scene.test)  # type: ignore[arg-type]
-    assert notes["image_memory_mb"] == pytest.approx(
-        12e-6 * world.width * world.height * (len(scene.train) + len(scene.test)), abs=0.06
-    )
-    for value in notes.values():
-        assert isinstance(value, str | int | float | list)
+    assert scene.fact("changed") == "nothing"
+    for name, views in (("train_photographs", scene.train), ("test_photographs", scene.test)):
+        numbers = scene.fact(name)
+        assert isinstance(numbers, tuple)
+        assert len(numbers) == len(views)
 
 
 def test_bounds_enclose_the_points(case: Case, tmp_path: Path) -> None:

@@ -324,7 +324,7 @@ def test_another_image_folder_and_full_size_photographs(tmp_path: Path) -> None:
     (folder / "images_small").rename(folder / "images")
     scene = load(folder, downsample=4, image_source="resize")
     assert (scene.train[0].camera.width, scene.train[0].camera.fx) == (4, 5)
-    assert scene.notes["changed"] == "resized from 16x12 to 4x3 with the bicubic filter"
+    assert scene.fact("changed") == "resized from 16x12 to 4x3 with the bicubic filter"
 
 
 def test_bonsai_has_the_split_of_the_whole_capture() -> None:

@@ -67,7 +67,7 @@ def test_distortion_is_taken_out(tmp_path: Path) -> None:
     world = World(width=256, height=192, shift=(5.0, -7.0), distortion=bent)
     scene = load(write_nerfstudio(tmp_path, world))
     assert_sees_the_points(scene, tolerance=60)
-    assert "undistorted" in str(scene.notes["changed"])
+    assert "undistorted" in str(scene.fact("changed"))
 
 
 def test_a_fisheye_lens_is_taken_out(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_points_only_when_asked_for(tmp_path: Path) -> None:
     assert scene.points is not None
     assert scene.points.positions.tolist() == [[0.5, -0.25, 2.0]]
     torch.testing.assert_close(scene.points.colors, torch.tensor([[1.0, 0.0, 0.2]]))
-    assert scene.notes["points_seen_by"] == "all photographs"
+    assert scene.fact("points_seen_by") == "all photographs"
     (folder / "points.ply").write_text("ply\n")
     with pytest.raises(PlyError):
         load(folder, points=True)

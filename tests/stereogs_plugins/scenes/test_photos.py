@@ -112,7 +112,7 @@ def test_cameras_of_the_room_are_found(folder: Path, room: Scene, cached: Path) 
 
 def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, cached: Path) -> None:
     scene = load(folder, test_every=0)
-    assert scene.notes["turned_upright"] == 1
+    assert scene.fact("turned_upright") == 1
     view = scene.train[SIDEWAYS]
     assert view.camera.width > view.camera.height
     # Undistorted pictures differ by a crop of a few pixels: compare coarse averages.
@@ -123,9 +123,9 @@ def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, cache
 
 def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
     scene = load(folder, test_every=3)
-    assert (scene.notes["train"], scene.notes["test"]) == ([1, 2, 4], [0, 3])
+    assert (scene.fact("train_photographs"), scene.fact("test_photographs")) == ((1, 2, 4), (0, 3))
     fewer = load(folder, test_every=3, train_views=2)
-    assert fewer.notes["train"] == [1, 4]
+    assert fewer.fact("train_photographs") == (1, 4)
     assert scene.points is not None
     assert fewer.points is not None
     assert 0 < len(fewer.points) < len(scene.points)
@@ -137,7 +137,7 @@ def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
 def test_photographs_are_reduced(folder: Path, cached: Path) -> None:
     view = load(folder, max_size=120).train[0]
     assert max(view.image.shape[:2]) <= 130  # cropping by undistortion changes it a little
-    assert "resized from 360x270 to 120x90" in str(load(folder, max_size=120).notes["changed"])
+    assert "resized from 360x270 to 120x90" in str(load(folder, max_size=120).fact("changed"))
 
 
 def test_cameras_are_found_once(
