@@ -129,9 +129,10 @@ class Camera:
         Args:
             distance: in world units; a negative distance moves to the left.
         """
-        pose = self.world_to_camera.clone()
-        pose[0, 3] -= distance
-        return replace(self, world_to_camera=pose)
+        shift = torch.zeros(4, 4, dtype=torch.float64)
+        shift[0, 3] = distance
+        # Not in place: this keeps nothing for autograd, so that backward may pass here many times.
+        return replace(self, world_to_camera=self.world_to_camera - shift)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another pixel grid; focal lengths and principal point scale with it."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, rasterize
+from tests.core_rasterizer.options import smoothing_of
 from tests.core_rasterizer.scenes import Scene, random_camera, random_scene
 
 SCENES, PER_TEST = 200, 20
@@ -38,13 +41,30 @@ def beyond_the_clamp(scene: Scene, camera: Camera) -> None:
     scene.scales[:2] *= 3
 
 
-def images(device: Device, cameras: list[Camera], background: list[float]) -> Callable[..., Tensor]:
-    """Colour, depth and alpha of several renders as one output, so that one backward takes all."""
+def filtered(scene: Scene, generator: torch.Generator) -> dict[str, Any]:
+    """Filters that matter for Gaussians as wide as these, which grow more opaque to stay in sight."""
+    scene.opacities *= 1.8
+    return {
+        "dilation": 30.0,
+        "compensate_dilation": True,
+        "smoothing": smoothing_of(generator, 4, largest=2.0),
+    }
+
+
+def images(
+    device: Device, cameras: list[Camera], background: list[float], **options: Any
+) -> Callable[..., Tensor]:
+    """Colour, depth and alpha of several renders as one output, so that one backward takes all.
+
+    The function's arguments are those of `rasterize`, and then, if they are to be checked, poses.
+    """
 
     def render(*leaves: Tensor) -> Tensor:
         outputs = []
-        for camera in cameras:
-            rendering = rasterize(*leaves, camera, background, device=device)
+        scene, poses = leaves[:5], leaves[5:] or [camera.world_to_camera for camera in cameras]
+        for camera, pose in zip(cameras, poses, strict=True):
+            posed = replace(camera, world_to_camera=pose)
+            rendering = rasterize(*scene, posed, background, **options, device=device)
             outputs += [rendering.rgb.reshape(-1), rendering.depth.reshape(-1)]
             outputs += [rendering.alpha.reshape(-1)]
         return torch.cat(outputs)
@@ -65,4 +85,22 @@ def test_the_kernels_pass_gradcheck(device: Device, first: int) -> None:
         function = images(device, cameras, background)
         assert torch.autograd.gradcheck(
             function, scene.tensors(), eps=1e-5, atol=1e-7, rtol=1e-6, fast_mode=True
+        ), seed
+
+
+@pytest.mark.parametrize("first", range(0, SCENES, PER_TEST))
+def test_poses_and_filters_pass_gradcheck(device: Device, first: int) -> None:
+    """The same scenes with the cameras' poses, half of them through every filter, with half a band."""
+    for seed in range(first, first + PER_TEST):
+        generator = torch.Generator().manual_seed(1000 + seed)
+        cameras = [random_camera(generator, 9, 7) for _ in range(1 + seed % 2)]
+        scene = smooth_scene(generator, sh_degree=seed % 4)
+        if seed % 3 == 0:
+            beyond_the_clamp(scene, cameras[0])
+        options: dict[str, Any] = filtered(scene, generator) if seed // 4 % 2 else {}
+        options["sh_degree"] = max(0.0, seed % 4 - 0.5 * (seed // 8 % 2))
+        function = images(device, cameras, [0.1, 0.2, 0.3], **options)
+        poses = [camera.world_to_camera.clone().requires_grad_() for camera in cameras]
+        assert torch.autograd.gradcheck(
+            function, (*scene.tensors(), *poses), eps=1e-5, atol=1e-7, rtol=1e-6, fast_mode=True
         ), seed

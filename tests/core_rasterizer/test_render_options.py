@@ -1,0 +1,258 @@
+"""Poses, dilation and its compensation, smoothing and fractions of a band: the kernels against the oracle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from core_rasterizer import (
+    Adam,
+    Device,
+    ExplainedError,
+    GaussianError,
+    GaussianModel,
+    rasterize,
+    reference,
+)
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.raster import Renderer, RenderRequest
+from tests.core_rasterizer.options import all_options, posed, smoothing_of
+from tests.core_rasterizer.scenes import random_camera, random_scene
+from tests.core_rasterizer.test_memory_budget import block_of
+from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.test_rasterize import NAMES, relative_error, weighted_loss
+
+Options = Callable[[torch.Generator, int], dict[str, Any]]
+OPTIONS: dict[str, Options] = {
+    "pose": lambda generator, count: {},
+    "dilation": lambda generator, count: {"dilation": 1.3},
+    "compensation": lambda generator, count: {"compensate_dilation": True},
+    "smoothing": lambda generator, count: {"smoothing": smoothing_of(generator, count)},
+    "fraction": lambda generator, count: {"sh_degree": 0.3},
+    "all": all_options,
+}
+IMAGES = ("rgb", "depth", "alpha")
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize(
+    ("dtype", "image_bound", "gradient_bound"),
+    [(torch.float32, 1e-6, 2e-5), (torch.float64, 1e-12, 1e-9)],
+    ids=["float", "double"],
+)
+def test_agrees_with_the_oracle(
+    device: Device, name: str, dtype: torch.dtype, image_bound: float, gradient_bound: float
+) -> None:
+    """At the bounds of a plain render; the pose's gradient at those of the others."""
+    generator = torch.Generator().manual_seed(1)
+    scene, camera = random_scene(generator, 300), random_camera(generator, 90, 70)
+    options = OPTIONS[name](generator, 300)
+    results = []
+    for function, on in ((reference.render, {}), (rasterize, {"device": device})):
+        leaves = scene.tensors(dtype)
+        with_pose, pose = posed(camera)
+        rendering = function(*leaves, with_pose, (0.2, 0.5, 0.9), **options, **on)
+        weighted_loss(rendering, 0).backward()
+        gradients = {leaf: value.grad for leaf, value in zip(NAMES, leaves, strict=True)}
+        results.append((rendering, gradients | {"pose": pose.grad}))
+    (truth, expected), (ours, gradients) = results
+    for image in IMAGES:
+        assert relative_error(getattr(ours, image), getattr(truth, image)) < image_bound, image
+    for leaf in gradients:
+        assert relative_error(gradients[leaf], expected[leaf]) < gradient_bound, leaf
+    assert not gradients["pose"][3].any()
+
+
+def test_every_option_changes_the_image(device: Device) -> None:
+    generator = torch.Generator().manual_seed(2)
+    scene, camera = random_scene(generator, 100), random_camera(generator)
+    leaves = scene.tensors(torch.float32)
+    plain = rasterize(*leaves, camera, device=device).rgb
+    for name, options in OPTIONS.items():
+        image = rasterize(*leaves, camera, **options(generator, 100), device=device).rgb
+        assert ((image - plain).abs().max() > 1e-3) == (name != "pose"), name
+
+
+def test_several_cameras_in_one_backward_have_their_own_gradients(device: Device) -> None:
+    """Through the resident model; the right eye of a stereo pair hands its gradient to the left."""
+    model = GaussianModel(parameters(), device, dtype=torch.float64)
+    cameras, poses = zip(*(posed(view(seed)) for seed in (1, 2)), strict=True)
+    views = [cameras[0], cameras[0].shifted_right(0.1), cameras[1]]
+    sum(model.render(camera).rgb.square().sum() for camera in views).backward()
+    together = [pose.grad.clone() for pose in poses]
+    alone = []
+    for pose, own in zip(poses, (views[:2], views[2:]), strict=True):
+        pose.grad = None
+        for camera in own:
+            model.render(camera).rgb.square().sum().backward()
+        alone.append(pose.grad)
+    assert not torch.allclose(alone[0], alone[1])
+    for one, other in zip(together, alone, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_the_model_is_the_function_behind_its_activations(device: Device) -> None:
+    gaussians, generator = parameters(), torch.Generator().manual_seed(3)
+    options = all_options(generator, len(gaussians))
+    leaves = {n: getattr(gaussians, n).double().requires_grad_() for n in PARAMETERS}
+    plain_camera, plain_pose = posed(view())
+    plain = rasterize(
+        leaves["means"],
+        leaves["quaternions"],
+        leaves["log_scales"].exp(),
+        leaves["opacity_logits"].sigmoid(),
+        leaves["sh"],
+        plain_camera,
+        **options,
+        device=device,
+    )
+    footprint = {name: options.pop(name) for name in ("dilation", "compensate_dilation")}
+    model = GaussianModel(gaussians, device, dtype=torch.float64, **footprint)
+    camera, pose = posed(view())
+    resident = model.render(camera, **options)
+    for rendering in (plain, resident):
+        weighted_loss(rendering, 0).backward()
+    assert relative_error(resident.rgb, plain.rgb) < 1e-12
+    for name, leaf in leaves.items():
+        assert relative_error(model.gradient(name), leaf.grad) < 1e-10, name
+    assert relative_error(pose.grad, plain_pose.grad) < 1e-10
+
+
+def test_a_detached_parameter_leaves_the_pose_its_gradient(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    gradients = []
+    for detach in ((), PARAMETERS):
+        model.zero_gradients()
+        camera, pose = posed(view())
+        weighted_loss(model.render(camera, detach=detach), 0).backward()
+        gradients.append(pose.grad)
+    assert not model.gradient("means").any()
+    assert torch.equal(*gradients)
+
+
+def test_the_same_pose_gives_the_same_bits(device: Device) -> None:
+    generator = torch.Generator().manual_seed(4)
+    scene, camera = random_scene(generator, 500), random_camera(generator, 200, 150)
+    options = all_options(generator, 500)
+    runs = []
+    for _ in range(3):
+        with_pose, pose = posed(camera)
+        rendering = rasterize(*scene.tensors(torch.float32), with_pose, **options, device=device)
+        weighted_loss(rendering, 0).backward()
+        runs.append(pose.grad)
+    assert runs[0].any()
+    assert all(torch.equal(runs[0], other) for other in runs[1:])
+
+
+def test_both_raster_variants_agree(device: Device) -> None:
+    generator = torch.Generator().manual_seed(5)
+    scene, camera = random_scene(generator, 800), random_camera(generator, 180, 130)
+    options = all_options(generator, 800)
+    results: list[list[Tensor]] = []
+    for variant in ("cpu", "gpu"):
+        with_pose, pose = posed(camera)
+        leaves, on = scene.tensors(), device.as_variant(variant)
+        rendering = rasterize(*leaves, with_pose, **options, device=on)
+        weighted_loss(rendering, 0).backward()
+        results.append([rendering.rgb.detach(), pose.grad, *(leaf.grad for leaf in leaves)])
+    for one, other in zip(*results, strict=True):
+        assert relative_error(one, other) < 1e-9
+
+
+def test_what_is_not_asked_for_is_not_built(device: Device) -> None:
+    """A plain render, a whole degree and a pose without a gradient run the kernels that they always ran."""
+    fresh = device.as_variant(device.variant)
+    model = GaussianModel(parameters(), fresh)
+    built = set(fresh._programs)
+    model.render(view()).rgb.sum().backward()
+    model.render(view(), sh_degree=2.0, opacity_scale=torch.ones(model.count)).rgb.sum().backward()
+    camera, pose = posed(view())
+    with torch.no_grad():
+        model.render(posed(view())[0].shifted_right(0.1), sh_degree=7)
+    assert set(fresh._programs) == built
+    model.render(camera).rgb.sum().backward()
+    assert pose.grad is not None
+    assert len(fresh._programs) == len(built) + 1
+
+
+def test_a_whole_degree_is_the_integer(device: Device) -> None:
+    model = GaussianModel(parameters(), device)
+    gradients = []
+    for degree in (2, 2.0):
+        model.zero_gradients()
+        model.render(view(), sh_degree=degree).rgb.sum().backward()
+        gradients.append(model.gradient("sh").clone())
+    assert torch.equal(*gradients)
+
+
+def test_a_fading_band_takes_part_in_the_step(device: Device) -> None:
+    """Its gradient is written, Adam moves it, and bands above it are left where they are."""
+    model = GaussianModel(parameters(), device)
+    before = model.read("sh").clone()
+    model.zero_gradients()
+    model.render(view(), sh_degree=1.5).rgb.square().sum().backward()
+    assert model.gradient("sh")[:, 4:9].any()
+    assert not model.gradient("sh")[:, 9:].any()
+    Adam(model).step(dict.fromkeys(PARAMETER_GROUPS, 1e-2), active_sh_degree=1.5)
+    moved = (model.read("sh") != before).any(dim=0).any(dim=1)
+    assert moved.tolist() == [True] * 9 + [False] * 7
+
+
+@pytest.mark.parametrize(
+    ("options", "place"),
+    [
+        ({"dilation": -0.1}, "dilation"),
+        ({"dilation": math.nan}, "dilation"),
+        ({"dilation": math.inf}, "dilation"),
+        ({"sh_degree": -0.5}, "sh_degree"),
+        ({"sh_degree": math.nan}, "sh_degree"),
+        ({"smoothing": torch.zeros(4)}, "smoothing"),
+        ({"smoothing": torch.tensor([0, 0, 0, -1e-9, 0])}, "smoothing[3]"),
+        ({"smoothing": torch.tensor([0, math.nan, 0, 0, 0])}, "smoothing[1]"),
+        ({"smoothing": torch.tensor([0, 0, math.inf, 0, 0])}, "smoothing[2]"),
+    ],
+)
+def test_what_makes_no_sense_is_named(device: Device, options: dict[str, Any], place: str) -> None:
+    generator = torch.Generator().manual_seed(6)
+    scene, camera = random_scene(generator, 5), random_camera(generator)
+    with pytest.raises(GaussianError) as error:
+        rasterize(*scene.tensors(torch.float32), camera, **options, device=device)
+    assert error.value.where == place
+    gaussians = parameters(5)
+    at_construction = {name: options[name] for name in options if name == "dilation"}
+    at_render = {name: options[name] for name in options if name != "dilation"}
+    with pytest.raises(GaussianError) as error:
+        GaussianModel(gaussians, device, **at_construction).render(camera, **at_render)
+    assert error.value.where == place
+
+
+def test_more_degrees_than_there_are_is_all_of_them(device: Device) -> None:
+    generator = torch.Generator().manual_seed(7)
+    scene, camera = random_scene(generator, 20, sh_degree=1), random_camera(generator)
+    leaves = scene.tensors(torch.float32)
+    whole = rasterize(*leaves, camera, device=device).rgb
+    assert torch.equal(rasterize(*leaves, camera, sh_degree=1.5, device=device).rgb, whole)
+
+
+def test_an_undefined_image_gradient_is_refused_before_a_pose_has_one(device: Device) -> None:
+    generator = torch.Generator().manual_seed(8)
+    scene, (camera, pose) = random_scene(generator, 5), posed(random_camera(generator))
+    rendering = rasterize(*scene.tensors(torch.float32), camera, device=device)
+    with pytest.raises(ExplainedError, match="undefined gradient"):
+        (rendering.rgb.sum() * math.nan).backward()
+    assert pose.grad is None
+
+
+def test_the_gradient_of_a_pose_counts_against_the_memory_budget(device: Device) -> None:
+    block, renderer = block_of(device, 4000), Renderer(device)
+    limits = []
+    for camera in (view(), posed(view())[0]):
+        request = RenderRequest(camera, (0.0, 0.0, 0.0), 0)
+        limits.append(renderer.forward(block, request)[3].frame.pair_limit)
+    kept = 16 * 8 * block.capacity // device.lanes
+    assert limits[0] - limits[1] == pytest.approx(kept / renderer.budget.bytes_of_pair, abs=1)
