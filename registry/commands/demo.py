@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import sys
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from core_rasterizer import open_device
 
 from ..drawing.pictures import COMPARISONS
 from ..files import replacing
+from ..inspection.scene_source import scene_loaders
 from ..pipeline.pipeline import parse_pipeline
+from ..pipeline.settings_check import escape_variables
 from ..plugins import Plugins
 from ..runs.results import RENDERS
 from ..runs.training_run import start
@@ -21,15 +25,11 @@ from .output import Verbs, add_device, add_verb, console
 from .train import conclude
 
 DATA = "STEREOGS_DATA"
-FAVOURITE = "llff_fern"
-"""The scene that the demo prefers where there are several."""
-POSES = "poses_bounds.npy"
-"""What makes a folder an LLFF scene."""
 
 _EPILOG = """\
 examples:
   stereogs demo
-  STEREOGS_DATA=/data stereogs demo     three photographs of an LLFF scene in /data, not a drawn room
+  STEREOGS_DATA=/data stereogs demo     photographs of a scene in /data, not a drawn room
 
 It trains for half a minute on two processor cores, scores views that it has not seen, and writes into
 the run folder report.html, a page about the run, and demo.png: truth, render and depth of an unseen
@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Train the demo's pipeline and show what came out."""
     output = console()
     text = resources.files("registry").joinpath("data", "demo.yaml").read_text("utf-8")
-    pipeline = parse_pipeline(text, Plugins(), source="demo.yaml", overrides=_scene())
+    plugins = Plugins()
+    pipeline = parse_pipeline(text, plugins, source="demo.yaml", overrides=_scene(plugins))
     folder, finished = start(
         pipeline,
         device=open_device(arguments.device),
@@ -67,26 +68,27 @@ def run(arguments: argparse.Namespace) -> int:
     return status
 
 
-def photographs() -> str | None:
-    """Where STEREOGS_DATA has an LLFF scene, as a pipeline writes it; None where it has none.
+def photographs(plugins: Plugins) -> dict[str, Any] | None:
+    """The scene in STEREOGS_DATA that a loader would show, as a pipeline writes it; None without one.
 
-    The variable names either a scene's own folder or one that holds scenes, of which the demo
-    prefers `llff_fern`.
+    The variable names either a scene's own folder or one that holds scenes, of which the first by name
+    is taken that a loader recognizes and has settings for.
     """
     root = os.environ.get(DATA)
-    if not root:
+    if not root or not Path(root).is_dir():
         return None
-    if Path(root, POSES).is_file():
-        return f"${{{DATA}}}"
-    names = sorted(path.parent.name for path in Path(root).glob(f"*/{POSES}"))
-    # Without a folder of eighth-size images the demo would not end in minutes.
-    small = [name for name in names if Path(root, name, "images_8").is_dir()]
-    if not small:
-        return None
-    return f"${{{DATA}}}/{FAVOURITE if FAVOURITE in small else small[0]}"
+    loaders = scene_loaders(plugins)
+    for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):
+        for offer, loader in loaders:
+            settings = loader.demo_settings(folder) if loader.recognizes(folder) else None
+            if settings is not None:
+                inside = folder.relative_to(root).as_posix()
+                path = f"${{{DATA}}}" + ("" if inside == "." else f"/{escape_variables(inside)}")
+                return {"use": offer.name, "path": path, **settings}
+    return None
 
 
-def _scene() -> list[str]:
+def _scene(plugins: Plugins) -> list[str]:
     """The override that puts photographs in place of the drawn room, if there are any."""
-    path = photographs()
-    return [] if path is None else [f'scene={{use: llff, path: "{path}", train_views: 3}}']
+    scene = photographs(plugins)
+    return [] if scene is None else [f"scene={json.dumps(scene)}"]

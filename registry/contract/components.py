@@ -36,6 +36,14 @@ class SceneLoader(Component[SettingsType], ABC):
         """Whether a folder, which exists, holds what `recognized_by` says; `stereogs check` asks."""
         return False
 
+    @classmethod
+    def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
+        """Settings beside `path` with which `stereogs demo` reads a folder that this loader recognizes.
+
+        None where a few training views would not be trained in minutes, or nothing could be scored.
+        """
+        return None
+
     @abstractmethod
     def load(self) -> Scene:
         """Return the scene that the settings describe. The host validates it afterwards."""

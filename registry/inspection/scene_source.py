@@ -73,11 +73,7 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             where=str(folder),
             fix="give a folder of photographs or of a data set, or a pipeline file (.yaml)",
         )
-    loaders: list[tuple[Offer, type[SceneLoader[Any]]]] = [
-        (offer, offer.component)
-        for offer in plugins.all()
-        if offer.point is _SCENE and issubclass(offer.component, SceneLoader)
-    ]
+    loaders = scene_loaders(plugins)
     found = [offer for offer, loader in loaders if loader.recognizes(folder)]
     if len(found) == 1:
         return found[0]
@@ -96,6 +92,15 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
         where=str(folder),
         fix="give the folder that holds one of them, or name the loader with --format",
     )
+
+
+def scene_loaders(plugins: Plugins) -> list[tuple[Offer, type[SceneLoader[Any]]]]:
+    """Every scene loader and its class, by name; imports all plugins."""
+    return [
+        (offer, offer.component)
+        for offer in plugins.all()
+        if offer.point is _SCENE and issubclass(offer.component, SceneLoader)
+    ]
 
 
 def _qualified(text: str) -> str:

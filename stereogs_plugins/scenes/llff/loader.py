@@ -6,8 +6,9 @@ every row: `{"all_names": ["first.jpg", ...]}`. The split is then that of the wh
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import pydantic
 
@@ -50,6 +51,11 @@ class LLFFScene(SceneLoader[LLFFSettings]):
     def recognizes(cls, folder: Path) -> bool:
         """Whether the folder holds poses_bounds.npy."""
         return (folder / "poses_bounds.npy").is_file()
+
+    @classmethod
+    def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
+        """Three training views, where there are photographs of an eighth of their size."""
+        return {"train_views": 3} if (folder / "images_8").is_dir() else None
 
     def load(self) -> Scene:
         """Return the scene.

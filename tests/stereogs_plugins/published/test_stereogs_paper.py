@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from registry.comparing.paper_tables import Triple, paper_tables
+from registry.comparing.paper_tables import Numbers, paper_tables
 from registry.pipeline.protocols import protocol_names
 
-TABLES = paper_tables()
+TABLES = paper_tables("stereogs")
 
 
 def test_every_protocol_has_its_published_rows() -> None:
@@ -30,7 +30,7 @@ def test_numbers_are_in_range(protocol: str) -> None:
             assert 0 < lpips < 0.5
 
 
-def rows(table: str, protocol: str) -> list[Triple | None]:
+def rows(table: str, protocol: str) -> list[Numbers | None]:
     return [row.results.get(protocol) for row in TABLES.ablations[table].rows]
 
 

@@ -1,0 +1,1 @@
+"""Tables of papers, as data for `stereogs compare --paper`."""
