@@ -36,7 +36,7 @@ from .contract.components import (
 from .contract.fact import Fact
 from .contract.hook_points import API_VERSION
 from .contract.hooks import Register, hookimpl
-from .contract.maps import DepthMap, Disparity
+from .contract.maps import DepthMap, Disparity, Flow, Matches
 from .contract.prior import Prior
 from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
 from .contract.step import OtherField, Render, Sample, Step
@@ -44,7 +44,13 @@ from .drawing.metric_images import ImageMetricSettings, white_outside
 from .drawing.pictures import grey, nearness_picture, side_by_side
 from .errors import PipelineError, PluginError, RunError, SceneError
 from .files import write_text
-from .priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+from .priors.capabilities import (
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    StereoPrior,
+)
 from .priors.learned_features import LearnedFeatures
 from .priors.model_file import Sha256, read_model_file
 from .priors.onnx_model import OnnxModel, OnnxTensor
@@ -62,9 +68,12 @@ __all__ = [
     "Disparity",
     "Exporter",
     "Fact",
+    "Flow",
     "ImageMetricSettings",
     "Initializer",
     "LearnedFeatures",
+    "Matches",
+    "MatchingPrior",
     "Metric",
     "Modifier",
     "MonocularDepthPrior",
@@ -75,6 +84,7 @@ __all__ = [
     "OnnxTensor",
     "OpacityPolicy",
     "OpacityUpdate",
+    "OpticalFlowPrior",
     "OtherField",
     "ParameterGroup",
     "Perturbation",

@@ -10,14 +10,13 @@ from .component import Component
 from .prior import Prior
 
 API_VERSION = 2
-"""Version of the plugin API. Raised when it grows; a plugin says which one it needs.
+"""Version of the plugin API. Raised when a plugin written for the one before could break.
 
 2: samplers, appearances, perturbations, parameters of components, terms stepped alone, several fields,
 edits that add, relocate and split into more than two, optical flow and matches; components see a
-scene without test views and true depth.
+scene without test views and true depth and Gaussians that cannot be written to; scenes have facts in
+place of notes; each component has an entry point of its own name.
 """
-OLDEST_API = 1
-"""Plugins written for versions from this one on still work."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What is known of an image, pixel by pixel."""
+"""What prior models know of images: maps of every pixel, and points that match."""
 
 from __future__ import annotations
 
@@ -34,3 +34,32 @@ class DepthMap:
     depth: Tensor
     valid: Tensor
     confidence: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Where the pixels of one image went in another.
+
+    Args:
+        vectors: `[H, W, 2]` float32 pixels (along columns, along rows); 0 where not valid. What pixel
+            (u, v) of the first image shows is at (u, v) + vectors[v, u] in the second.
+        valid: `[H, W]` bool.
+    """
+
+    vectors: Tensor
+    valid: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Points of two images that show the same.
+
+    Args:
+        first, second: `[M, 2]` float32 pixel positions (column, row) in the first and in the second
+            image; the middle of the first pixel is (0.5, 0.5).
+        scores: `[M]` float32 in [0, 1], how sure each match is.
+    """
+
+    first: Tensor
+    second: Tensor
+    scores: Tensor

@@ -13,13 +13,17 @@ from .component import Component, SettingsType
 class Prior(Component[SettingsType], ABC):
     """A frozen model that estimates something from images.
 
-    `capability` says what. Three capabilities have a base class with a fixed question and checked
-    answers: `StereoPrior`, `MultiViewDepthPrior` and `MonocularDepthPrior`; any other text is free for
-    plugins that agree on it. A consumer asks for a capability (`StereoPrior.choose`), the pipeline
-    names the prior.
+    `capability` says what. Those with a base class have a fixed question and checked answers:
+    `StereoPrior`, `MultiViewDepthPrior`, `MonocularDepthPrior`, `OpticalFlowPrior` and `MatchingPrior`;
+    any other text is free for plugins that agree on it. A consumer asks for a capability
+    (`StereoPrior.choose`), the pipeline names the prior.
     """
 
     capability: ClassVar[str]
+
+    def fingerprint(self) -> str:
+        """What answers depend on beside settings and code: a model file's hash, a device."""
+        return ""
 
     @classmethod
     def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> Self:

@@ -31,7 +31,13 @@ from ..contract.answers import (
 from ..contract.components import Unavailable
 from ..contract.scene import validate
 from ..pipeline.training_settings import TrainingSettings
-from ..priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+from ..priors.capabilities import (
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    StereoPrior,
+)
 from ..training.initial_model import initial_gaussians
 from .bench import HEIGHT, WIDTH, Bench, Moment, pictured
 from .judging import require, require_files
@@ -62,6 +68,10 @@ def _ask_prior(bench: Bench, built: Any) -> Any:
             return [tensor for m in maps for tensor in (m.depth, m.valid, m.confidence)]
         if isinstance(built, MonocularDepthPrior):
             return built.inverse_depth(first.image)
+        if isinstance(built, OpticalFlowPrior):
+            return list(vars(built.flow(first.image, second.image)).values())
+        if isinstance(built, MatchingPrior):
+            return list(vars(built.matches(first.image, second.image)).values())
     return capability
 
 

@@ -87,7 +87,7 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install) -> None:
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99; this is API {API_VERSION}"),
+        ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99, this is API {API_VERSION}"),
         (metric("x").replace("_metrics", "_metrix"), "stereogs_register_metrix"),
         (metric("x").replace("(register)", "(register, more)"), "more"),
         (metric("x").replace("measure", "meazure"), "does not define measure"),

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from registry.self_test import Verdict
 
 from core_rasterizer import Device, open_device
 from registry.cli import build_parser, main
+from registry.inspection.self_test import Verdict
 
 from ..conftest import TOY_ENTRIES, Install
 

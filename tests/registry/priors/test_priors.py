@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,8 +18,11 @@ from core_rasterizer import open_device
 from registry import (
     Context,
     DepthMap,
+    Matches,
+    MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
+    OpticalFlowPrior,
     PluginError,
     Prior,
     Settings,
@@ -187,11 +191,11 @@ def test_another_question_is_asked_anew(cache: Path) -> None:
     prior.depths(scene.train[::-1], scene.bounds)
     assert prior.asked == 3
     mono = built(Brightness)
-    mono.inverse_depth(scene.train[0].image)
+    mono.inverse_depth_of(scene.train[0])
     changed = scene.train[0].image.clone()
     changed[3, 3, 1] = torch.nextafter(changed[3, 3, 1], torch.tensor(1.0))
-    mono.inverse_depth(changed)
-    mono.inverse_depth(changed)
+    mono.inverse_depth_of(replace(scene.train[0], image=changed))
+    mono.inverse_depth_of(replace(scene.train[0], image=changed))
     assert mono.asked == 2
 
 
@@ -215,16 +219,16 @@ def test_cached_answers_can_be_looked_at(cache: Path) -> None:
 def test_a_damaged_answer_is_reported_and_replaced(
     cache: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    image = tiny_scene().train[0].image
+    view = tiny_scene().train[0]
     prior = built(Brightness)
-    answer = prior.inverse_depth(image)
+    answer = prior.inverse_depth_of(view)
     (file,) = cache.rglob("answer.safetensors")
     file.write_bytes(file.read_bytes()[:40])
     with caplog.at_level(logging.WARNING):
-        assert torch.equal(prior.inverse_depth(image), answer)
+        assert torch.equal(prior.inverse_depth_of(view), answer)
     assert "damaged" in caplog.text
     assert prior.asked == 2
-    prior.inverse_depth(image)
+    prior.inverse_depth_of(view)
     assert prior.asked == 2
 
 
@@ -234,10 +238,101 @@ def test_a_cache_that_cannot_be_written_costs_a_warning_only(
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "file"))
     with caplog.at_level(logging.WARNING):
-        built(Brightness).inverse_depth(tiny_scene().train[0].image)
+        built(Brightness).inverse_depth_of(tiny_scene().train[0])
     assert "could not be cached" in caplog.text
 
 
 def test_the_code_of_the_component_is_part_of_the_question() -> None:
     assert code_digest(Middle) != code_digest(Brightness)
     assert code_digest(Middle) == code_digest(Middle)
+
+
+def test_an_answer_about_an_image_is_not_kept(cache: Path) -> None:
+    prior, image = built(Brightness), tiny_scene().train[0].image
+    assert torch.equal(prior.inverse_depth(image), prior.inverse_depth(image))
+    assert prior.asked == 2
+    assert not cache.exists() or not list(cache.rglob("*.safetensors"))
+
+
+class Torch(MonocularDepthPrior[Settings]):
+    """Brightness, in autograd."""
+
+    differentiable = True
+
+    def estimate(self, image: Tensor) -> Tensor:
+        return image.mean(dim=2)
+
+
+def test_a_differentiable_prior_lets_gradients_through() -> None:
+    image = torch.rand(4, 5, 3, requires_grad=True)
+    built(Torch).inverse_depth(image).sum().backward()
+    assert image.grad is not None
+    torch.testing.assert_close(image.grad, torch.full((4, 5, 3), 1 / 3))
+    assert not built(Brightness).inverse_depth(image).requires_grad
+
+
+class Sideways(OpticalFlowPrior[Settings]):
+    """Three pixels to the right; the first pixel is not known."""
+
+    asked = 0
+
+    def estimate(self, first: Tensor, second: Tensor) -> Tensor:
+        self.asked += 1
+        flow = torch.zeros(*first.shape[:2], 2)
+        flow[..., 0] = 3
+        flow[0, 0] = torch.nan
+        return flow
+
+
+class Corners(MatchingPrior[Settings]):
+    """The corners of the images; one of the matches lies outside, one score is too high."""
+
+    asked = 0
+
+    def estimate(self, first: Tensor, second: Tensor) -> Matches:
+        self.asked += 1
+        points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [1e4, 1.0]])
+        return Matches(points, points, torch.tensor([0.5, 7.0, 0.5]))
+
+
+def test_a_flow_is_checked_and_remembered_between_views(cache: Path) -> None:
+    check(Sideways)
+    (first, second), prior = tiny_scene().train, built(Sideways)
+    flow = prior.flow_between(first, second)
+    assert torch.equal(prior.flow_between(first, second).vectors, flow.vectors)
+    assert prior.asked == 1
+    assert not flow.valid[0, 0]
+    assert int(flow.valid.sum()) == flow.valid.numel() - 1
+    assert flow.vectors[0, 0].tolist() == [0, 0]
+    assert flow.vectors[3, 4].tolist() == [3, 0]
+    prior.flow(first.image, second.image)
+    assert prior.asked == 2
+
+
+def test_matches_are_checked_and_remembered_between_views(cache: Path) -> None:
+    check(Corners)
+    (first, second), prior = tiny_scene().train, built(Corners)
+    matches = prior.matches_between(first, second)
+    assert prior.matches_between(first, second).first.tolist() == [[0, 0], [1, 1]]
+    assert matches.scores.tolist() == [0.5, 1]
+    assert prior.asked == 1
+
+
+class Crooked(MatchingPrior[Settings]):
+    def estimate(self, first: Tensor, second: Tensor) -> Matches:
+        return Matches(torch.zeros(3, 2), torch.zeros(2, 2), torch.zeros(3))
+
+
+class Narrow(OpticalFlowPrior[Settings]):
+    def estimate(self, first: Tensor, second: Tensor) -> Tensor:
+        return first
+
+
+def test_answers_of_the_wrong_shape_are_refused() -> None:
+    image = torch.rand(4, 5, 3)
+    with pytest.raises(
+        PluginError, match="second is \\(2, 2\\), expected a tensor of shape \\(3, 2\\)"
+    ):
+        built(Crooked).matches(image, image)
+    with pytest.raises(PluginError, match="expected a tensor of shape \\(4, 5, 2\\)"):
+        built(Narrow).flow(image, image)

@@ -1,0 +1,21 @@
+"""What prior models can be asked, one file a capability, and the one place where answers are checked.
+
+A prior plugin derives from one of these classes and implements `estimate`. Consumers call the public
+methods beside it, which check sizes and values, so that no NaN ever reaches a loss or a point cloud.
+What is asked of a scene's *views* is answered from the disk cache where the same was asked before; what
+is asked of *images*, renders among them, is not kept.
+"""
+
+from .matching import MatchingPrior
+from .monocular_depth import MonocularDepthPrior
+from .multi_view_depth import MultiViewDepthPrior
+from .optical_flow import OpticalFlowPrior
+from .stereo import StereoPrior
+
+__all__ = [
+    "MatchingPrior",
+    "MonocularDepthPrior",
+    "MultiViewDepthPrior",
+    "OpticalFlowPrior",
+    "StereoPrior",
+]
