@@ -4,24 +4,31 @@
 training, with `photometric_loss`, `Adam` and `apply_edit` beside it.
 """
 
-from .camera import Camera
-from .device import Device, list_devices, open_device
-from .errors import (
-    CameraError,
-    DeviceError,
-    ExplainedError,
-    GaussianError,
-    MemoryBudgetError,
-    PlyError,
-)
-from .gaussians import Gaussians
-from .model import GaussianModel
-from .optimizer import Adam
-from .photometric import photometric_loss
-from .ply import load_ply, load_points, save_ply
-from .rasterize import rasterize
-from .rendering import Rendering
-from .topology import Carried, Edit, apply_edit
+from typing import TYPE_CHECKING
+
+from .first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .camera import Camera
+    from .device import Device, list_devices, open_device
+    from .errors import (
+        CameraError,
+        DeviceError,
+        ExplainedError,
+        GaussianError,
+        MemoryBudgetError,
+        PlyError,
+    )
+    from .functional import rasterize
+    from .gaussians import Gaussians
+    from .model import GaussianModel
+    from .optimizer import Adam
+    from .photometric import photometric_loss
+    from .ply import load_ply, load_points, save_ply
+    from .rendering import Rendering
+    from .topology import Carried, Edit, apply_edit
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "Adam",

@@ -1,7 +1,7 @@
 """The rendering pipeline on a device: project, sort, bin, blend; and back again.
 
 This module knows buffers and kernels. Autograd lives in `model.py` (device-resident Gaussians) and
-`rasterize.py` (plain torch tensors).
+`functional.py` (plain torch tensors).
 """
 
 from __future__ import annotations

@@ -13,40 +13,47 @@ The host's own machinery lives in the modules: `registry.pipeline`, `registry.tr
 `registry.plugins`. A plugin is tried with `registry.testing`.
 """
 
-from . import web_page
-from .contract.component import Component, Context, Settings
-from .contract.components import (
-    Densification,
-    Exporter,
-    Initializer,
-    Metric,
-    Modifier,
-    OpacityPolicy,
-    OpacityUpdate,
-    Regularizer,
-    Report,
-    SceneLoader,
-    Unavailable,
-    ViewMetric,
-)
-from .contract.hook_points import API_VERSION
-from .contract.hooks import Register, hookimpl
-from .contract.prior import Prior
-from .contract.scene import PointCloud, Scene, View, validate
-from .contract.step import Step
-from .drawing.pictures import grey, nearness_picture, side_by_side
-from .errors import PipelineError, PluginError, RunError, SceneError
-from .priors.capabilities import (
-    DepthMap,
-    Disparity,
-    MonocularDepthPrior,
-    MultiViewDepthPrior,
-    StereoPrior,
-)
-from .priors.model_file import Sha256, read_model_file
-from .priors.onnx_model import OnnxModel, OnnxTensor
-from .priors.onnx_session import OnnxProvider
-from .priors.prior_cache import cache_folder
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from . import web_page
+    from .contract.component import Component, Context, Settings
+    from .contract.components import (
+        Densification,
+        Exporter,
+        Initializer,
+        Metric,
+        Modifier,
+        OpacityPolicy,
+        OpacityUpdate,
+        Regularizer,
+        Report,
+        SceneLoader,
+        Unavailable,
+        ViewMetric,
+    )
+    from .contract.hook_points import API_VERSION
+    from .contract.hooks import Register, hookimpl
+    from .contract.prior import Prior
+    from .contract.scene import PointCloud, Scene, View, validate
+    from .contract.step import Step
+    from .drawing.pictures import grey, nearness_picture, side_by_side
+    from .errors import PipelineError, PluginError, RunError, SceneError
+    from .priors.capabilities import (
+        DepthMap,
+        Disparity,
+        MonocularDepthPrior,
+        MultiViewDepthPrior,
+        StereoPrior,
+    )
+    from .priors.model_file import Sha256, read_model_file
+    from .priors.onnx_model import OnnxModel, OnnxTensor
+    from .priors.onnx_session import OnnxProvider
+    from .priors.prior_cache import cache_folder
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",

@@ -4,18 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
-import sys
-from importlib import resources
 from pathlib import Path
 
-from core_rasterizer import open_device
-
-from ..files import replacing
-from ..pipeline.pipeline import parse_pipeline
-from ..plugins import Plugins
-from ..runs.results import RENDERS
-from ..runs.training_run import start
 from .output import Verbs, add_device, add_verb, console
 from .train import conclude
 
@@ -46,22 +36,28 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train the demo's pipeline and show what came out."""
+    import shutil
+    from importlib import resources
+
+    from ..files import replacing
+    from ..pipeline.pipeline import parse_pipeline
+    from ..plugins import Plugins
+    from ..session import train
+
     output = console()
     text = resources.files("registry").joinpath("data", "demo.yaml").read_text("utf-8")
     pipeline = parse_pipeline(text, Plugins(), source="demo.yaml", overrides=_scene())
-    folder, finished = start(
-        pipeline,
-        device=open_device(arguments.device),
-        out=arguments.out,
-        command=sys.argv,
-        console=output,
-    )
-    if finished:
+    from ..runs.results import RENDERS
+    from ..runs.training_run import in_runs
+
+    run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
+    folder = run.folder_or_refuse()
+    if run.finished:
         comparison = sorted((folder.path / RENDERS).glob("*_comparison.png"))[0]
         with replacing(folder.path / "demo.png") as temporary:
             shutil.copyfile(comparison, temporary)
-    status = conclude(folder, finished, output)
-    if finished:
+    status = conclude(run, output)
+    if run.finished:
         output.print(f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}")
     return status
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from core_rasterizer import Device, DeviceError, list_devices, open_device
-
-from ..inspection.self_test import self_test
 from .output import Verbs, add_device, add_verb, console
+
+if TYPE_CHECKING:
+    from core_rasterizer import Device
 
 FAULT = 1
 
@@ -31,6 +32,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Test every device; 1 if one fails."""
+    from core_rasterizer import list_devices, open_device
+
     output = console()
     chosen = open_device(arguments.device)
     failed = False
@@ -47,8 +50,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _judge(device: Device) -> tuple[bool, str]:
+    from core_rasterizer import DeviceError
+
+    from ..inspection.self_test import self_test
+    from ..training.threads import one_torch_thread
+
     try:
-        verdict = self_test(device)
+        with one_torch_thread():
+            verdict = self_test(device)
     except DeviceError as error:
         return False, f"FAILED: {error.what}"
     numbers = f"image error {verdict.image_error:.1e}, gradient error {verdict.gradient_error:.1e}"

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Generic
+from typing import TYPE_CHECKING, ClassVar, Generic
 
 import pydantic
-import torch
-from torch import Tensor
 from typing_extensions import TypeVar
 
-from core_rasterizer import Device
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Device
 
 
 class Settings(pydantic.BaseModel):
@@ -50,6 +51,8 @@ class Component(Generic[SettingsType]):
     Settings: ClassVar[type[Settings]] = Settings
 
     def __init__(self, settings: SettingsType, context: Context) -> None:
+        import torch  # only now: settings are checked without it
+
         self.settings = settings
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)

@@ -10,16 +10,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
-
-from torch import Tensor
-
-from core_rasterizer import Edit, GaussianModel, Rendering
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from .component import Component, SettingsType
-from .prior import Prior
-from .scene import PointCloud, Scene, View
-from .step import Step
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Edit, GaussianModel, Rendering
+
+    from .prior import Prior
+    from .scene import PointCloud, Scene, View
+    from .step import Step
 
 
 class SceneLoader(Component[SettingsType], ABC):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from core_rasterizer import GaussianModel, Rendering
+if TYPE_CHECKING:
+    from core_rasterizer import GaussianModel, Rendering
 
-from .prior import Prior
-from .scene import Scene, View
+    from .prior import Prior
+    from .scene import Scene, View
 
 
 @dataclass

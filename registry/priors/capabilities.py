@@ -10,17 +10,16 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..contract.component import SettingsType
 from ..contract.prior import Prior
-from ..contract.scene import View
-from ..drawing.pictures import nearness_picture
 from ..errors import PluginError
-from .prior_cache import PriorCache, code_digest, content_key
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..contract.scene import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +84,8 @@ class StereoPrior(Prior[SettingsType]):
         Raises:
             PluginError: the images differ in size, or the answer has the wrong shape.
         """
+        import torch
+
         _check_pair(left, right)
         with torch.no_grad():
             return _disparity(self.estimate(left, right), left)
@@ -95,6 +96,8 @@ class StereoPrior(Prior[SettingsType]):
         Raises:
             PluginError: see `disparity`.
         """
+        import torch
+
         _check_pair(left, right)
         with torch.no_grad():
             of_left, of_right = self.estimate_both(left, right)
@@ -125,6 +128,11 @@ class MultiViewDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: fewer than two views, or an answer of the wrong number or shape.
         """
+        import torch
+
+        from ..drawing.pictures import nearness_picture
+        from .prior_cache import PriorCache, code_digest, content_key
+
         if len(views) < 2:
             raise PluginError(
                 f"multi-view depth needs two views, there is {len(views)}",
@@ -178,6 +186,11 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape or values that are not finite.
         """
+        import torch
+
+        from ..drawing.pictures import nearness_picture
+        from .prior_cache import PriorCache, code_digest, content_key
+
         cache = PriorCache.default(self.context.name)
         key = content_key(
             code_digest(type(self)), self.settings.model_dump_json(), self.fingerprint(), image
@@ -205,6 +218,8 @@ def _check_pair(left: Tensor, right: Tensor) -> None:
 
 
 def _check_map(what: str, answer: Any, image: Tensor) -> None:
+    from torch import Tensor
+
     shape = tuple(image.shape[:2])
     if not isinstance(answer, Tensor) or tuple(answer.shape) != shape:
         got = tuple(answer.shape) if isinstance(answer, Tensor) else type(answer).__name__
@@ -212,6 +227,8 @@ def _check_map(what: str, answer: Any, image: Tensor) -> None:
 
 
 def _disparity(answer: Any, image: Tensor) -> Disparity:
+    import torch
+
     _check_map("disparity", answer, image)
     values = answer.detach().float()
     valid = torch.isfinite(values) & (values > 0)
@@ -219,6 +236,8 @@ def _disparity(answer: Any, image: Tensor) -> Disparity:
 
 
 def _depth_map(answer: Any, view: View) -> DepthMap:
+    import torch
+
     for name in ("depth", "valid", "confidence"):
         _check_map(name, getattr(answer, name, None), view.image)
     depth, confidence = answer.depth.detach().float(), answer.confidence.detach().float()

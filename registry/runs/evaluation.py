@@ -8,16 +8,16 @@ from pathlib import Path
 
 import torch
 
-from core_rasterizer import GaussianModel, Rendering
+from core_rasterizer import Camera, GaussianModel, Rendering
 
 from ..contract.answers import check_score
-from .average_error import AVERAGE_ERROR, average_error
-from ..pipeline.blame import blame
 from ..contract.components import Unavailable
-from ..pipeline.parts import Part
-from ..drawing.pictures import save_view_pictures
-from ..pipeline.pipeline import Item
 from ..contract.scene import Scene, View
+from ..drawing.pictures import save_view_pictures
+from ..pipeline.blame import blame
+from ..pipeline.parts import Part
+from ..pipeline.pipeline import Item
+from .average_error import AVERAGE_ERROR, average_error
 
 _AVERAGED = (("psnr",), ("ssim", "ssim_skimage"), ("lpips",))
 """The metrics that `avge` is made of."""
@@ -105,6 +105,13 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 def render_view(model: GaussianModel, scene: Scene, view: View) -> Rendering:
     """One view without gradients, colours clamped to [0, 1]."""
+    return clamped_render(model, view.camera, scene.background)
+
+
+def clamped_render(
+    model: GaussianModel, camera: Camera, background: tuple[float, float, float]
+) -> Rendering:
+    """A camera without gradients, colours clamped to [0, 1]."""
     with torch.no_grad():
-        rendering = model.render(view.camera, background=scene.background)
+        rendering = model.render(camera, background=background)
     return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)

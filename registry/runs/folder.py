@@ -16,13 +16,13 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
 from ..files import new_folder, write_json, write_text
-from ..drawing.pictures import save_png
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
@@ -127,6 +127,8 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
+        from ..drawing.pictures import save_png
+
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)
         for name, picture in pictures.items():
