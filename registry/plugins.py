@@ -7,7 +7,8 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points, version
+from functools import cache
+from importlib.metadata import Distribution, EntryPoint, entry_points, version
 from typing import Any
 
 import pluggy
@@ -228,7 +229,13 @@ def _check_api(entry: EntryPoint, module: object) -> None:
 
 
 def _distribution(entry: EntryPoint) -> tuple[str, str]:
-    return (entry.dist.name, entry.dist.version) if entry.dist else ("unknown package", "?")
+    return _name_and_version(entry.dist) if entry.dist else ("unknown package", "?")
+
+
+@cache
+def _name_and_version(distribution: Distribution) -> tuple[str, str]:
+    """Read once: each of the two parses the package's metadata anew."""
+    return distribution.name, distribution.version
 
 
 def _in_memory(point: HookPoint) -> Offer:

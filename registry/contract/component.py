@@ -22,7 +22,12 @@ class Settings(pydantic.BaseModel):
     is its documentation.
     """
 
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = pydantic.ConfigDict(
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        defer_build=True,  # what nobody validates with is not built
+    )
 
 
 # With a default, which `typing` offers from Python 3.13 on, `StereoPrior.choose(...)` has a full type.

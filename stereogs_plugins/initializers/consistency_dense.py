@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Initializer,
@@ -28,17 +25,12 @@ from registry import (
     hookimpl,
 )
 
-from ._cloud import all_but, back_layers, margins, surfaces
-from ._fill import fill_holes
-from ._geometric_filter import (
-    consistent_depths,
-    default_min_consistent,
-    without_small_patches,
-)
-from ._layers import Layer, is_background, joined
-from ._other_views import hides
-from ._projection import DepthImage, lift, pixel_centers
-from ._view_depth import ViewDepth
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ._layers import Layer
+    from ._projection import DepthImage
+    from ._view_depth import ViewDepth
 
 _log = logging.getLogger(__name__)
 
@@ -90,6 +82,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             SceneError: one training view, fewer other views than must agree, or views that agree on
                 nothing.
         """
+        import numpy as np
+
         needed = self._min_consistent(scene)
         prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
         answers = prior.depths(scene.train, scene.bounds)
@@ -99,6 +93,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return self._point_cloud(self._layers(views, scene.background), views)
 
     def _min_consistent(self, scene: Scene) -> int:
+        from ._geometric_filter import default_min_consistent
+
         others = len(scene.train) - 1
         if others < 1:
             raise SceneError(
@@ -116,6 +112,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return needed
 
     def _confirmed(self, scene: Scene, raw: list[DepthImage], needed: int) -> list[DepthImage]:
+        from ._geometric_filter import consistent_depths, without_small_patches
+
         settings = self.settings
         confirmed = consistent_depths(
             [view.camera for view in scene.train],
@@ -144,6 +142,15 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         self, scene: Scene, raw: list[DepthImage], confirmed: list[DepthImage]
     ) -> list[ViewDepth]:
         """The views with their guesses, if those are wanted."""
+        import numpy as np
+
+        from ._cloud import all_but
+        from ._fill import fill_holes
+        from ._layers import is_background
+        from ._other_views import hides
+        from ._projection import lift, pixel_centers
+        from ._view_depth import ViewDepth
+
         cameras = [view.camera for view in scene.train]
         views = []
         for index, view in enumerate(scene.train):
@@ -158,6 +165,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _layers(self, views: list[ViewDepth], background: Sequence[float]) -> dict[str, Layer]:
         """Points by kind."""
+        from ._cloud import back_layers, margins, surfaces
+        from ._layers import is_background
+
         layers = surfaces(views, stride=self.settings.stride, merge=self.settings.merge)
         coarse = {}
         if self.settings.back_layer:
@@ -170,12 +180,18 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _chosen(self, count: int) -> Tensor:
         """Indices of the points that are kept, in order."""
+        import torch
+
         if self.settings.max_points is None or count <= self.settings.max_points:
             return torch.arange(count)
         shuffled = torch.randperm(count, generator=self.generator)
         return shuffled[: self.settings.max_points].sort().values
 
     def _point_cloud(self, layers: dict[str, Layer], views: list[ViewDepth]) -> PointCloud:
+        import torch
+
+        from ._layers import joined
+
         settings, points = self.settings, joined(list(layers.values()))
         chosen = self._chosen(len(points))
         sizes = torch.tensor([len(layer) for layer in layers.values()])

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from core_rasterizer import load_points
 from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
 
 
@@ -30,6 +29,8 @@ class PlyInitializer(Initializer[PlySettings]):
             PlyError: the file cannot be read, or has no colours.
             SceneError: it holds no point.
         """
+        from core_rasterizer import load_points
+
         path = self.settings.path.expanduser()
         positions, colors = load_points(path)
         if not len(positions):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 from pydantic import Field
 
 from registry import Initializer, PointCloud, Prior, Register, Scene, Settings, hookimpl
@@ -27,6 +26,8 @@ class RandomInitializer(Initializer[RandomSettings]):
 
     def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return `count` points; the component's generator decides where."""
+        import torch
+
         count = self.settings.count
         choice = torch.randint(len(scene.train), (count,), generator=self.generator)
         u, v, w = torch.rand(3, count, generator=self.generator, dtype=torch.float64)

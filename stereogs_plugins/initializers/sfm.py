@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
 from pydantic import Field
 
 from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
 
-from ._triangulation import Triangulation, triangulate
+if TYPE_CHECKING:
+    import torch
+
+    from ._triangulation import Triangulation
 
 BOUNDS_MARGIN = 1.1
 """A point nearer than near / margin or farther than far * margin comes from a wrong match."""
@@ -51,6 +53,8 @@ class SfmInitializer(Initializer[SfmSettings]):
         return scene.points
 
     def _triangulate(self, scene: Scene) -> PointCloud:
+        from ._triangulation import triangulate
+
         if len(scene.train) < 2:
             raise SceneError(
                 "points cannot be triangulated from one training view",
@@ -76,6 +80,8 @@ class SfmInitializer(Initializer[SfmSettings]):
 
 def _within_bounds(found: Triangulation, scene: Scene) -> torch.Tensor:
     """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    import torch
+
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)
     for index, view in enumerate(scene.train):

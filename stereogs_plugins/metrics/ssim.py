@@ -6,21 +6,21 @@ C2 = 0.03², mean over all pixels and channels. `ssim_skimage` is the definition
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from registry import Metric, Register, hookimpl
 
 from ._images import ImageSettings, white_outside
 
-OFFSETS = np.arange(-5, 6)
+if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+RADIUS = 5
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-Image = np.ndarray[Any, Any]
+Image: TypeAlias = "np.ndarray[Any, Any]"
 
 
 class SSIM(Metric[ImageSettings]):
@@ -45,7 +45,10 @@ class SSIM(Metric[ImageSettings]):
 
 
 def _blur(image: Image) -> Image:
-    window = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))
+    import numpy as np
+    from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
+
+    window = np.exp(-(np.arange(-RADIUS, RADIUS + 1) ** 2) / (2 * SIGMA**2))
     rows = correlate1d(image, window / window.sum(), axis=0, mode="constant")
     blurred: Image = correlate1d(rows, window / window.sum(), axis=1, mode="constant")
     return blurred

@@ -5,12 +5,14 @@ A uniform 7x7 window, sample covariance, mean over the image without a border of
 
 from __future__ import annotations
 
-from skimage.metrics import structural_similarity
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from registry import Metric, Register, hookimpl
 
 from ._images import ImageSettings, white_outside
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class ScikitImageSSIM(Metric[ImageSettings]):
@@ -20,6 +22,8 @@ class ScikitImageSSIM(Metric[ImageSettings]):
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
+        from skimage.metrics import structural_similarity
+
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import Context, OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
 
-from ._decay_statistics import UnseenPruned, quantiles
+if TYPE_CHECKING:
+    from torch import Tensor
 
 QUANTILES_EVERY = 25
 """Iterations between two looks at the quantiles, which need a sort."""
@@ -45,6 +44,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     Settings = GradientAwareDecaySettings
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
+        from ._decay_statistics import UnseenPruned
+
         super().__init__(settings, context)
         self._unseen = UnseenPruned()
 
@@ -55,6 +56,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         iterations the 5, 25, 50, 75 and 95 % quantiles of gradient and beta; and how many Gaussians
         have been pruned so far that got no gradient between two edits.
         """
+        import torch
+
         opacities = step.model.opacities()
         gradient = step.model.gradient("opacity_logits").abs()
         if self.settings.wrt == "activated":
@@ -74,6 +77,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         return OpacityUpdate(factor * opacities)
 
     def _log(self, step: Step, gradient: Tensor, relative: Tensor, factor: Tensor) -> None:
+        from ._decay_statistics import quantiles
+
         mean = float(gradient.mean())
         step.log("opacity_gradient_mean", mean)
         step.log("opacity_gradient_below_mean", float((relative < 1).float().mean()))
@@ -90,6 +95,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         `step` and `linear` are the paper's; linear is clamped, because beyond relative = 1 /
         sensitivity it would make opacities grow.
         """
+        import torch
+
         loss, sensitivity = 1 - self.settings.base, self.settings.sensitivity
         weakened = {
             "exp_beta": lambda: torch.exp(-sensitivity * relative),

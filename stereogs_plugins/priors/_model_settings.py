@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from registry import OnnxModel, OnnxProvider, Settings, Sha256
+from registry import OnnxProvider, Settings, Sha256
+
+if TYPE_CHECKING:
+    from registry import OnnxModel
 
 
 class ModelSettings(Settings):
@@ -17,4 +21,6 @@ class ModelSettings(Settings):
 
     def open(self) -> OnnxModel:
         """The model, loaded."""
+        from registry import OnnxModel
+
         return OnnxModel(self.model, self.sha256, self.provider)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
-
-import torch
-from torch import Tensor
-
-from core_rasterizer import Camera
-from registry import OnnxModel
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from ._value_ranges import ValueRange
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera
+    from registry import OnnxModel
+
 FamilyName = Literal["mvsanywhere", "mvsformer"]
-Cameras = Sequence[Camera]
+Cameras: TypeAlias = "Sequence[Camera]"
 Bounds = tuple[float, float]
 
 _MVSFORMER_STAGES = {"stage1": 1 / 8, "stage2": 1 / 4, "stage3": 1 / 2, "stage4": 1.0}
@@ -47,6 +47,8 @@ def _posed(
     model: OnnxModel, cameras: Cameras, bounds: Bounds, intrinsics_scale: float
 ) -> dict[str, Tensor]:
     """`K` `[1, V, 3, 3]`, `cam_T_world` `[1, V, 4, 4]` and, if wanted, `depth_range` `[1, 2]`."""
+    import torch
+
     inputs = {
         "K": _intrinsics(cameras, intrinsics_scale)[None],
         "cam_T_world": _poses(cameras)[None],
@@ -63,6 +65,8 @@ def _staged(
 
     The stages work at 1/8, 1/4, 1/2 and the full size of the images.
     """
+    import torch
+
     inputs = {}
     for name, factor in _MVSFORMER_STAGES.items():
         matrices = torch.zeros(len(cameras), 2, 4, 4)
@@ -76,6 +80,8 @@ def _staged(
 
 def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
     """`[V, 3, 3]` on a grid whose sides are `factor` times the images'."""
+    import torch
+
     matrices = torch.stack([camera.intrinsics for camera in cameras])
     matrices[:, :2] *= factor
     return matrices.float()
@@ -83,6 +89,8 @@ def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
 
 def _poses(cameras: Cameras) -> Tensor:
     """World to camera, `[V, 4, 4]`."""
+    import torch
+
     return torch.stack([camera.world_to_camera for camera in cameras]).float()
 
 

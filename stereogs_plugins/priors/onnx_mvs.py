@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import Context, DepthMap, MultiViewDepthPrior, PluginError, Register, View, hookimpl
 
@@ -16,6 +14,9 @@ from ._fitting import Fit, full_size_maps, stretched
 from ._model_settings import ModelSettings
 from ._mvs_families import FAMILIES, FamilyName
 from ._value_ranges import ValueRange, in_range
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class OnnxMvsSettings(ModelSettings):
@@ -84,6 +85,8 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
 
     def _depth(self, views: Sequence[View], bounds: tuple[float, float]) -> DepthMap:
         """The depth of the first view."""
+        import torch
+
         family = self._family
         fit = self._fit(views[0])
         height, width = fit.target

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
-from registry import Context, OnnxModel, PluginError, Register, Sha256, StereoPrior, hookimpl
+from registry import Context, PluginError, Register, Sha256, StereoPrior, hookimpl
 
 from ._fitting import Padding, full_size_maps, padded, stretched
 from ._model_settings import ModelSettings
 from ._stereo_families import FAMILIES, FamilyName, StereoFamily
-from ._stereo_networks import OneGraph, StereoNetwork, TwoGraphs
 from ._value_ranges import ValueRange, in_range
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ._stereo_networks import StereoNetwork
 
 
 class OnnxStereoSettings(ModelSettings):
@@ -86,6 +89,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
         """Both directions, in one call if the graph takes two pairs at once."""
+        import torch
+
         of_left, mirrored = self._infer(
             torch.stack([left, right.flip(1)]), torch.stack([right, left.flip(1)])
         )
@@ -93,6 +98,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def _infer(self, lefts: Tensor, rights: Tensor) -> Tensor:
         """Disparities `[N, H, W]` of pairs `[N, H, W, 3]`."""
+        import torch
+
         settings, network = self.settings, self._network
         height, width = int(lefts.shape[1]), int(lefts.shape[2])
         frozen = network.frozen if settings.size is None else settings.size[::-1]
@@ -114,6 +121,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def _clean(self, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
         """The disparity, positive, NaN where there is none or it cannot be trusted."""
+        import torch
+
         disparity = self._map(self._output, answers, shape)
         if self._family.negated:
             disparity = -disparity
@@ -138,6 +147,10 @@ def _family(settings: OnnxStereoSettings) -> StereoFamily:
 
 
 def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
+    from registry import OnnxModel
+
+    from ._stereo_networks import OneGraph, TwoGraphs
+
     pair = settings.family == "fast_foundation_stereo"
     if pair != (settings.second_model is not None):
         raise PluginError(

@@ -9,23 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
-import torch
 from pydantic import Field, model_validator
-from torch import Tensor
 
-from core_rasterizer import Camera
-from core_rasterizer.matching import (
-    LARGEST_PENALTY,
-    MAX_SWEEP_RADIUS,
-    FeatureSweep,
-    Penalties,
-    ZnccSweep,
-    aggregate,
-    pick,
-    seen_by_any,
-)
+from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
 from registry import (
     Context,
     DepthMap,
@@ -35,11 +23,14 @@ from registry import (
     Settings,
     Sha256,
     View,
-    grey,
     hookimpl,
 )
 
-from ._learned_features import LearnedFeatures
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera
+    from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
 _SMALLEST_BASELINE = 1e-4
 """Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
@@ -88,6 +79,8 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     Settings = PlaneSweepSettings
 
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
+        from ._learned_features import LearnedFeatures
+
         super().__init__(settings, context)
         self._features = (
             LearnedFeatures(settings.features, settings.sha256) if settings.features else None
@@ -109,6 +102,11 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
             PluginError: all cameras stand in one place.
             MemoryBudgetError: a view's cost volume would take more than half of the device's memory.
         """
+        import torch
+
+        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any
+        from registry import grey
+
         planes = self.settings.planes
         near, far = bounds[0] * self.settings.near_margin, bounds[1] * self.settings.far_margin
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
@@ -131,6 +129,8 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     def _sweep(
         self, views: Sequence[View], greys: Sequence[Tensor], inverse_depths: Tensor
     ) -> ZnccSweep | FeatureSweep:
+        from core_rasterizer.matching import FeatureSweep, ZnccSweep
+
         device, share = self.context.device, self.settings.second_share
         cameras = [view.camera for view in views]
         if self._features:

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Context,
@@ -29,8 +27,9 @@ from registry import (
 )
 
 from ._baseline import BaselineSettings, choose_baseline
-from ._lazy_refresh import LazyRefresh
-from ._stereo_masks import agreeing, dark_background
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SMALLEST_DISPARITY = 0.1
 """Pixels; below, depth explodes."""
@@ -80,6 +79,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     Settings = StereoDepthSettings
 
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
+        from ._lazy_refresh import LazyRefresh
+
         super().__init__(settings, context)
         self._baseline: float | None = None
         self._refresh = LazyRefresh(settings.refresh_threshold)
@@ -114,6 +115,10 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
     def _trusted(self, step: Step, left: Disparity, right: Disparity) -> Tensor:
         """The left disparity `[H, W]`, 0 where it is not to be trusted."""
+        import torch
+
+        from ._stereo_masks import agreeing
+
         trusted = left.valid & (left.values >= SMALLEST_DISPARITY)
         agree = agreeing(left, right, self.settings.tau)
         self._log(step, "occluded", 1 - float(agree.float().mean()))
@@ -122,6 +127,10 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         return torch.where(trusted, left.values, 0.0)
 
     def _background(self, view: View) -> Tensor:
+        import torch
+
+        from ._stereo_masks import dark_background
+
         if self.settings.background == "intensity":
             return dark_background(view.image, self.settings.background_level)
         if self.settings.background == "alpha":
@@ -136,6 +145,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
     def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:
         """The loss. Pixels are selected before anything is divided: 0 times infinity is not 0."""
+        import torch
+
         assert step.rendering is not None
         depth, alpha = step.rendering.depth, step.rendering.alpha
         used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
@@ -162,6 +173,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
     def state(self) -> dict[str, Tensor]:
         """The baseline once it is settled, and what the prior answered last."""
+        import torch
+
         state = {f"refresh/{key}": value for key, value in self._refresh.state().items()}
         state["skipped"] = torch.tensor(self._skipped)
         if self._baseline is not None:

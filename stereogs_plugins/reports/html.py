@@ -25,7 +25,6 @@ from registry.web_page import (
 )
 
 from ._run_files import RunFiles, read_run
-from ._training_plots import training_plots
 
 FILE = "report.html"
 
@@ -41,6 +40,8 @@ class HtmlReport(Report[Settings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
+        from ._training_plots import training_plots
+
         run = read_run(folder)
         title = f"{scene.name}: {run.results['pipeline']}"
         contents = [

@@ -13,18 +13,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 from registry import SceneError
 
 from ._reading import decoding
 from ._resized_cache import remembered
 
-Pixels = NDArray[np.uint8]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from PIL import Image
+
+Pixels: TypeAlias = "NDArray[np.uint8]"
 ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
 Size = tuple[int, int]
 
@@ -33,12 +34,6 @@ _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of that EXIF tag that exchange width and height."""
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-_FILTERS = {
-    "box": Image.Resampling.BOX,
-    "bilinear": Image.Resampling.BILINEAR,
-    "bicubic": Image.Resampling.BICUBIC,
-    "lanczos": Image.Resampling.LANCZOS,
-}
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 _FIX = "restore the photograph, or save it anew as an 8-bit PNG or JPEG"
 
@@ -69,6 +64,9 @@ class Decoder:
         Raises:
             SceneError: the file is missing, damaged, or has more than 8 bits a channel.
         """
+        import numpy as np
+        from PIL import Image
+
         with decoding("the image", path, _FIX), Image.open(path) as file:
             _check_mode(file, path)
             stored = upright_size(file) if self.upright else file.size
@@ -76,11 +74,13 @@ class Decoder:
             if size == stored:
                 return np.asarray(self._opaque(file))
             treatment = f"{size} {self.resize_filter} {self.background} {self.upright}"
-            resample = _FILTERS[self.resize_filter]
+            resample = Image.Resampling[self.resize_filter.upper()]
             image = remembered(path, treatment, lambda: self._opaque(file).resize(size, resample))
             return np.asarray(image)
 
     def _opaque(self, file: Image.Image) -> Image.Image:
+        from PIL import Image, ImageOps
+
         if self.upright:
             file = ImageOps.exif_transpose(file)
         if not file.has_transparency_data:
@@ -97,10 +97,15 @@ def read_mask(path: Path, size: Size) -> Pixels:
     Raises:
         SceneError: the file is missing or damaged.
     """
+    import numpy as np
+    from PIL import Image
+
     with decoding("the mask", path, _FIX), Image.open(path) as file:
         _check_mode(file, path)
         grey = file.convert("L")
-        return np.asarray(grey if grey.size == size else grey.resize(size, _FILTERS["bicubic"]))
+        return np.asarray(
+            grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
+        )
 
 
 def stored_size(path: Path, *, upright: bool = False) -> Size:
@@ -109,6 +114,8 @@ def stored_size(path: Path, *, upright: bool = False) -> Size:
     Raises:
         SceneError: the file is missing or is no image.
     """
+    from PIL import Image
+
     with decoding("the image", path, _FIX), Image.open(path) as file:
         return upright_size(file) if upright else file.size
 

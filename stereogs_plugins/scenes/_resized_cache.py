@@ -12,11 +12,10 @@ import logging
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import PIL
-from PIL import Image
-
-from registry import cache_folder
+if TYPE_CHECKING:
+    from PIL import Image
 
 _log = logging.getLogger(__name__)
 
@@ -27,6 +26,11 @@ def remembered(path: Path, treatment: str, compute: Callable[[], Image.Image]) -
     Args:
         treatment: all that the result depends on beside the file.
     """
+    import PIL
+    from PIL import Image
+
+    from registry import cache_folder
+
     folder = cache_folder("photographs")
     if folder is None:
         return compute()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
@@ -17,11 +17,12 @@ from pydantic import Field
 from registry import Register, Scene, SceneError, SceneLoader, Settings, hookimpl
 
 from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
-from ._lens import Lens
-from ._loaded_photos import LoadedPhotos, Notes
-from ._opengl import world_to_camera
-from ._posed_photos import PosedPhoto
 from ._reading import Finite, Matrix, inside, read_document
+
+if TYPE_CHECKING:
+    from ._lens import Lens
+    from ._loaded_photos import Notes
+    from ._posed_photos import PosedPhoto
 
 STANDARD_VIEWS = (26, 86, 2, 55, 75, 93, 16, 73)
 """The eight training views of the sparse-view literature."""
@@ -65,6 +66,8 @@ class BlenderScene(SceneLoader[BlenderSettings]):
             SceneError: a missing or damaged file, an asked-for photograph that is not there, a pose
                 that is none.
         """
+        from ._loaded_photos import LoadedPhotos
+
         settings = self.settings
         folder = settings.path.expanduser()
         train = _read_split(folder, "train")
@@ -103,6 +106,9 @@ class _Transforms(pydantic.BaseModel):
 
 def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
     """The photographs of one split by number, in the order of the file."""
+    from ._opengl import world_to_camera
+    from ._posed_photos import PosedPhoto
+
     path = folder / f"transforms_{split}.json"
     content = read_document(path, _Transforms, _FIX)
     photos: dict[int, PosedPhoto] = {}
@@ -130,6 +136,8 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
 
 def _lens(angle: float, image: Path) -> Lens:
     """A field of view `angle` radians wide; square pixels, principal point at the centre."""
+    from ._lens import Lens
+
     width, height = stored_size(image)
     focal = width / 2 / math.tan(angle / 2)
     return Lens(focal, focal, width / 2, height / 2, width, height)

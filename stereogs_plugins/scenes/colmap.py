@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
 from registry import Register, Scene, SceneLoader, hookimpl
 
-from ._bounds import estimate_bounds
-from ._colmap_model import ColmapModel, has_model, pose, read_model
 from ._image_source import ImageSourceSettings
-from ._loaded_photos import LoadedPhotos
-from ._posed_photos import PosedPhoto
 from ._reading import inside, view_names
 from ._splits import SplitSettings, split, split_rule
+
+if TYPE_CHECKING:
+    from ._colmap_model import ColmapModel
+    from ._posed_photos import PosedPhoto
 
 _FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
 
@@ -40,6 +40,8 @@ class ColmapScene(SceneLoader[ColmapSettings]):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether the folder holds a COLMAP model in sparse/0."""
+        from ._colmap_model import has_model
+
         return has_model(folder / "sparse" / "0")
 
     def load(self) -> Scene:
@@ -49,6 +51,10 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             SceneError: a missing, truncated or inconsistent file, an unknown camera model, a photograph
                 that is missing or has another shape than its camera.
         """
+        from ._bounds import estimate_bounds
+        from ._colmap_model import read_model
+        from ._loaded_photos import LoadedPhotos
+
         settings = self.settings
         folder = settings.path.expanduser()
         model = read_model(inside(folder, settings.model, "the setting `model`"), _FIX)
@@ -69,6 +75,9 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 
 
 def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
+    from ._colmap_model import pose
+    from ._posed_photos import PosedPhoto
+
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
     names = view_names([image.name for _, image in model.images])
     return [

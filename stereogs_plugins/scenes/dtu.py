@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
 from registry import Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
 
-from ._bounds import estimate_bounds
-from ._dark_background import blacken
-from ._dtu_cameras import DtuCameras, calibrated, from_colmap, view_number
 from ._images import Decoder, ResizeFilter, at_most, list_images
-from ._loaded_photos import LoadedPhotos, Notes
-from ._posed_photos import PosedPhoto
+
+if TYPE_CHECKING:
+    from ._dtu_cameras import DtuCameras
+    from ._loaded_photos import Notes
+    from ._posed_photos import PosedPhoto
 
 TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 """Three, six or nine of these train (PixelNeRF, RegNeRF and the literature since)."""
@@ -67,6 +67,9 @@ class DTUScene(SceneLoader[DTUSettings]):
         Raises:
             SceneError: a missing or damaged file, a view that is not there, a matrix that is no camera.
         """
+        from ._bounds import estimate_bounds
+        from ._loaded_photos import LoadedPhotos
+
         settings = self.settings
         folder = settings.path.expanduser()
         train = list(TRAIN_VIEWS[: settings.train_views])
@@ -89,12 +92,16 @@ class DTUScene(SceneLoader[DTUSettings]):
         return replace(scene, train=tuple(self._darkened(view) for view in scene.train))
 
     def _read_cameras(self, folder: Path, train: list[int]) -> DtuCameras:
+        from ._dtu_cameras import calibrated, from_colmap
+
         wanted = [*train, *TEST_VIEWS]
         if self.settings.cameras == "colmap":
             return from_colmap(folder / "sparse" / "0", train, wanted)
         return calibrated(folder / "cameras_sphere.npz", wanted)
 
     def _photos(self, folder: Path, found: DtuCameras, numbers: list[int]) -> list[PosedPhoto]:
+        from ._posed_photos import PosedPhoto
+
         images = _by_view(folder, ("image", "images"), numbers, "")
         masks = {}
         if self.settings.masks:
@@ -112,6 +119,8 @@ class DTUScene(SceneLoader[DTUSettings]):
         ]
 
     def _darkened(self, view: View) -> View:
+        from ._dark_background import blacken
+
         threshold = self.settings.dark_background
         return replace(view, image=blacken(view.image, threshold)) if threshold else view
 
@@ -120,6 +129,8 @@ def _by_view(
     folder: Path, names: tuple[str, ...], numbers: list[int], hint: str
 ) -> dict[int, Path]:
     """The images in the first of some folders that has any, by view number."""
+    from ._dtu_cameras import view_number
+
     found: dict[int, Path] = {}
     for name in names:
         files = list_images(folder / name)

@@ -7,21 +7,21 @@ every row: `{"all_names": ["first.jpg", ...]}`. The split is then that of the wh
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import pydantic
 
 from registry import Register, Scene, SceneError, SceneLoader, hookimpl
 
-from ._bounds import Bounds, estimate_bounds
 from ._image_source import ImageSourceSettings
 from ._images import list_images
-from ._llff_points import read_points
-from ._llff_poses import PoseRow, read_poses
-from ._loaded_photos import LoadedPhotos
-from ._posed_photos import PosedPhoto
 from ._reading import inside, read_document
 from ._splits import SplitSettings, split, split_rule
+
+if TYPE_CHECKING:
+    from ._bounds import Bounds
+    from ._llff_poses import PoseRow
+    from ._posed_photos import PosedPhoto
 
 
 class LLFFSettings(SplitSettings, ImageSourceSettings):
@@ -52,6 +52,11 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             SceneError: a missing folder or file, a number of poses that is not the number of images, an
                 image of another size, a pose that is not finite, more training views than there are.
         """
+        from ._bounds import estimate_bounds
+        from ._llff_points import read_points
+        from ._llff_poses import read_poses
+        from ._loaded_photos import LoadedPhotos
+
         settings = self.settings
         folder = settings.path.expanduser()
         if not folder.is_dir():
@@ -96,6 +101,8 @@ def _image_of_each_row(folder: Path, images: Path, row_count: int) -> list[Path]
 
 
 def _photo(path: Path, row: PoseRow) -> PosedPhoto:
+    from ._posed_photos import PosedPhoto
+
     return PosedPhoto(path.stem, path, row.world_to_camera, row.lens, row.where)
 
 

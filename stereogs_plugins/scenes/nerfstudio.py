@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from core_rasterizer import load_points
 from registry import PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 
-from ._bounds import estimate_bounds
 from ._images import Decoder, ResizeFilter, divided_by
-from ._loaded_photos import LoadedPhotos
-from ._nerfstudio_file import Transforms, lens_of, read_transforms
-from ._opengl import world_to_camera
-from ._posed_photos import PosedPhoto
 from ._reading import inside, view_names
 from ._splits import SplitSettings, split, split_rule, spread
+
+if TYPE_CHECKING:
+    from ._nerfstudio_file import Transforms
+    from ._posed_photos import PosedPhoto
 
 
 class NerfstudioSettings(SplitSettings):
@@ -51,6 +49,10 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
             SceneError: a missing or damaged file, a field that is missing or not finite, a photograph
                 that is missing or has another shape than its camera.
         """
+        from ._bounds import estimate_bounds
+        from ._loaded_photos import LoadedPhotos
+        from ._nerfstudio_file import read_transforms
+
         settings = self.settings
         folder = settings.path.expanduser()
         path = folder / "transforms.json"
@@ -95,6 +97,10 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
 
 def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto]:
     """The photographs of all frames, sorted by file name."""
+    from ._nerfstudio_file import lens_of
+    from ._opengl import world_to_camera
+    from ._posed_photos import PosedPhoto
+
     frames = sorted(enumerate(transforms.frames), key=lambda item: item[1].file_path)
     names = view_names([frame.file_path for _, frame in frames])
     photos = []
@@ -114,6 +120,8 @@ def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto
 
 
 def _read_points(folder: Path, transforms: Transforms, path: Path) -> PointCloud | None:
+    from core_rasterizer import load_points
+
     if transforms.ply_file_path is None:
         return None
     file = inside(folder, transforms.ply_file_path, str(path))

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
 from registry import Register, Scene, SceneLoader, hookimpl
 
-from ._bounds import estimate_bounds
-from ._colmap_model import ColmapModel, pose
-from ._disconnected import refuse_disconnected
-from ._found_cameras import remembered_model
 from ._images import IMAGE_SUFFIXES, Decoder, ResizeFilter, longest_side
-from ._loaded_photos import LoadedPhotos, Notes
-from ._posed_photos import PosedPhoto
 from ._splits import SplitSettings, split, split_rule
-from ._structure_from_motion import image_index, reconstruct
-from ._unposed_photos import UnposedPhoto, read_folder
+
+if TYPE_CHECKING:
+    from ._colmap_model import ColmapModel
+    from ._loaded_photos import Notes
+    from ._posed_photos import PosedPhoto
+    from ._unposed_photos import UnposedPhoto
 
 
 class PhotosSettings(SplitSettings):
@@ -62,6 +60,10 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             SceneError: fewer than three photographs, one that cannot be read, two equal ones, or
                 photographs that do not connect; then it says which do and what to photograph next.
         """
+        from ._bounds import estimate_bounds
+        from ._loaded_photos import LoadedPhotos
+        from ._unposed_photos import read_folder
+
         settings = self.settings
         folder = settings.path.expanduser()
         found = read_folder(folder)
@@ -85,6 +87,10 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         return loaded.scene("photos", folder, bounds, points, notes)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
+        from ._disconnected import refuse_disconnected
+        from ._found_cameras import remembered_model
+        from ._structure_from_motion import reconstruct
+
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
 
@@ -98,6 +104,10 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
+    from ._colmap_model import pose
+    from ._posed_photos import PosedPhoto
+    from ._structure_from_motion import image_index
+
     stems = [photo.path.stem for photo in found]
     return [
         PosedPhoto(
