@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
-
-from torch import Tensor
-
-from core_rasterizer import Device
+from typing import TYPE_CHECKING, Any
 
 from ..contract.component import Component, Context
 from ..contract.prior import Prior
@@ -16,6 +12,11 @@ from ..errors import RunError
 from .blame import blame
 from .pipeline import Item, Pipeline
 from .seeding import derived_seed
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Device
 
 
 @dataclass(frozen=True, eq=False)
