@@ -9,8 +9,9 @@
     def stereogs_register_initializers(register):
         register("flat", Flat)
 
-The host's own machinery lives in the modules: `registry.pipeline`, `registry.training_run`,
-`registry.plugins`. A plugin is tried with `registry.testing`.
+Importing it costs nothing: each name is imported when it is first used. The host's own machinery lives
+in the folders beside this file; `import stereogs` gives it to programs. A plugin is tried with
+`registry.testing`.
 """
 
 from typing import TYPE_CHECKING
