@@ -4,31 +4,38 @@
 training, with `photometric_loss`, `Adam` and `apply_edit` beside it.
 """
 
-from .camera import Camera
-from .device import Device, list_devices, open_device
-from .errors import (
-    CameraError,
-    DeviceError,
-    ExplainedError,
-    GaussianError,
-    MemoryBudgetError,
-    PlyError,
-)
-from .gaussians import Gaussians
-from .optimization import (
-    Adam,
-    Carried,
-    Edit,
-    GaussianModel,
-    Relocation,
-    apply_edit,
-    photometric_loss,
-    shared_among_copies,
-)
-from .optimization import ModelReader as GaussianReader
-from .ply import load_ply, load_points, save_ply
-from .rasterize import rasterize
-from .rendering import Rendering
+from typing import TYPE_CHECKING
+
+from .first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .camera import Camera
+    from .device import Device, list_devices, open_device
+    from .errors import (
+        CameraError,
+        DeviceError,
+        ExplainedError,
+        GaussianError,
+        MemoryBudgetError,
+        PlyError,
+    )
+    from .functional import rasterize
+    from .gaussians import Gaussians
+    from .optimization import (
+        Adam,
+        Carried,
+        Edit,
+        GaussianModel,
+        Relocation,
+        apply_edit,
+        photometric_loss,
+        shared_among_copies,
+    )
+    from .optimization import ModelReader as GaussianReader
+    from .ply import load_ply, load_points, save_ply
+    from .rendering import Rendering
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "Adam",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -62,6 +63,50 @@ class Camera:
                     where=f"camera.{name}",
                 )
             object.__setattr__(self, name, int(value))
+
+    @classmethod
+    def centered(cls, world_to_camera: Any, focal: float, width: int, height: int) -> Camera:
+        """A camera with square pixels and the principal point in the middle of the image.
+
+        Args:
+            world_to_camera: `[4, 4]`, as above.
+            focal: focal length in pixels, > 0.
+        """
+        return cls(world_to_camera, focal, focal, width / 2, height / 2, width, height)
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: Sequence[float],
+        target: Sequence[float],
+        focal: float,
+        width: int,
+        height: int,
+        *,
+        up: Sequence[float] = (0.0, -1.0, 0.0),
+    ) -> Camera:
+        """A `centered` camera at `eye` that sees `target` in the middle of its image.
+
+        Args:
+            up: what is upwards in the image, world units of any length; not the viewing direction.
+
+        Raises:
+            CameraError: the eye is at the target, or `up` is along the viewing direction.
+        """
+        place, seen, upwards = (torch.as_tensor(v, dtype=torch.float64) for v in (eye, target, up))
+        forward = seen - place
+        right = torch.linalg.cross(forward, upwards)
+        if not float(right.norm()) > 1e-9 * float(forward.norm() * upwards.norm()):
+            raise CameraError(
+                "no camera looks from the eye to the target with that `up`",
+                where=f"eye {list(eye)}, target {list(target)}, up {list(up)}",
+                fix="move the eye away from the target, or give an `up` that is not the direction of view",
+            )
+        forward, right = forward / forward.norm(), right / right.norm()
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+        pose[:3, 3] = -pose[:3, :3] @ place
+        return cls.centered(pose, focal, width, height)
 
     @property
     def center(self) -> Tensor:

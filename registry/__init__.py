@@ -9,53 +9,61 @@
     def stereogs_register_initializers(register):
         register("flat", Flat)
 
-The host's own machinery lives in the modules: `registry.pipeline`, `registry.training_run`,
-`registry.plugins`. A plugin is tried with `registry.testing`.
+Importing it costs nothing: each name is imported when it is first used. The host's own machinery lives
+in the folders beside this file; `import stereogs` gives it to programs. A plugin is tried with
+`registry.testing`.
 """
 
-from . import cache, image_fitting, photos, web_page
-from .contract.component import Component, Context, ParameterGroup, Settings
-from .contract.components import (
-    Appearance,
-    AverageErrorRole,
-    Densification,
-    Exporter,
-    Initializer,
-    Metric,
-    Modifier,
-    OpacityPolicy,
-    OpacityUpdate,
-    Perturbation,
-    Regularizer,
-    Report,
-    Sampler,
-    SceneLoader,
-    Unavailable,
-    ViewMetric,
-)
-from .contract.fact import Fact
-from .contract.hook_points import API_VERSION
-from .contract.hooks import Register, hookimpl
-from .contract.maps import DepthMap, Disparity, Flow, Matches
-from .contract.prior import Prior
-from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
-from .contract.step import OtherField, Render, Sample, Step
-from .drawing.metric_images import ImageMetricSettings, white_outside
-from .drawing.pictures import grey, nearness_picture, side_by_side
-from .errors import PipelineError, PluginError, RunError, SceneError
-from .files import write_text
-from .priors.capabilities import (
-    MatchingPrior,
-    MonocularDepthPrior,
-    MultiViewDepthPrior,
-    OpticalFlowPrior,
-    StereoPrior,
-)
-from .priors.learned_features import LearnedFeatures
-from .priors.model_file import Sha256, read_model_file
-from .priors.onnx_model import OnnxModel, OnnxTensor
-from .priors.onnx_session import OnnxProvider, first_line
-from .priors.onnx_settings import OnnxModelSettings
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from . import cache, image_fitting, photos, web_page
+    from .contract.component import Component, Context, ParameterGroup, Settings
+    from .contract.components import (
+        Appearance,
+        AverageErrorRole,
+        Densification,
+        Exporter,
+        Initializer,
+        Metric,
+        Modifier,
+        OpacityPolicy,
+        OpacityUpdate,
+        Perturbation,
+        Regularizer,
+        Report,
+        Sampler,
+        SceneLoader,
+        Unavailable,
+        ViewMetric,
+    )
+    from .contract.fact import Fact
+    from .contract.hook_points import API_VERSION
+    from .contract.hooks import Register, hookimpl
+    from .contract.maps import DepthMap, Disparity, Flow, Matches
+    from .contract.prior import Prior
+    from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
+    from .contract.step import OtherField, Render, Sample, Step
+    from .drawing.metric_images import ImageMetricSettings, white_outside
+    from .drawing.pictures import grey, nearness_picture, side_by_side
+    from .errors import PipelineError, PluginError, RunError, SceneError
+    from .files import write_text
+    from .priors.capabilities import (
+        MatchingPrior,
+        MonocularDepthPrior,
+        MultiViewDepthPrior,
+        OpticalFlowPrior,
+        StereoPrior,
+    )
+    from .priors.learned_features import LearnedFeatures
+    from .priors.model_file import Sha256, read_model_file
+    from .priors.onnx_model import OnnxModel, OnnxTensor
+    from .priors.onnx_session import OnnxProvider, first_line
+    from .priors.onnx_settings import OnnxModelSettings
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",

@@ -1,4 +1,8 @@
-"""The `stereogs` command."""
+"""The `stereogs` command.
+
+Everything here, and every verb's `add`, imports argparse alone: help, the version and mistakes are answered
+at once. A verb imports what it works with in its `run`, torch only when nothing is left to refuse.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,13 @@ import argparse
 import logging
 import os
 import sys
-import traceback
 from collections.abc import Sequence
 
-import torch
-
-from core_rasterizer import ExplainedError
+from core_rasterizer.errors import ExplainedError
 
 from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
 from .commands.output import error_console
+from .suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
@@ -23,6 +25,18 @@ TRACE = "STEREOGS_TRACE"
 
 PROGRESS = "stereogs"
 """Logger whose INFO lines are shown: a component that takes long tells of it there."""
+
+VERBS = {
+    "check": check,
+    "train": train,
+    "eval": evaluate,
+    "render": render,
+    "compare": compare,
+    "ablate": ablate,
+    "plugins": plugins,
+    "doctor": doctor,
+    "demo": demo,
+}
 
 _EPILOG = """\
 examples:
@@ -51,10 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C.
     """
-    parsed = build_parser().parse_args(arguments)
-    # torch's own threads would wait in a spin beside the OpenCL device's: small operations between
-    # kernels then cost milliseconds. One thread also makes torch's sums independent of the machine.
-    torch.set_num_threads(1)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    parser = build_parser()
+    if not given:
+        parser.print_help()
+        return 0
+    if not given[0].startswith("-") and given[0] not in VERBS:
+        return _explain(_unknown_verb(given[0]))
+    parsed = parser.parse_args(given)
     logging.basicConfig(level=logging.WARNING, format="stereogs: %(message)s")
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
@@ -79,14 +97,38 @@ def build_parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action=_Version, help="print the version and exit")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for verb in (check, train, evaluate, render, compare, ablate, plugins, doctor, demo):
+    for verb in VERBS.values():
         verb.add(verbs)
     return parser
 
 
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"{parser.prog} {version('stereogs-plugins')}")
+        parser.exit()
+
+
+def _unknown_verb(name: str) -> ExplainedError:
+    return ExplainedError(
+        f"there is no verb {name!r}{did_you_mean(name, VERBS)}",
+        where="the command line",
+        fix=f"verbs: {listing(VERBS)}; `stereogs --help` says what they do",
+    )
+
+
 def _explain(error: ExplainedError) -> int:
     if os.environ.get(TRACE) == "1":
+        import traceback
+
         traceback.print_exception(error)
     console = error_console()
     console.print(f"stereogs: {error.what}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -36,6 +37,15 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON that a person can read; keys keep their order."""
     write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+
+
+def jsonable(value: Any) -> Any:
+    """Plain values with infinities and not-a-numbers as None."""
+    if isinstance(value, dict):
+        return {key: jsonable(child) for key, child in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(child) for child in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

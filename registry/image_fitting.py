@@ -6,14 +6,8 @@ Sizes are (height, width). A graph may leave a side open, for any multiple of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
-
-import torch
-from torch import Tensor
-from torch.nn.functional import interpolate, pad
+from typing import TYPE_CHECKING, Literal
 
 from .errors import PluginError
 
@@ -28,6 +22,12 @@ __all__ = [
     "padded",
     "stretched",
 ]
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from torch import Tensor
 
 Size = tuple[int, int]
 FrozenSize = tuple[int | None, int | None]
@@ -67,6 +67,8 @@ class Fit:
         padding: Padding = "replicate",
     ) -> Tensor:
         """`[N, 3, *image]` as `[N, 3, *target]`; what shrinks is smoothed first."""
+        from torch.nn.functional import interpolate, pad
+
         if self.content != self.image:
             shrinks = self.content[0] < self.image[0] or self.content[1] < self.image[1]
             images = interpolate(images, self.content, mode=interpolation, antialias=shrinks)
@@ -83,6 +85,9 @@ class Fit:
 
         A resized value is the bilinear mean of the known ones around it, known where the nearest is.
         """
+        import torch
+        from torch.nn.functional import interpolate
+
         top, left = self._offset
         maps = maps[:, top : top + self.content[0], left : left + self.content[1]]
         if self.content == self.image:

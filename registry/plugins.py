@@ -7,14 +7,17 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import Distribution, EntryPoint, entry_points, version
 from typing import Any
 
 import pluggy
 
 from .contract import hooks
 from .contract.component import Component, Settings
+from .contract.components import SceneLoader
 from .contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
+from .contract.in_memory import IN_MEMORY, InMemoryScene
 from .errors import PluginError
 from .suggestions import did_you_mean, listing
 
@@ -86,6 +89,8 @@ class Plugins:
             PluginError: no plugin offers it, the plugin named like it cannot be loaded, or two
                 plugins offer it.
         """
+        if point.base is SceneLoader and name == IN_MEMORY:
+            return _in_memory(point)
         alike = [entry for entry in self.entries if offered_name(entry) == name]
         self._load_all(alike)
         found = [o for o in self._offers if o.point is point and o.name == name]
@@ -246,7 +251,19 @@ def _check_api(entry: EntryPoint, module: object) -> None:
 
 
 def _distribution(entry: EntryPoint) -> tuple[str, str]:
-    return (entry.dist.name, entry.dist.version) if entry.dist else ("unknown package", "?")
+    return _name_and_version(entry.dist) if entry.dist else ("unknown package", "?")
+
+
+@cache
+def _name_and_version(distribution: Distribution) -> tuple[str, str]:
+    """Read once: each of the two parses the package's metadata anew."""
+    return distribution.name, distribution.version
+
+
+def _in_memory(point: HookPoint) -> Offer:
+    """The host's own stand-in for scenes that are given as objects; no listing shows it."""
+    package = "stereogs-plugins"
+    return Offer(point, IN_MEMORY, InMemoryScene, "registry", package, version(package))
 
 
 def _key(entry: EntryPoint) -> str:

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parent.parent
 MAY_IMPORT = {
     "core_rasterizer": {"core_rasterizer"},
     "registry": {"registry", "core_rasterizer"},
+    "stereogs": {"stereogs", "registry", "core_rasterizer"},
     "stereogs_plugins": {"stereogs_plugins", "registry", "core_rasterizer"},
 }
 FILES = [file for package in MAY_IMPORT for file in sorted((ROOT / package).rglob("*.py"))]

@@ -48,6 +48,21 @@ def test_python_examples_run(page: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out
 
 
+def test_the_page_on_python_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = ROOT / "docs" / "python.md"
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "example"}
+    for source in blocks(page, "python"):
+        exec(compile(source, str(page), "exec"), names)
+    scores, _, shapes, opened, stopped = capsys.readouterr().out.splitlines()
+    assert float(scores.split()[0]) > 15
+    assert shapes.startswith("(48, 64, 3) (48, 64)")
+    assert opened.startswith("True")
+    assert stopped == "False 30 True"
+
+
 def test_the_tutorial_shows_commands() -> None:
     assert len(commands(ROOT / "docs" / "tutorial.md")) >= 5
 

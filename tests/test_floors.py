@@ -19,9 +19,10 @@ FLOORS = (
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs", "testing"),
-    ("comparing", "ablation"),
+    ("comparing", "ablation", "session"),
     ("commands",),
     ("cli",),
+    ("__main__",),
 )
 """The rooms of `registry`, from the ground up: each imports from floors below its own only."""
 

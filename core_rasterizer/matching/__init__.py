@@ -1,10 +1,18 @@
 """Dense matching on a device: cost volumes, their semi-global aggregation, the best plane."""
 
-from .feature_sweep import FeatureSweep
-from .plane_sweep import MAX_SWEEP_RADIUS, ZnccSweep
-from .rectified import MAX_RADIUS, census_costs, feature_costs, right_costs, zncc_costs
-from .semi_global import LARGEST_PENALTY, CostVolume, Penalties, aggregate, pick
-from .sweep_geometry import seen_by_any
+from typing import TYPE_CHECKING
+
+from ..first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .feature_sweep import FeatureSweep
+    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
+    from .plane_sweep import ZnccSweep
+    from .rectified import census_costs, feature_costs, right_costs, zncc_costs
+    from .semi_global import CostVolume, Penalties, aggregate, pick
+    from .sweep_geometry import seen_by_any
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "LARGEST_PENALTY",

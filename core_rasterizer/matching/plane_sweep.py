@@ -11,9 +11,9 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program
+from .limits import MAX_SWEEP_RADIUS
 from .sweep_geometry import SweepGeometry
 
-MAX_SWEEP_RADIUS = 8
 _CPU_TILE, _GPU_TILE = (64, 64), (16, 16)
 _GPU_GROUP = 16
 """Work-items of a group on a GPU: neighbouring planes; a volume's planes are a multiple."""

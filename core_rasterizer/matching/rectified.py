@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ..device import Device, DeviceArray
+from .limits import MAX_RADIUS
 from .semi_global import empty_volume
 
-MAX_RADIUS = 16
 UNSEEN_CORRELATION = 128
 """A correlation of 0, as windows without texture have."""
 UNSEEN_CENSUS = 96

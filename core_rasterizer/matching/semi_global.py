@@ -16,13 +16,12 @@ from torch import Tensor
 
 from ..device import Device, DeviceArray
 from ..errors import MemoryBudgetError
+from .limits import LARGEST_PENALTY
 
 CostVolume: TypeAlias = DeviceArray
 """uint8 `[H, W, D]`, as above."""
 PLANE_MULTIPLE = 16
 """Volumes have so many planes or a multiple: one vector of costs."""
-LARGEST_PENALTY = 7000
-"""Of a jump: eight paths still fit in 16 bits."""
 _BYTES_A_CELL = 4
 """A volume of costs, its sums in two bytes, and the costs of another image beside it."""
 _CPU_BAND = 8

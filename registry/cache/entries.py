@@ -13,14 +13,16 @@ import hashlib
 import logging
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from ..files import new_folder
 from .eviction import CHECKSUM, make_room
 from .place import cache_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 Answer = TypeVar("Answer")
 _ANOTHER_WAS_FIRST = (errno.EEXIST, errno.ENOTEMPTY)

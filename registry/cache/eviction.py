@@ -10,10 +10,12 @@ import re
 import shutil
 import threading
 import time
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from .place import size_limit
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 CHECKSUM = "checksum.txt"
 """The file that marks a folder as an entry."""

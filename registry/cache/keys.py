@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from torch import Tensor
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
 
 
 def content_key(*parts: object) -> str:
@@ -18,6 +18,8 @@ def content_key(*parts: object) -> str:
     Returns:
         32 hexadecimal digits.
     """
+    from torch import Tensor
+
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Tensor):

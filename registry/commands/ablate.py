@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-
-from core_rasterizer import open_device
-
-from ..ablation.planning.arguments import with_arguments
-from ..ablation.planning.description import read_description
-from ..ablation.planning.making import make_plan
-from ..ablation.planning.plan import Plan
-from ..ablation.running.folder import AblationFolder
-from ..ablation.running.jobs import default_jobs
-from ..ablation.running.runner import Outcome, train_all
-from ..ablation.showing.page import as_page
-from ..ablation.showing.scores import Results
-from ..ablation.showing.table import as_csv, as_text
 from ..errors import RunError
-from ..files import write_text
-from ..plugins import Plugins
 from .output import Verbs, add_device, add_verb, console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..ablation.planning.plan import Plan
+    from ..ablation.running.folder import AblationFolder
+    from ..ablation.running.runner import Outcome
+    from ..ablation.showing.scores import Results
 
 INTERRUPTED = 130
 
@@ -95,6 +88,12 @@ def run(arguments: argparse.Namespace) -> int:
             fix="give 1 or more, or leave it out",
         )
     plan = _plan(arguments)
+    from core_rasterizer import open_device
+
+    from ..ablation.running.folder import AblationFolder
+    from ..ablation.running.jobs import default_jobs
+    from ..ablation.running.runner import train_all
+
     device = open_device(arguments.device)
     folder = AblationFolder(arguments.out or Path("runs", f"ablation-{plan.name}"))
     with folder.locked() as lock:
@@ -115,6 +114,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> Plan:
+    from ..ablation.planning.arguments import with_arguments
+    from ..ablation.planning.description import read_description
+    from ..ablation.planning.making import make_plan
+    from ..plugins import Plugins
+
     description = with_arguments(
         read_description(arguments.file, arguments.pipeline),
         overrides=arguments.set,
@@ -127,6 +131,10 @@ def _plan(arguments: argparse.Namespace) -> Plan:
 
 
 def _write(plan: Plan, results: Results, folder: AblationFolder) -> None:
+    from ..ablation.showing.page import as_page
+    from ..ablation.showing.table import as_csv, as_text
+    from ..files import write_text
+
     write_text(folder.path / "ablation.txt", as_text(plan, results))
     write_text(folder.path / "ablation.csv", as_csv(plan, results, folder))
     write_text(folder.path / "index.html", as_page(plan, results, folder))
@@ -136,6 +144,8 @@ def _conclude(
     plan: Plan, results: Results, folder: AblationFolder, outcome: Outcome, output: Console
 ) -> int:
     """Print the table and how it ended; returns the exit status."""
+    from ..ablation.showing.table import as_text
+
     output.print(as_text(plan, results), end="")
     for name in ("ablation.txt", "ablation.csv", "index.html"):
         output.print(f"written  {folder.path / name}")

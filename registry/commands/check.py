@@ -5,14 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from core_rasterizer import open_device
-
-from ..drawing.pictures import save_png
 from ..errors import RunError
-from ..inspection.scene_facts import facts, warnings
-from ..inspection.scene_picture import scene_picture
-from ..inspection.scene_source import load_data
-from ..plugins import Plugins
 from .output import Verbs, add_device, add_verb, console
 
 _EPILOG = """\
@@ -54,15 +47,24 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Load, print, and draw."""
     _check_picture(arguments.out)
+    from ..inspection.scene_source import find_loader, load
+    from ..plugins import Plugins
+
     output = console()
-    item, scene = load_data(
-        arguments.data,
-        Plugins(),
-        open_device(arguments.device),
-        format_name=arguments.format,
-        changes=arguments.set,
+    found = find_loader(
+        arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
     )
-    output.print(f"{scene.name}, read by the {item.point.title} {item.offer.name}")
+    from core_rasterizer import open_device
+
+    from ..drawing.pictures import save_png
+    from ..inspection.scene_facts import facts, warnings
+    from ..inspection.scene_picture import scene_picture
+    from ..training.threads import one_torch_thread
+
+    with one_torch_thread():
+        scene = load(found, open_device(arguments.device))
+    offer = found.item.offer
+    output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
     for label, text in facts(scene):
         output.print(f"  {label:<10}  {text}")
     output.print("said by the loader")

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich import box
-from rich.table import Table
-
-from ..comparing.comparability import check_comparable, check_present
-from ..comparing.comparison import FinishedRun, MethodMean, method_means, metric_names, read_run
-from ..comparing.paper_tables import PaperTables, paper_tables
 from ..errors import RunError
-from ..pipeline.protocols import load_protocol, protocol_names
-from ..runs.results import ABSENT
 from ..suggestions import did_you_mean, listing
 from .output import Verbs, add_verb, console
+
+if TYPE_CHECKING:
+    from ..comparing.comparison import FinishedRun
+    from ..comparing.table import Published
 
 _EPILOG = """\
 examples:
@@ -32,7 +28,6 @@ were run on the same scenes. --paper adds what a paper reports for the protocol 
 
 WIDEST = 500
 """Columns of text that a table may take."""
-_COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
 
 
 def add(verbs: Verbs) -> None:
@@ -56,6 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
             where="the command line",
             fix="give run folders, or --paper NAME --protocol NAME for published numbers alone",
         )
+    from ..comparing.comparability import check_comparable
+    from ..comparing.comparison import read_run
+    from ..comparing.table import comparison_table
+
     runs = [read_run(path) for path in arguments.runs]
     check_comparable(runs)
     published = None
@@ -68,100 +67,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class Published:
-    """What a paper reports for one protocol."""
-
-    tables: PaperTables
-    protocol: str
-
-
-def comparison_table(runs: Sequence[FinishedRun], published: Published | None) -> Table:
-    """Runs, their means over scenes, and published rows."""
-    metrics = metric_names(runs) or list(published.tables.metrics if published else ())
-    table = Table(
-        title=_title(runs, published), box=box.SIMPLE, title_justify="left", caption_justify="left"
-    )
-    for column in ("run", "method", "scene"):
-        table.add_column(column, no_wrap=True)
-    for column in (*metrics, *_COSTS.values()):
-        table.add_column(column, justify="right", no_wrap=True)
-    for finished in runs:
-        numbers = {**finished.scores, **{key: finished.results.get(key) for key in _COSTS}}
-        label = (finished.folder.name, finished.pipeline, finished.scene)
-        table.add_row(*label, *_cells(numbers, metrics))
-    captions = _add_means(table, method_means(runs), metrics)
-    if published is not None:
-        captions += _add_published(table, published, metrics, runs)
-    table.caption = "\n".join(captions) or None
-    return table
-
-
-def _title(runs: Sequence[FinishedRun], published: Published | None) -> str:
-    protocol = runs[0].protocol if runs else published.protocol if published else None
-    return f"protocol {protocol}" if protocol else "no protocol"
-
-
-def _add_means(table: Table, means: Sequence[MethodMean], metrics: Sequence[str]) -> list[str]:
-    """Rows of means if there are several scenes; returns remarks for below the table."""
-    covered = {mean.scenes for mean in means}
-    if max((len(scenes) for scenes in covered), default=0) < 2:
-        return []
-    if len(covered) > 1:
-        parts = "; ".join(f"{mean.method}: {', '.join(mean.scenes)}" for mean in means)
-        return [f"No means: the methods were run on different scenes ({parts})."]
-    table.add_section()
-    for mean in means:
-        scenes = f"mean of {len(mean.scenes)}"
-        table.add_row("", mean.method, scenes, *_cells(mean.numbers, metrics))
-    return []
-
-
-def _add_published(
-    table: Table, published: Published, metrics: Sequence[str], runs: Sequence[FinishedRun]
-) -> list[str]:
-    """The published rows; returns remarks for below the table."""
-    tables, protocol = published.tables, published.protocol
-    scenes = load_protocol(protocol).scenes
-    costs = tables.overhead.get(protocol, {})
-    table.add_section()
-    for method, row in tables.results[protocol].items():
-        numbers: dict[str, float | None] = {}
-        if row is not None:
-            numbers.update(zip(tables.metrics, row, strict=True))
-        if method in costs:
-            numbers["gaussians"] = costs[method].gaussians
-        label = ("published", tables.methods[method], f"mean of {len(scenes)}")
-        table.add_row(*label, *_cells(numbers, metrics))
-    remarks = [f"Published: {tables.source}; means over {', '.join(scenes)}.", *tables.notes]
-    if protocol in tables.protocol_notes:
-        remarks.append(tables.protocol_notes[protocol])
-    if runs:
-        ours = ", ".join(sorted({finished.scene for finished in runs}))
-        remarks.append(f"Ours: {ours}. A mean over other scenes is no reproduction.")
-    return remarks
-
-
-def _cells(numbers: Mapping[str, float | None], metrics: Sequence[str]) -> list[str]:
-    scores = [numbers.get(name) for name in metrics]
-    costs = [numbers.get(name) for name in _COSTS]
-    return [
-        *(ABSENT if score is None else _score(score) for score in scores),
-        *(ABSENT if cost is None else f"{cost:,.0f}" for cost in costs),
-    ]
-
-
-def _score(value: float) -> str:
-    """To as many digits as papers print."""
-    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"
-
-
 def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) -> Published:
     """What the paper reports for the protocol that is named, or that the runs follow.
 
     Raises:
         RunError: the paper or the protocol is not known, or a run does not follow it as it is now.
     """
+    from ..comparing.comparability import check_present
+    from ..comparing.paper_tables import paper_tables
+    from ..comparing.table import Published
+    from ..pipeline.protocols import protocol_names
+
     tables = paper_tables(paper)
     known = [name for name in tables.results if name in protocol_names()]
     if protocol is None and runs and runs[0].results["protocol"] is not None:

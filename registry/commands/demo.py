@@ -5,24 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
-import sys
-from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from core_rasterizer import open_device
-
-from ..drawing.pictures import COMPARISONS
-from ..files import replacing
-from ..inspection.scene_source import scene_loaders
-from ..pipeline.pipeline import parse_pipeline
-from ..pipeline.settings_check import escape_variables
-from ..plugins import Plugins
-from ..runs.results import RENDERS
-from ..runs.training_run import start
 from .output import Verbs, add_device, add_verb, console
 from .train import conclude
+
+if TYPE_CHECKING:
+    from ..plugins import Plugins
 
 DATA = "STEREOGS_DATA"
 
@@ -47,23 +37,29 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train the demo's pipeline and show what came out."""
+    import shutil
+    from importlib import resources
+
+    from ..drawing.pictures import COMPARISONS
+    from ..files import replacing
+    from ..pipeline.pipeline import parse_pipeline
+    from ..plugins import Plugins
+    from ..runs.results import RENDERS
+    from ..runs.training_run import in_runs
+    from ..session import train
+
     output = console()
     text = resources.files("registry").joinpath("data", "demo.yaml").read_text("utf-8")
     plugins = Plugins()
     pipeline = parse_pipeline(text, plugins, source="demo.yaml", overrides=_scene(plugins))
-    folder, finished = start(
-        pipeline,
-        device=open_device(arguments.device),
-        out=arguments.out,
-        command=sys.argv,
-        console=output,
-    )
-    if finished:
+    run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
+    folder = run.folder_or_refuse()
+    if run.finished:
         comparison = min((folder.path / RENDERS / COMPARISONS).iterdir())
         with replacing(folder.path / "demo.png") as temporary:
             shutil.copyfile(comparison, temporary)
-    status = conclude(folder, finished, output)
-    if finished:
+    status = conclude(run, output)
+    if run.finished:
         output.print(f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}")
     return status
 
@@ -77,6 +73,9 @@ def photographs(plugins: Plugins) -> dict[str, Any] | None:
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
         return None
+    from ..inspection.scene_source import scene_loaders
+    from ..pipeline.settings_check import escape_variables
+
     loaders = scene_loaders(plugins)
     for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):
         for offer, loader in loaders:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from core_rasterizer import Device, ExplainedError, list_devices, open_device
-
-from ..inspection.self_test import self_test
 from .output import Verbs, add_device, add_verb, console
+
+if TYPE_CHECKING:
+    from core_rasterizer import Device
 
 FAULT = 1
 
@@ -31,6 +32,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Test every device; 1 if one fails."""
+    from core_rasterizer import list_devices, open_device
+
     output = console()
     chosen = open_device(arguments.device)
     failed = False
@@ -47,13 +50,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _judge(device: Device) -> tuple[bool, str]:
+    """Whether it passed, and the verdict in words."""
+    from core_rasterizer import ExplainedError
+
+    from ..inspection.self_test import self_test
+    from ..training.threads import one_torch_thread
+
     try:
-        verdict = self_test(device)
+        with one_torch_thread():
+            verdict = self_test(device)
     except ExplainedError as error:
         return False, f"FAILED: {error.what}"
     except (
         Exception
-    ) as error:  # a broken driver may raise anything; the other devices are tested all the same
+    ) as error:  # a broken driver may raise anything; the others are tested all the same
         return False, f"FAILED: {type(error).__name__}: {error}"
     numbers = f"image error {verdict.image_error:.1e}, gradient error {verdict.gradient_error:.1e}"
     return verdict.passed, f"{'passed' if verdict.passed else 'FAILED'}, {numbers}"

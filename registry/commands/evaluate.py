@@ -5,12 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from core_rasterizer import open_device
-
-from ..plugins import Plugins
-from ..runs.metrics_log import jsonable
-from ..runs.results import RENDERS, describe, results_table, score
-from ..runs.training_run import open_run
 from .output import Verbs, add_device, add_verb, console
 
 _EPILOG = """\
@@ -32,13 +26,14 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print."""
+    from ..session import open_run
+
     output = console()
-    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
-    scores = score(opened.run, opened.parts, opened.scene, opened.model)
-    facts = describe(opened.pipeline, opened.scene, opened.model, opened.checkpoint.iteration)
-    results = jsonable({**opened.run.results(), **facts, **scores})
-    opened.run.write_results(results)
-    output.print(results_table(results), soft_wrap=False)
-    if opened.scene.test:
-        output.print(f"pictures  {opened.run.path / RENDERS}")
+    run = open_run(arguments.run_folder, device=arguments.device)
+    from ..comparing.run_table import results_table
+    from ..runs.results import RENDERS, renew
+
+    output.print(results_table(renew(run)), soft_wrap=False)
+    if run.scene.test:
+        output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
     return 0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Verbs = Any
 """argparse's own type for a set of verbs is private."""
@@ -13,11 +14,15 @@ Verbs = Any
 
 def console() -> Console:
     """Standard output, as it is now."""
+    from rich.console import Console
+
     return Console(markup=False, highlight=False, soft_wrap=True)
 
 
 def error_console() -> Console:
     """Standard error, as it is now."""
+    from rich.console import Console
+
     return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 

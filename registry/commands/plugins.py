@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
-from ..plugins import Offer, Plugins
 from .output import Verbs, add_verb, console
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ..plugins import Offer
 
 FAULT = 1
 
@@ -33,6 +36,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """List them; 1 if --check finds a fault."""
+    from ..plugins import Plugins
+
     plugins = Plugins()
     offers = plugins.all()
     faults = [*plugins.broken.values(), *plugins.conflicts()]
@@ -56,7 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
     return FAULT if arguments.check and faults else 0
 
 
-def _table(offers: Any) -> Table:
+def _table(offers: Sequence[Offer]) -> Table:
+    from rich.table import Table
+
     table = Table()
     for heading in ("section", "name", "package", "settings"):
         table.add_column(heading, overflow="fold")

@@ -5,17 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import torch
-
-from core_rasterizer import open_device
-
-from ..drawing.camera_path import smooth_path
-from ..drawing.pictures import save_view_pictures
-from ..drawing.video import write_video
-from ..plugins import Plugins
-from ..runs.evaluation import render_view
-from ..runs.results import RENDERS
-from ..runs.training_run import open_run
 from .output import Verbs, add_device, add_verb, console
 
 PATH = "path"
@@ -46,21 +35,23 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render and say where the files lie."""
+    from ..session import open_run
+
     output = console()
-    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
-    folder = opened.run.folder(RENDERS)
+    run = open_run(arguments.run_folder, device=arguments.device)
+    from ..drawing.camera_path import smooth_path
+    from ..drawing.pictures import save_view_pictures
+    from ..drawing.video import write_video
+    from ..runs.results import RENDERS
+
+    folder = run.folder_or_refuse().folder(RENDERS)
     if not arguments.path:
-        for view in opened.scene.test:
-            save_view_pictures(render_view(opened.model, opened.scene, view), view, folder)
-        count = len(opened.scene.test)
-        output.print(f"{count} test views in {folder}")
+        for view in run.scene.test:
+            save_view_pictures(run.rendering(view.camera), view, folder)
+        output.print(f"{len(run.scene.test)} test views in {folder}")
         return 0
-    cameras = smooth_path([view.camera for view in opened.scene.train], arguments.frames)
-    with torch.no_grad():
-        frames = (
-            opened.model.render(camera, background=opened.scene.background).rgb
-            for camera in cameras
-        )
-        written, note = write_video(frames, folder / PATH)
+    cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
+    frames = (run.rendering(camera).rgb for camera in cameras)
+    written, note = write_video(frames, folder / PATH)
     output.print(f"{note}: {written}")
     return 0

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-
-from core_rasterizer import open_device
+from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from ..pipeline.pipeline import load_pipeline
-from ..plugins import Plugins
-from ..runs.folder import RunFolder
-from ..runs.results import RENDERS, results_table
-from ..runs.training_run import resume, start
 from .output import Verbs, add_device, add_verb, console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..runs.run import Run
 
 INTERRUPTED = 130
 
@@ -66,6 +61,10 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 130 after Ctrl-C."""
+    from ..pipeline.pipeline import load_pipeline
+    from ..plugins import Plugins
+    from ..session import resume, train
+
     output = console()
     if arguments.resume is not None:
         given = [arguments.pipeline, arguments.out, *arguments.set, *arguments.disable]
@@ -75,9 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
                 where="the command line",
                 fix=f"only: stereogs train --resume {arguments.resume}",
             )
-        device = open_device(arguments.device)
-        finished = resume(arguments.resume, plugins=Plugins(), device=device, console=output)
-        return conclude(RunFolder(arguments.resume), finished, output)
+        return conclude(resume(arguments.resume, progress=output, device=arguments.device), output)
     if arguments.pipeline is None:
         raise RunError(
             "there is nothing to train",
@@ -87,19 +84,19 @@ def run(arguments: argparse.Namespace) -> int:
     pipeline = load_pipeline(
         arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
     )
-    folder, finished = start(
-        pipeline,
-        device=open_device(arguments.device),
-        out=arguments.out,
-        command=sys.argv,
-        console=output,
-    )
-    return conclude(folder, finished, output)
+    from ..runs.training_run import in_runs
+
+    run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
+    return conclude(run, output)
 
 
-def conclude(folder: RunFolder, finished: bool, output: Console) -> int:
+def conclude(run: Run, output: Console) -> int:
     """Tell how the run ended and where its files lie; returns the exit status."""
-    if not finished:
+    from ..comparing.run_table import results_table
+    from ..runs.results import RENDERS
+
+    folder = run.folder_or_refuse()
+    if not run.finished:
         output.print(
             f"stopped; the checkpoint is complete. Go on with\n"
             f"  stereogs train --resume {folder.path}"

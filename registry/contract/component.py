@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 
 import pydantic
-import torch
-from torch import Tensor
 from typing_extensions import TypeVar
 
-from core_rasterizer import Device
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Device
 
 
 class Settings(pydantic.BaseModel):
@@ -21,7 +22,12 @@ class Settings(pydantic.BaseModel):
     is its documentation.
     """
 
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = pydantic.ConfigDict(
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        defer_build=True,  # what nobody validates with is not built
+    )
 
 
 # With a default, which `typing` offers from Python 3.13 on, `StereoPrior.choose(...)` has a full type.
@@ -88,6 +94,8 @@ class Component(Generic[SettingsType]):
                 cls.Settings = written[0]
 
     def __init__(self, settings: SettingsType, context: Context) -> None:
+        import torch  # only now: settings are checked without it
+
         self.settings = settings
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)

@@ -10,16 +10,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
-
-from torch import Tensor
-
-from core_rasterizer import Edit, GaussianModel, Rendering
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from .component import Component, SettingsType
-from .prior import Prior
-from .scene import PointCloud, Scene, TrainingScene, View
-from .step import Sample, Step
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Edit, GaussianModel, Rendering
+
+    from .prior import Prior
+    from .scene import PointCloud, Scene, TrainingScene, View
+    from .step import Sample, Step
 
 
 class SceneLoader(Component[SettingsType], ABC):

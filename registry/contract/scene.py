@@ -6,16 +6,18 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-import torch
-from torch import Tensor
-
-from core_rasterizer import Camera
+from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError, SceneError
 from .fact import Fact, FactValue
 from .maps import DepthMap
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera
+
+    from .maps import DepthMap
 
 _FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _ROTATION_TOLERANCE = 1e-4
@@ -125,6 +127,8 @@ class TrainingScene:
         A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
         so that learning rates do not vanish.
         """
+        import torch
+
         centers = torch.stack([view.camera.center for view in self.train])
         radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
         return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
@@ -242,6 +246,8 @@ def _is_plain(name: str) -> bool:
 
 def _validate_camera(camera: Camera, where: str) -> None:
     """What `Camera` lets pass and no photograph has."""
+    import torch
+
     rotation = camera.world_to_camera[:3, :3]
     residual = float((rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max())
     if residual > _ROTATION_TOLERANCE:
@@ -266,6 +272,8 @@ def _validate_camera(camera: Camera, where: str) -> None:
 
 def _validate_maps(view: View, where: str) -> None:
     """The mask and the depth."""
+    import torch
+
     for name, array in (("mask", view.mask), ("alpha", view.alpha), ("depth", view.depth)):
         if array is not None and array.shape != view.image.shape[:2]:
             raise SceneError(
@@ -288,6 +296,8 @@ def _validate_maps(view: View, where: str) -> None:
 
 def _refuse_equal_poses(scene: Scene) -> None:
     """Two photographs from one pose have no parallax; one of the poses is most likely a copy."""
+    import torch
+
     for index, view in enumerate(scene.train):
         for other in scene.train[:index]:
             first, second = view.camera.world_to_camera, other.camera.world_to_camera
@@ -315,6 +325,8 @@ def _validate_facts(scene: Scene) -> None:
 
 
 def _validate_points(points: PointCloud, scene_name: str) -> None:
+    import torch
+
     for name in ("positions", "colors"):
         array: Tensor = getattr(points, name)
         if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] != len(points):

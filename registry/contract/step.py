@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
-
-from torch import Tensor
-
-from core_rasterizer import Camera, GaussianReader, Rendering
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import PluginError
-from .maps import DepthMap
-from .prior import Prior
-from .scene import TrainingScene, TrainingView
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera, GaussianReader, Rendering
+
+    from .maps import DepthMap
+    from .prior import Prior
+    from .scene import TrainingScene, TrainingView
 
 
 @dataclass(frozen=True, eq=False)

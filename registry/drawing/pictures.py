@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import torch
 from PIL import Image
-from torch import Tensor
-
-from core_rasterizer import Rendering
 
 from ..contract.scene import View
 from ..files import replacing
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Rendering
 
 _RAMP = (
     (0.10, 0.07, 0.25),
@@ -42,6 +43,8 @@ def save_png(image: Tensor, path: Path) -> None:
 
 def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """`[H, W, 3]` in [0, 1] as rounded bytes; values outside are clamped."""
+    import torch
+
     return (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
 
 
@@ -102,6 +105,8 @@ def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
         nearness: `[H, W]`; values that are not known do not matter.
         known: `[H, W]` bool.
     """
+    import torch
+
     if not known.any():
         return torch.zeros(*known.shape, 3)
     low, high = np.quantile(nearness[known].numpy(), (0.02, 0.98))
@@ -116,6 +121,8 @@ def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
 
 def side_by_side(*images: Tensor) -> Tensor:
     """Images of one height in a row, with a white gap between them."""
+    import torch
+
     gap = torch.ones(images[0].shape[0], _GAP, 3)
     row: list[Tensor] = []
     for image in images:

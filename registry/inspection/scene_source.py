@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from core_rasterizer import Device
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..contract.components import SceneLoader
 from ..contract.hook_points import HOOK_POINTS
-from ..contract.scene import Scene, validate
+from ..contract.scene import validate
 from ..errors import SceneError
 from ..pipeline.blame import blame
 from ..pipeline.edits import apply_override, expand
@@ -21,19 +19,30 @@ from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import Node, Place
 from ..plugins import Offer, Plugins
 
+if TYPE_CHECKING:
+    from core_rasterizer import Device
+
+    from ..contract.scene import Scene
+
 _SCENE = next(point for point in HOOK_POINTS if point.section == "scene")
 _PIPELINE_SUFFIXES = (".yaml", ".yml")
 
 
-def load_data(
+class FoundLoader(NamedTuple):
+    """A scene loader with its settings, and the seed of the run that it would load for."""
+
+    item: Item
+    seed: int = 0
+
+
+def find_loader(
     data: Path,
     plugins: Plugins,
-    device: Device,
     *,
     format_name: str | None = None,
     changes: Sequence[str] = (),
-) -> tuple[Item, Scene]:
-    """The scene in a folder, or of a pipeline file, and the loader that read it.
+) -> FoundLoader:
+    """The loader for a folder, or of a pipeline file.
 
     Args:
         data: a folder, or a pipeline's YAML file.
@@ -41,10 +50,9 @@ def load_data(
         changes: `key=value` or `scene.key=value`, settings of the loader.
 
     Raises:
-        ExplainedError: nothing is there, no loader or several know the folder, or what the loader says.
+        ExplainedError: nothing is there, no loader or several know the folder, or wrong settings.
     """
     overrides = [_qualified(text) for text in changes]
-    seed = 0
     if data.suffix.lower() in _PIPELINE_SUFFIXES and not data.is_dir():
         if format_name is not None:
             raise SceneError(
@@ -53,12 +61,19 @@ def load_data(
                 fix="leave --format out, or give the folder of the data",
             )
         pipeline = load_pipeline(data, plugins, overrides=overrides)
-        item, seed = pipeline.one(_SCENE.section), pipeline.training.seed
-    else:
-        item = _folder_item(data, plugins, format_name, overrides)
-    part = build_part(item, seed, device)
-    with blame(item):
-        return item, validate(part.component.load())
+        return FoundLoader(pipeline.one(_SCENE.section), pipeline.training.seed)
+    return FoundLoader(_folder_item(data, plugins, format_name, overrides))
+
+
+def load(found: FoundLoader, device: Device) -> Scene:
+    """What a loader loads, validated.
+
+    Raises:
+        ExplainedError: what the loader says.
+    """
+    part = build_part(found.item, found.seed, device)
+    with blame(found.item):
+        return validate(part.component.load())
 
 
 def recognize(folder: Path, plugins: Plugins) -> Offer:

@@ -12,32 +12,39 @@
 docs/plugin-authors.md writes a whole loader with it.
 """
 
-from .cameras.bounds import Bounds, estimate_bounds
-from .cameras.colmap_files import ColmapCamera, ColmapImage, ColmapPoint
-from .cameras.colmap_model import ColmapModel, has_colmap_model, read_colmap_model
-from .cameras.lens import Distortion, Lens
-from .cameras.poses import pose_from_axes, pose_from_opengl
-from .cameras.safe_pycolmap import import_pycolmap
-from .cameras.tracks import POINTS_FIX, Tracks
-from .cameras.undistortion import undistort
-from .images.dark_pixels import dark_background
-from .images.decoder import (
-    BACKGROUNDS,
-    Decoder,
-    Pixels,
-    ResizeFilter,
-    read_mask,
-    stored_size,
-    upright_size,
-)
-from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
-from .images.image_source import ImageSourceSettings
-from .images.parallel import in_parallel
-from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
-from .loaded_photos import LoadedPhotos
-from .posed_photos import PosedPhoto, load_views
-from .reading import Finite, Matrix4x4, MatrixRow, decoding, inside, read_document, view_names
-from .splits import SplitSettings, evenly_spaced, split, split_rule
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .cameras.bounds import Bounds, estimate_bounds
+    from .cameras.colmap_files import ColmapCamera, ColmapImage, ColmapPoint
+    from .cameras.colmap_model import ColmapModel, has_colmap_model, read_colmap_model
+    from .cameras.lens import Distortion, Lens
+    from .cameras.poses import pose_from_axes, pose_from_opengl
+    from .cameras.safe_pycolmap import import_pycolmap
+    from .cameras.tracks import POINTS_FIX, Tracks
+    from .cameras.undistortion import undistort
+    from .images.dark_pixels import dark_background
+    from .images.decoder import (
+        BACKGROUNDS,
+        Decoder,
+        Pixels,
+        ResizeFilter,
+        read_mask,
+        stored_size,
+        upright_size,
+    )
+    from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
+    from .images.image_source import ImageSourceSettings
+    from .images.parallel import in_parallel
+    from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
+    from .loaded_photos import LoadedPhotos
+    from .posed_photos import PosedPhoto, load_views
+    from .reading import Finite, Matrix4x4, MatrixRow, decoding, inside, read_document, view_names
+    from .splits import SplitSettings, evenly_spaced, split, split_rule
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "BACKGROUNDS",

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
-
-from core_rasterizer import Camera
+from typing import TYPE_CHECKING, Self
 
 from ..contract.fact import Fact
 from ..contract.scene import PointCloud, Scene, View, validate
 from ..errors import SceneError
-from .cameras.bounds import Bounds
 from .images.decoder import Decoder, stored_size
 from .images.image_files import find_image
 from .posed_photos import PosedPhoto, load_views
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from core_rasterizer import Camera
+
+    from .cameras.bounds import Bounds
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from ..contract.scene import View
-from .cameras.lens import Lens
 from .cameras.undistortion import undistort
 from .images.decoder import Decoder, read_mask
 from .images.image_files import find_image
 from .images.parallel import in_parallel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from .cameras.lens import Lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +53,8 @@ def load_views(photos: Sequence[PosedPhoto], decoder: Decoder) -> list[View]:
 
 
 def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
+    import torch
+
     pixels = decoder.read(find_image(photo.path))
     height, width = pixels.shape[:2]
     distorted = photo.lens.resized(width, height, photo.where)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import pydantic
 
-from core_rasterizer import ExplainedError
-
 from ..errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 Document = TypeVar("Document", bound=pydantic.BaseModel)
 
@@ -34,6 +34,8 @@ def decoding(what: str, path: Path, fix: str) -> Iterator[None]:
     Raises:
         SceneError: for whatever the block raises, other than an explained error.
     """
+    from core_rasterizer import ExplainedError
+
     try:
         yield
     except ExplainedError:

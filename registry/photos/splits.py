@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
 from ..contract.component import Settings
@@ -53,6 +52,8 @@ def split_rule(test_every: int) -> str:
 
 def evenly_spaced(pool: list[int], wanted: int | None) -> list[int]:
     """`wanted` members, evenly over the pool, its ends included; None or 0 takes all."""
+    import numpy as np
+
     # numpy rounds halves to even, as the published splits do.
     chosen = np.round(np.linspace(0, len(pool) - 1, wanted or len(pool))).astype(int)
     return [pool[k] for k in chosen]

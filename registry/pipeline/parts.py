@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
-
-from torch import Tensor
-
-from core_rasterizer import Device
+from typing import TYPE_CHECKING, Any
 
 from ..contract.component import Component, Context
 from ..contract.hook_points import HOOK_POINTS
@@ -18,6 +14,11 @@ from ..errors import RunError
 from .blame import blame
 from .pipeline import Item, Pipeline
 from .seeding import derived_seed
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Device
 
 TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.scheduled)
 """The sections whose components are asked within the training loop."""

@@ -7,16 +7,18 @@ product of their unit feature vectors says.
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import torch
-from torch import Tensor
-from torch.nn.functional import normalize
+from typing import TYPE_CHECKING
 
 from ..drawing.pictures import grey
 from ..errors import PluginError
 from .onnx_model import OnnxModel
-from .onnx_session import OnnxProvider
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from torch import Tensor
+
+    from .onnx_session import OnnxProvider
 
 
 class LearnedFeatures:
@@ -52,6 +54,9 @@ class LearnedFeatures:
         Raises:
             PluginError: the model answers another size, or values that are not finite.
         """
+        import torch
+        from torch.nn.functional import normalize
+
         network_input = standardized_grey(image)
         features = self._model.run({self._input: network_input[None, None]})[self._output]
         height, width = network_input.shape

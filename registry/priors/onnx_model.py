@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..errors import PluginError
 from .model_file import read_model_file
@@ -26,14 +24,18 @@ from .onnx_session import (
     running_provider,
 )
 
-_TYPES = {
-    "tensor(float)": torch.float32,
-    "tensor(float16)": torch.float16,
-    "tensor(double)": torch.float64,
-    "tensor(uint8)": torch.uint8,
-    "tensor(int32)": torch.int32,
-    "tensor(int64)": torch.int64,
-    "tensor(bool)": torch.bool,
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+_TYPES = {  # names of torch's types
+    "tensor(float)": "float32",
+    "tensor(float16)": "float16",
+    "tensor(double)": "float64",
+    "tensor(uint8)": "uint8",
+    "tensor(int32)": "int32",
+    "tensor(int64)": "int64",
+    "tensor(bool)": "bool",
 }
 
 
@@ -121,6 +123,8 @@ class OnnxModel:
         Raises:
             PluginError: a name or shape that is not the graph's, or a failure inside the model.
         """
+        import torch
+
         unknown = [name for name in inputs if name not in {spec.name for spec in self.inputs}]
         missing = [spec.name for spec in self.inputs if spec.name not in inputs]
         if unknown or missing:
@@ -143,6 +147,8 @@ class OnnxModel:
         }
 
     def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
+        import torch
+
         shape = tuple(value.shape)
         fits = len(shape) == len(spec.shape) and all(
             wanted in (None, got) for wanted, got in zip(spec.shape, shape, strict=True)
@@ -178,6 +184,8 @@ class OnnxModel:
 
 
 def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
+    import torch
+
     described = []
     for spec in specs:
         if spec.type not in _TYPES:
@@ -187,5 +195,5 @@ def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
                 fix=f"export it with one of {', '.join(_TYPES)}",
             )
         sizes = (s if isinstance(s, int) and s > 0 else None for s in spec.shape)
-        described.append(OnnxTensor(spec.name, tuple(sizes), _TYPES[spec.type]))
+        described.append(OnnxTensor(spec.name, tuple(sizes), getattr(torch, _TYPES[spec.type])))
     return tuple(described)

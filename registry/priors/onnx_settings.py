@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..contract.component import Settings
 from .model_file import Sha256
-from .onnx_model import OnnxModel
 from .onnx_session import OnnxProvider
+
+if TYPE_CHECKING:
+    from .onnx_model import OnnxModel
 
 
 class OnnxModelSettings(Settings):
@@ -20,4 +23,6 @@ class OnnxModelSettings(Settings):
 
     def open(self) -> OnnxModel:
         """The model, loaded."""
+        from registry import OnnxModel
+
         return OnnxModel(self.model, self.sha256, self.provider)

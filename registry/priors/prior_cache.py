@@ -15,14 +15,14 @@ import sys
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-from safetensors.torch import load_file, save_file
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from ..cache import Cache, content_key
 from ..drawing.pictures import save_png
 from ..files import write_json
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _ANSWER = "answer.safetensors"
 _SOURCES = (".py", ".cl")
@@ -40,6 +40,8 @@ class PriorCache:
 
     def load(self, key: str) -> dict[str, Tensor] | None:
         """The tensors saved under a key, or None."""
+        from safetensors.torch import load_file
+
         return self._cache.load(key, lambda folder: load_file(folder / _ANSWER))
 
     def save(
@@ -54,6 +56,7 @@ class PriorCache:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
+        from safetensors.torch import save_file
 
         def write(folder: Path) -> None:
             save_file(dict(tensors), folder / _ANSWER)

@@ -9,7 +9,7 @@ from typing import get_args
 
 import torch
 
-from core_rasterizer import GaussianModel, Rendering
+from core_rasterizer import Camera, GaussianModel, Rendering
 
 from ..contract.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
@@ -107,6 +107,13 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 def render_view(model: GaussianModel, scene: Scene, view: View) -> Rendering:
     """One view without gradients, colours clamped to [0, 1]."""
+    return clamped_render(model, view.camera, scene.background)
+
+
+def clamped_render(
+    model: GaussianModel, camera: Camera, background: tuple[float, float, float]
+) -> Rendering:
+    """A camera without gradients, colours clamped to [0, 1]."""
     with torch.no_grad():
-        rendering = model.render(view.camera, background=scene.background)
+        rendering = model.render(camera, background=background)
     return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)

@@ -16,13 +16,14 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from ..drawing.pictures import save_png
 from ..errors import RunError
 from ..files import new_folder, write_json, write_text
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
@@ -127,6 +128,7 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
+
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)
         for name, picture in pictures.items():

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import Any
 
+from ..files import jsonable
 from ..training.trainer import Iteration
-from .folder import RunFolder
 
 EVERY = 50
 """Iterations that share a line."""
@@ -16,11 +16,11 @@ class MetricsLog:
     """Averages what iterations log, and writes the averages.
 
     Args:
-        run: where metrics.jsonl lies.
+        keep: takes each line.
     """
 
-    def __init__(self, run: RunFolder) -> None:
-        self._run = run
+    def __init__(self, keep: Callable[[dict[str, Any]], None]) -> None:
+        self._keep = keep
         self._sums: dict[str, tuple[float, int]] = {}
 
     def add(self, done: Iteration, seconds: float, *, last: bool) -> None:
@@ -40,13 +40,4 @@ class MetricsLog:
 
     def write(self, line: dict[str, Any]) -> None:
         """Write a line; numbers that JSON does not know become null."""
-        self._run.append_metrics(jsonable(line))
-
-
-def jsonable(value: Any) -> Any:
-    """Plain values with infinities and not-a-numbers as None."""
-    if isinstance(value, dict):
-        return {key: jsonable(child) for key, child in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(child) for child in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        self._keep(jsonable(line))

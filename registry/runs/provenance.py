@@ -15,15 +15,11 @@ from ..pipeline.pipeline import Pipeline
 _PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "pluggy", "pydantic")
 
 
-def provenance(pipeline: Pipeline, device: Device, command: list[str]) -> dict[str, Any]:
-    """Facts that are needed to repeat a run, as plain JSON values.
-
-    Args:
-        command: the command line as typed.
-    """
+def provenance(pipeline: Pipeline, device: Device) -> dict[str, Any]:
+    """Facts that are needed to repeat a run, as plain JSON values; the command line as typed."""
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": command,
+        "command": sys.argv,
         "seed": pipeline.training.seed,
         "device": describe_device(device),
         "platform": platform.platform(),

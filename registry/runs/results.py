@@ -4,137 +4,91 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from rich.table import Table
-
-from core_rasterizer import GaussianModel
+from typing import TYPE_CHECKING, Any
 
 from ..contract.scene import Scene
+from ..files import jsonable
 from ..pipeline.blame import blame
-from ..pipeline.parts import Parts
-from ..pipeline.pipeline import Item, Pipeline
+from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
-from .evaluation import averaged, evaluate
+from .evaluation import averaged
 from .folder import RunFolder
 from .memory import peak_memory_mb
-from .metrics_log import jsonable
 from .provenance import describe_device
+
+if TYPE_CHECKING:
+    from .run import Run
 
 RENDERS = "renders"
 EXPORTS = "exports"
-ABSENT = "\u2013"
-"""What tables show, a dash, where a score is not available."""
 
 
-def finish(
-    run: RunFolder,
-    pipeline: Pipeline,
-    parts: Parts,
-    scene: Scene,
-    model: GaussianModel,
-    seconds: float,
-) -> None:
-    """Evaluate, export, write results.json, and let the reports do their work.
-
-    Args:
-        seconds: spent training.
-    """
-    scores = score(run, parts, scene, model)
+def finish(run: Run) -> None:
+    """Evaluate, export, write results.json, and let the reports do their work, all in its folder."""
+    folder = run.folder_or_refuse()
+    scores = score(run)
     exported: list[str] = []
-    for part in parts["exporters"]:
+    for part in run.parts["exporters"]:
         with blame(part.item):
-            written = part.component.export(model, scene, run.folder(EXPORTS))
-        exported += [_inside(run, file) for file in written]
-    iterations = pipeline.training.iterations
+            written = part.component.export(run.model, run.scene, folder.folder(EXPORTS))
+        exported += [_inside(folder, file) for file in written]
+    stages = run.seconds.rounded()
     results = jsonable(
         {
-            **describe(pipeline, scene, model, iterations),
-            "initialization": run.initialization(),
-            "seconds": round(seconds, 3),
-            "iterations_per_second": round(iterations / max(seconds, 1e-9), 3),
+            **describe(run),
+            "initialization": run.initialization,
+            "seconds": stages["training"],
+            "seconds_total": round(sum(stages.values()), 3),
+            "stages": stages,
+            "iterations_per_second": round(run.iteration / max(run.seconds.training, 1e-9), 3),
             "peak_memory_mb": peak_memory_mb(),
             "exports": exported,
             "reports": [],
             **scores,
         }
     )
-    run.write_results(results)  # reports read it
-    for part in parts["reports"]:
+    folder.write_results(results)  # reports read it
+    for part in run.parts["reports"]:
         with blame(part.item):
-            written = part.component.write(run.path, scene)
-        results["reports"] += [_inside(run, file) for file in written]
-    run.write_results(results)
+            written = part.component.write(folder.path, run.scene)
+        results["reports"] += [_inside(folder, file) for file in written]
+    folder.write_results(results)
 
 
-def describe(
-    pipeline: Pipeline, scene: Scene, model: GaussianModel, iterations: int
-) -> dict[str, Any]:
-    """What was trained on what; the facts that open results.json.
+def renew(run: Run) -> dict[str, Any]:
+    """Score a run anew where it stands, in its results.json and its pictures; returns the results."""
+    folder = run.folder_or_refuse()
+    results: dict[str, Any] = jsonable({**folder.results(), **describe(run), **score(run)})
+    folder.write_results(results)
+    return results
 
-    Args:
-        iterations: that the Gaussians have been trained for.
-    """
+
+def describe(run: Run) -> dict[str, Any]:
+    """What was trained on what; the facts that open results.json."""
+    pipeline, scene = run.pipeline, run.scene
     return {
         "pipeline": pipeline.name,
         "protocol": pipeline.protocol.record() if pipeline.protocol else None,
         "scene": _describe_scene(scene),
         "metrics": _describe_metrics(pipeline.items["metrics"]),
-        "device": describe_device(model.device),
+        "device": describe_device(run.model.device),
         "seed": pipeline.training.seed,
-        "iterations": iterations,
-        "gaussians": model.count,
-        "hash": model.digest(),
+        "iterations": run.iteration,
+        "gaussians": run.model.count,
+        "hash": run.hash,
     }
 
 
-def score(run: RunFolder, parts: Parts, scene: Scene, model: GaussianModel) -> dict[str, Any]:
+def score(run: Run) -> dict[str, Any]:
     """Score both splits and picture the test views; the part of results.json that `eval` renews."""
-    pictures = run.folder(RENDERS) if scene.test else None
-    test = evaluate(model, scene, scene.test, parts["metrics"], pictures)
-    train = evaluate(model, scene, scene.train, parts["metrics"])
+    scores = run.evaluate(run.folder_or_refuse().folder(RENDERS) if run.scene.test else None)
+    test, train = scores["test"], scores["train"]
     return {
         "test": test.mean,
         "train": train.mean,
         "views": {"test": test.views, "train": train.views},
         "unavailable": {**train.unavailable, **test.unavailable},
     }
-
-
-def results_table(results: dict[str, Any]) -> Table:
-    """The scores of a results.json as a table: a row a test view, then the means."""
-    metrics = list(results["train"] | results["test"])
-    missing: dict[str, str] = results["unavailable"]
-    table = Table(
-        title=f"{results['scene']['name']}, {results['pipeline']}",
-        caption="\n".join(f"{ABSENT} {name}: {reason}" for name, reason in missing.items()) or None,
-    )
-    table.add_column("view")
-    for name in metrics:
-        table.add_column(name, justify="right")
-
-    def add(label: str, row: dict[str, float | None]) -> None:
-        table.add_row(label, *(_cell(row, name, missing) for name in metrics))
-
-    for view, row in results["views"]["test"].items():
-        add(view, row)
-    table.add_section()
-    for label, split in (("test mean", "test"), ("train mean", "train")):
-        if results[split]:
-            add(label, results[split])
-    return table
-
-
-def _cell(row: dict[str, float | None], name: str, missing: dict[str, str]) -> str:
-    value = row.get(name)
-    if value is None and (name not in row or name in missing):
-        return ABSENT
-    return _score(value)
-
-
-def _score(value: float | None) -> str:
-    """A score to four digits; None is infinite, for which JSON has no number."""
-    return "inf" if value is None else f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"
 
 
 def _describe_scene(scene: Scene) -> dict[str, Any]:
@@ -172,6 +126,6 @@ def _describe_metric(item: Item) -> dict[str, Any]:
     return {"use": item.offer.name, **{k: v for k, v in settings.items() if k not in paths}}
 
 
-def _inside(run: RunFolder, file: Path) -> str:
+def _inside(folder: RunFolder, file: Path) -> str:
     """Relative to the run folder where possible, so that a run can be moved."""
-    return str(file.relative_to(run.path)) if file.is_relative_to(run.path) else str(file)
+    return str(file.relative_to(folder.path)) if file.is_relative_to(folder.path) else str(file)

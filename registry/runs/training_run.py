@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from time import monotonic
 
 from rich.console import Console
 
-from core_rasterizer import Device, GaussianModel, Gaussians
+from core_rasterizer import Device, Gaussians
 
 from ..contract.scene import Scene, validate
 from ..inspection.scene_facts import summary, warnings
@@ -18,121 +16,119 @@ from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
-from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..training.checkpoint import Checkpoint, load_checkpoint
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.trainer import Trainer, maps_of
+from ..training.trainer import Iteration, Trainer, maps_of
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
 from .progress import TrainingProgress
-from .provenance import provenance
 from .results import finish
+from .run import CHECKPOINT, Run, Stages
 
-CHECKPOINT = "checkpoint"
+Observer = Callable[[Iteration], bool | None]
+"""What is told of each iteration; False stops training after it."""
+ChooseFolder = Callable[[Pipeline, Scene], Path]
+"""Names a run's folder once its scene is known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A run folder's pipeline, scene and Gaussians, ready to go on with."""
-
-    run: RunFolder
-    pipeline: Pipeline
-    parts: Parts
-    scene: Scene
-    model: GaussianModel
-    checkpoint: Checkpoint
+def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
+    """`runs/<pipeline>-<scene>`, numbered if that exists."""
+    return default_folder(f"{pipeline.name}-{scene.name}")
 
 
 def start(
     pipeline: Pipeline,
     *,
     device: Device,
-    out: Path | None,
-    command: Sequence[str],
+    out: Path | ChooseFolder | None,
     console: Console,
-) -> tuple[RunFolder, bool]:
-    """Train a pipeline into a new run folder.
+    scene: Scene | None = None,
+    observer: Observer | None = None,
+) -> Run:
+    """Train a pipeline.
 
     Nothing is written before the scene, the points and the Gaussians are there and valid.
 
     Args:
-        out: the run folder; None takes `runs/<pipeline>-<scene>`, numbered if that exists.
-        command: the command line, for the provenance.
+        out: the run folder, or what names it; None writes nothing at all.
+        console: is told how it goes.
+        scene: in place of what the pipeline's loader would load; valid.
 
     Returns:
-        The run, and whether it came to its end; False after Ctrl-C, with a checkpoint.
+        The run; not `finished` after Ctrl-C or at the observer's wish, with a checkpoint in its folder.
 
     Raises:
         ExplainedError: whatever went wrong.
     """
-    if out is not None:
+    if isinstance(out, Path):
         RunFolder.check_vacant(out)
-    parts = Parts(pipeline, device)
-    scene = load_scene(parts)
-    console.print(summary(scene))
-    for warning in warnings(scene):
-        console.print(f"warning: {warning}")
-    initializer = parts.one("initializer")
-    begin = time.monotonic()
-    with blame(initializer.item):
-        points = initializer.component.initialize(scene.for_training(), parts.priors)
-        gaussians = initial_gaussians(points, pipeline.training)
-    model = new_model(gaussians, pipeline.training, device)
-    run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
-    run.create(pipeline.to_yaml(), provenance(pipeline, device, list(command)))
-    facts = {
-        "initializer": initializer.item.name,
-        "points": len(points),
-        "seconds": round(time.monotonic() - begin, 3),
-    }
-    facts |= {name: value for name, value in points.facts.items() if name not in facts}
-    run.write_initialization(facts, points.pictures)
-    console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
-    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
-    return run, _train_to_end(run, pipeline, trainer, 0.0, console)
+    run, trainer = _begun(pipeline, scene, device, console)
+    if out is not None:
+        run.keep_in(out if isinstance(out, Path) else out(pipeline, run.scene))
+    writing = f"; writing {run.folder.path}" if run.folder else ""
+    console.print(f"{run.initialization['points']:,} points; {device.name}{writing}")
+    _train_to_end(run, trainer, console, observer)
+    return run
 
 
-def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) -> bool:
+def resume(
+    path: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    console: Console,
+    scene: Scene | None = None,
+    observer: Observer | None = None,
+) -> Run:
     """Go on with a run from its checkpoint, to the same end as if it had never stopped.
-
-    Returns:
-        Whether it came to its end.
 
     Raises:
         ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
     """
-    opened = open_run(path, plugins=plugins, device=device)
-    trainer = Trainer(
-        opened.pipeline.training,
-        opened.parts,
-        opened.scene,
-        opened.model,
-        maps_of(opened.checkpoint.part("maps")),
-    )
-    trainer.restore(opened.checkpoint.iteration, opened.checkpoint.part)
-    opened.run.forget_metrics_after(opened.checkpoint.iteration)
+    run = open_run(path, plugins=plugins, device=device, scene=scene)
+    checkpoint = run.checkpoint()
+    maps = maps_of(checkpoint.part("maps"))
+    trainer = Trainer(run.pipeline.training, run.parts, run.scene, run.model, maps)
+    trainer.restore(checkpoint.iteration, checkpoint.part)
+    run.checkpoint = lambda: _checkpoint(run, trainer)
+    run.folder_or_refuse().forget_metrics_after(checkpoint.iteration)
     console.print(
-        f"going on after iteration {opened.checkpoint.iteration} of "
-        f"{opened.pipeline.training.iterations}"
+        f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
     )
-    return _train_to_end(opened.run, opened.pipeline, trainer, opened.checkpoint.seconds, console)
+    _train_to_end(run, trainer, console, observer)
+    return run
 
 
-def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:
+def open_run(path: Path, *, plugins: Plugins, device: Device, scene: Scene | None = None) -> Run:
     """Read a run folder: its pipeline, scene and newest checkpoint.
+
+    Args:
+        scene: in place of what the pipeline's loader would load; valid.
 
     Raises:
         ExplainedError: one of them cannot be read.
     """
-    run = RunFolder.existing(path)
-    pipeline = load_pipeline(run.pipeline, plugins)
+    folder = RunFolder.existing(path)
+    pipeline = load_pipeline(folder.pipeline, plugins)
     checkpoint = load_checkpoint(path / CHECKPOINT)
     parts = Parts(pipeline, device)
-    scene = load_scene(parts)
-    gaussians = Gaussians(**checkpoint.part("model"))
-    model = new_model(gaussians, pipeline.training, device)
-    return Opened(run, pipeline, parts, scene, model, checkpoint)
+    begin = monotonic()
+    scene = scene or load_scene(parts)
+    loading = monotonic() - begin
+    facts = folder.initialization()
+    return Run(
+        pipeline,
+        parts,
+        scene,
+        new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device),
+        checkpoint=lambda: checkpoint,
+        iteration=checkpoint.iteration,
+        initialization=facts,
+        seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
+        folder=folder,
+    )
 
 
 def load_scene(parts: Parts) -> Scene:
@@ -142,42 +138,74 @@ def load_scene(parts: Parts) -> Scene:
         return validate(loader.component.load())
 
 
-def _train_to_end(
-    run: RunFolder, pipeline: Pipeline, trainer: Trainer, seconds: float, console: Console
-) -> bool:
-    """Train, observe, and write the results; False if the user stopped it before the end."""
-    settings = pipeline.training
-    metrics = MetricsLog(run)
+def _begun(
+    pipeline: Pipeline, scene: Scene | None, device: Device, console: Console
+) -> tuple[Run, Trainer]:
+    """The first Gaussians, and the trainer that is about to train them."""
+    begin = monotonic()
+    parts = Parts(pipeline, device)
+    scene = scene or load_scene(parts)
+    console.print(summary(scene))
+    for warning in warnings(scene):
+        console.print(f"warning: {warning}")
+    had_scene = monotonic()
+    initializer = parts.one("initializer")
+    with blame(initializer.item):
+        points = initializer.component.initialize(scene.for_training(), parts.priors)
+        gaussians = initial_gaussians(points, pipeline.training)
+    model = new_model(gaussians, pipeline.training, device)
+    seconds = Stages(had_scene - begin, monotonic() - had_scene)
+    facts = {
+        "initializer": initializer.item.name,
+        "points": len(points),
+        "seconds": round(seconds.initialization, 3),
+    }
+    facts |= {name: value for name, value in points.facts.items() if name not in facts}
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
+    run = Run(
+        pipeline,
+        parts,
+        scene,
+        model,
+        checkpoint=lambda: _checkpoint(run, trainer),
+        initialization=facts,
+        pictures=dict(points.pictures),
+        seconds=seconds,
+    )
+    return run, trainer
+
+
+def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observer | None) -> None:
+    """Train, observe, and write the results if the end was reached and there is a folder for them."""
+    settings = run.pipeline.training
+    metrics = MetricsLog(run.add_metrics)
     with (
         stop_on_interrupt() as stop,
         TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
     ):
-        begin = time.monotonic()
+        begin = monotonic()
         for done in trainer.run():
-            seconds += time.monotonic() - begin
+            run.seconds.training += monotonic() - begin
+            run.iteration = done.number
             progress.update(done.number, done.loss, done.gaussians)
-            metrics.add(done, seconds, last=done.number == settings.iterations)
+            metrics.add(done, run.seconds.training, last=done.number == settings.iterations)
             if _due(done.number, settings.evaluate_every):
-                scores = evaluate(
-                    trainer.model, trainer.scene, trainer.scene.test, trainer.parts["metrics"]
-                )
+                scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
                 metrics.write({"iteration": done.number, "test": scores.mean})
-            if stop.requested:
+            wanted = observer is None or observer(done) is not False
+            if stop.requested or not wanted:
                 break
             if _due(done.number, settings.checkpoint_every):
-                _save(run, trainer, seconds)
-            begin = time.monotonic()
-        _save(run, trainer, seconds)
-    if trainer.iteration < settings.iterations:
-        return False
-    finish(run, pipeline, trainer.parts, trainer.scene, trainer.model, seconds)
-    return True
+                run.save_checkpoint()
+            begin = monotonic()
+        run.save_checkpoint()
+    if run.finished and run.folder is not None:
+        finish(run)
+
+
+def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
+    return Checkpoint(trainer.iteration, run.seconds.training, trainer.state())
 
 
 def _due(iteration: int, every: int) -> bool:
     return every > 0 and iteration % every == 0
-
-
-def _save(run: RunFolder, trainer: Trainer, seconds: float) -> None:
-    state: dict[str, Any] = trainer.state()
-    save_checkpoint(Checkpoint(trainer.iteration, seconds, state), run.folder(CHECKPOINT))

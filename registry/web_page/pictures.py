@@ -7,8 +7,10 @@ import io
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from PIL import Image
+if TYPE_CHECKING:
+    from PIL import Image
 
 LONGEST_SIDE = 1560
 """Pixels; larger pictures are reduced, so that a page can be sent by mail."""
@@ -17,6 +19,8 @@ _QUALITY = 85
 
 def image(source: Path | Image.Image, alt: str, longest_side: int = LONGEST_SIDE) -> str:
     """A picture as JPEG inside the page, reduced so that no side has more than so many pixels."""
+    from PIL import Image
+
     if isinstance(source, Path):
         with Image.open(source) as opened:
             return image(opened, alt, longest_side)

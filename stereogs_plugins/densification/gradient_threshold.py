@@ -6,10 +6,14 @@ cloned, a large one split. Faint Gaussians go, and later also those that have gr
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
-from core_rasterizer import Edit
 from registry import Densification, Register, Settings, Step, hookimpl
+
+if TYPE_CHECKING:
+    from core_rasterizer import Edit
 
 
 class GradientThresholdSettings(Settings):
@@ -35,6 +39,8 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
 
     def refine(self, step: Step) -> Edit:
         """Return the edit, empty masks included, so that statistics start anew each time."""
+        from core_rasterizer import Edit
+
         settings, model = self.settings, step.model
         size = model.scales().amax(dim=1)
         pulled = model.screen_gradient() >= settings.gradient_threshold

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from core_rasterizer import GaussianModel, save_ply
 from registry import Exporter, Register, Scene, Settings, hookimpl
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from core_rasterizer import GaussianModel
 
 
 class PlyExporter(Exporter[Settings]):
@@ -13,6 +17,8 @@ class PlyExporter(Exporter[Settings]):
 
     def export(self, model: GaussianModel, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
+        from core_rasterizer import save_ply
+
         path = folder / "scene.ply"
         save_ply(model.gaussians(), path)
         return [path]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from core_rasterizer import load_points
 from registry import (
     Initializer,
     PointCloud,
@@ -17,6 +15,9 @@ from registry import (
     TrainingScene,
     hookimpl,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class PlySettings(Settings):
@@ -40,6 +41,8 @@ class PlyInitializer(Initializer[PlySettings]):
             PlyError: the file cannot be read, or has no colours.
             SceneError: it holds no point.
         """
+        from core_rasterizer import load_points
+
         path = self.settings.path.expanduser()
         positions, colors = load_points(path)
         if not len(positions):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
 from pydantic import Field
 
 from registry import Initializer, PointCloud, Prior, Register, Settings, TrainingScene, hookimpl
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class RandomSettings(Settings):
@@ -28,6 +29,8 @@ class RandomInitializer(Initializer[RandomSettings]):
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return `count` points; the component's generator decides where."""
+        import torch
+
         count = self.settings.count
         choice = torch.randint(len(scene.train), (count,), generator=self.generator)
         u, v, w = torch.rand(3, count, generator=self.generator, dtype=torch.float64)

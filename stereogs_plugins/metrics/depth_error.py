@@ -6,13 +6,16 @@ Two measures of the depth-estimation literature: the mean of |d - t| / t, and th
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
-from torch import Tensor
 
-from core_rasterizer import Camera, Rendering
 from registry import Register, Scene, Settings, Unavailable, View, ViewMetric, hookimpl
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera, Rendering
 
 OPAQUE = 0.5
 """A pixel that lets more light through than this has no rendered depth."""

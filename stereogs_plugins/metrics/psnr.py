@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from registry import ImageMetricSettings, Metric, Register, SceneError, hookimpl
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MIN_ERROR = 1e-10
 """Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""

@@ -6,12 +6,14 @@ C2 = 0.03², mean over all pixels and channels. `ssim_skimage` is the definition
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 OFFSETS = np.arange(-5, 6)
 SIGMA = 1.5

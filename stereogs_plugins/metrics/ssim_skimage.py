@@ -5,9 +5,12 @@ A uniform 7x7 window, sample covariance, mean over the image without a border of
 
 from __future__ import annotations
 
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class ScikitImageSSIM(Metric[ImageMetricSettings]):

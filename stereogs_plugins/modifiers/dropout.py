@@ -6,11 +6,14 @@ of StereoGS use a fixed rate of 0.3; DropGaussian lets it grow to 0.2 over the r
 
 from __future__ import annotations
 
-import torch
+from typing import TYPE_CHECKING
+
 from pydantic import Field
-from torch import Tensor
 
 from registry import Modifier, Register, Settings, Step, hookimpl
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class DropoutSettings(Settings):
@@ -29,6 +32,8 @@ class Dropout(Modifier[DropoutSettings]):
 
     def opacity_scale(self, step: Step) -> Tensor:
         """Return `[N]` factors."""
+        import torch
+
         rate = self.settings.rate
         if self.settings.ramp:
             rate *= step.iteration / step.iterations

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
-from torch import Tensor
-from torch.nn.functional import interpolate
 
 from registry import (
     Context,
@@ -18,6 +16,9 @@ from registry import (
     hookimpl,
 )
 from registry.image_fitting import ValueRange, in_range, stretched
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
 
@@ -80,6 +81,8 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         Raises:
             PluginError: the graph answers anything but one map.
         """
+        from torch.nn.functional import interpolate
+
         size = (int(image.shape[0]), int(image.shape[1]))
         short = self.settings.short_side or self._family.short_side
         factor = short / min(size)

@@ -7,29 +7,15 @@ cheapest plane is refined between its neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
-import torch
 from pydantic import Field, model_validator
-from torch import Tensor
 
-from core_rasterizer import Camera
-from core_rasterizer.matching import (
-    LARGEST_PENALTY,
-    MAX_SWEEP_RADIUS,
-    FeatureSweep,
-    Penalties,
-    ZnccSweep,
-    aggregate,
-    pick,
-    seen_by_any,
-)
+from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
 from registry import (
     Context,
     DepthMap,
-    LearnedFeatures,
     MultiViewDepthPrior,
     PluginError,
     Register,
@@ -39,6 +25,14 @@ from registry import (
     grey,
     hookimpl,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor
+
+    from core_rasterizer import Camera
+    from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
 _SMALLEST_BASELINE = 1e-4
 """Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
@@ -87,6 +81,8 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     Settings = PlaneSweepSettings
 
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
+        from registry import LearnedFeatures
+
         super().__init__(settings, context)
         self._features = (
             LearnedFeatures(settings.features, settings.sha256) if settings.features else None
@@ -110,6 +106,10 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
             PluginError: all cameras stand in one place.
             MemoryBudgetError: a view's cost volume would take more than half of the device's memory.
         """
+        import torch
+
+        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any
+
         planes = self.settings.planes
         near, far = bounds[0] * self.settings.near_margin, bounds[1] * self.settings.far_margin
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
@@ -132,6 +132,8 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     def _sweep(
         self, views: Sequence[TrainingView], greys: Sequence[Tensor], inverse_depths: Tensor
     ) -> ZnccSweep | FeatureSweep:
+        from core_rasterizer.matching import FeatureSweep, ZnccSweep
+
         device, share = self.context.device, self.settings.second_share
         cameras = [view.camera for view in views]
         if self._features:

@@ -7,36 +7,26 @@ eight paths (Hirschmüller, PAMI 2008); the cheapest disparity is refined betwee
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
-from torch import Tensor
-from torch.nn.functional import pad
 
-from core_rasterizer.matching import (
-    LARGEST_PENALTY,
-    MAX_RADIUS,
-    CostVolume,
-    Penalties,
-    aggregate,
-    census_costs,
-    feature_costs,
-    pick,
-    right_costs,
-    zncc_costs,
-)
+from core_rasterizer.matching import LARGEST_PENALTY, MAX_RADIUS
 from registry import (
     Context,
-    LearnedFeatures,
     OnnxProvider,
     PluginError,
     Register,
     Settings,
     Sha256,
     StereoPrior,
-    grey,
     hookimpl,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer.matching import CostVolume
 
 
 class SgmSettings(Settings):
@@ -76,6 +66,9 @@ class SgmPrior(StereoPrior[SgmSettings]):
     Settings = SgmSettings
 
     def __init__(self, settings: SgmSettings, context: Context) -> None:
+        from core_rasterizer.matching import Penalties
+        from registry import LearnedFeatures
+
         super().__init__(settings, context)
         if settings.small_penalty > settings.large_penalty:
             raise PluginError(
@@ -108,6 +101,8 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
         """Both images' disparities, from one computation of the matching costs."""
+        from core_rasterizer.matching import right_costs
+
         costs = self._costs(left, right)
         mirrored = right_costs(self.context.device, costs)
         return self._cheapest(costs, left), self._cheapest(mirrored, right)
@@ -117,6 +112,9 @@ class SgmPrior(StereoPrior[SgmSettings]):
         return min(self.settings.max_disparity + 1, image.shape[1])
 
     def _costs(self, left: Tensor, right: Tensor) -> CostVolume:
+        from core_rasterizer.matching import census_costs, feature_costs, zncc_costs
+        from registry import grey
+
         device, planes = self.context.device, self._planes(left)
         if self._features:
             return feature_costs(device, self._features(left), self._features(right), planes)
@@ -126,6 +124,9 @@ class SgmPrior(StereoPrior[SgmSettings]):
         return census_costs(device, *greys, planes)
 
     def _cheapest(self, costs: CostVolume, image: Tensor) -> Tensor:
+        from core_rasterizer.matching import aggregate, pick
+        from registry import grey
+
         device = self.context.device
         sums = aggregate(device, costs, grey(image), self._penalties)
         disparity, _ = pick(device, sums, self._planes(image))
@@ -136,6 +137,8 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
 def _median_of_neighbours(values: Tensor) -> Tensor:
     """The median of 3x3 pixels; beyond the edge they are as at it."""
+    from torch.nn.functional import pad
+
     padded = pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
     return padded.unfold(0, 3, 1).unfold(1, 3, 1).flatten(2).median(-1).values
 

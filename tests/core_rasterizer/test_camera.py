@@ -130,3 +130,30 @@ def test_an_impossible_camera_is_refused(changes: dict[str, Any], field: str, me
     with pytest.raises(CameraError, match=message) as error:
         camera(**changes)
     assert error.value.where == field
+
+
+def test_looking_at_a_point_puts_it_in_the_middle() -> None:
+    chosen = Camera.look_at((1.0, -2.0, 0.5), (0.2, 0.1, 4.0), 30.0, 40, 30)
+    u, v, z = chosen.project(torch.tensor([0.2, 0.1, 4.0]))
+    distance = math.dist((1.0, -2.0, 0.5), (0.2, 0.1, 4.0))
+    assert (float(u), float(v), float(z)) == pytest.approx((20, 15, distance))
+    assert chosen.center.tolist() == pytest.approx([1.0, -2.0, 0.5])
+    _, above, _ = chosen.project(torch.tensor([0.2, 0.0, 4.0]))
+    assert above < v, "-y is up"
+    above_z = Camera.look_at((3.0, 0.0, 1.0), (0.0, 0.0, 1.0), 30.0, 40, 30, up=(0, 0, 1))
+    u, v, _ = above_z.project(torch.tensor([0.0, 1.0, 1.5]))
+    assert (float(u), float(v)) == pytest.approx((30.0, 10.0)), "+y is right, +z is up"
+
+
+def test_a_centered_camera_has_square_pixels() -> None:
+    chosen = Camera.centered(turned(), 30, 41, 30)
+    assert (chosen.fx, chosen.fy, chosen.cx, chosen.cy) == (30.0, 30.0, 20.5, 15.0)
+    assert torch.equal(chosen.world_to_camera, turned())
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 2.0), (0.0, 0.0, 0.0)])
+def test_no_camera_looks_along_its_own_up(up: tuple[float, float, float]) -> None:
+    with pytest.raises(CameraError, match="no camera looks"):
+        Camera.look_at((0, 0, 0), (0, 0, 5), 30.0, 40, 30, up=up)
+    with pytest.raises(CameraError, match="no camera looks"):
+        Camera.look_at((1, 1, 1), (1, 1, 1), 30.0, 40, 30)

@@ -12,7 +12,7 @@ import sys
 from ...errors import RunError
 from ...files import write_text
 from ...runs.folder import METRICS, RunFolder
-from ...runs.training_run import CHECKPOINT
+from ...runs.run import CHECKPOINT
 from ...training.checkpoint import load_checkpoint
 from ..planning.plan import PlannedRun
 
@@ -34,7 +34,7 @@ class TrainingProcess:
     ) -> None:
         self.planned, self.run = planned, run
         self.log = run.path.with_name(f"{run.path.name}.log")
-        command = [sys.executable, "-m", "registry.cli", "train", *training_arguments(planned, run)]
+        command = [sys.executable, "-m", "registry", "train", *training_arguments(planned, run)]
         command += [] if device is None else ["--device", device]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(

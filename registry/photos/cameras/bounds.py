@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
-from core_rasterizer import Camera
-
-from ...contract.scene import PointCloud
 from ...errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
+
+    from ...contract.scene import PointCloud
 
 Bounds = tuple[float, float]
 
@@ -55,6 +59,8 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
 
 
 def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds | None:
+    import torch
+
     if points is None:
         return None
     extremes = []

@@ -14,12 +14,15 @@ the features); lines that start with # are comments.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 PARAMETERS = {
     "SIMPLE_PINHOLE": 3,

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
-
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
-from core_rasterizer import Camera, CameraError
+from typing import TYPE_CHECKING, Literal
 
 from ...errors import SceneError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
 
 Distortion = Literal["PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
 _COEFFICIENTS = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4}
@@ -75,6 +75,10 @@ class Lens:
         Raises:
             SceneError: what `Camera` refuses.
         """
+        import torch
+
+        from core_rasterizer import Camera, CameraError
+
         try:
             return Camera(
                 torch.from_numpy(world_to_camera),

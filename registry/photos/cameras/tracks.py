@@ -8,13 +8,15 @@ with `source: triangulate` starts from the training photographs alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 from ...contract.scene import PointCloud
 from ...errors import SceneError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MIN_TRAINING_OBSERVATIONS = 2
 """A point that two training views see could have been triangulated from them; one view cannot."""
@@ -39,6 +41,8 @@ class Tracks:
 
     def seen_by(self, training: list[int]) -> PointCloud | None:
         """The points that at least two of the training views see; None if there are none."""
+        import torch
+
         owner = np.repeat(np.arange(len(self.lengths)), self.lengths)
         pairs = np.unique(np.stack([owner, self.images])[:, np.isin(self.images, training)], axis=1)
         seen = np.bincount(pairs[0], minlength=len(self.lengths))

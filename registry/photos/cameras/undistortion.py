@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ...errors import SceneError
-from ..images.decoder import Pixels
 from .lens import Lens
 from .safe_pycolmap import import_pycolmap
+
+if TYPE_CHECKING:
+    from ..images.decoder import Pixels
 
 _SCALES = (0.25, 1.75)
 """An undistorted photograph outside these multiples of the original's size comes from no real lens."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 RUN = 50
 """Pixels to the left of a dark one that must be dark too, so that dark objects stay."""
@@ -18,6 +20,8 @@ def dark_background(image: Tensor, level: int) -> Tensor:
         image: `[H, W, 3]` in [0, 1].
         level: a pixel is dark if its largest channel is below level / 255.
     """
+    import torch
+
     bright = (image.amax(dim=2) >= level / 255).int().cumsum(dim=1)
     before = torch.zeros_like(bright)
     before[:, RUN + 1 :] = bright[:, : -(RUN + 1)]

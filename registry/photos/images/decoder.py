@@ -8,8 +8,7 @@ as reading the small result.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,11 @@ from PIL import Image, ImageOps
 from ...errors import SceneError
 from ..reading import decoding
 from .resized_cache import remembered
-from .sizes import Size, SizeRule
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from .sizes import Size, SizeRule
 
 Pixels = NDArray[np.uint8]
 """`[H, W, 3]`, or `[H, W]` of one brightness."""
@@ -63,6 +66,9 @@ class Decoder:
         Raises:
             SceneError: the file is missing, damaged, or has more than 8 bits a channel.
         """
+        import numpy as np
+        from PIL import Image
+
         with decoding("the image", path, _FIX), Image.open(path) as file:
             _check_mode(file, path)
             stored = upright_size(file) if self.upright else file.size
@@ -70,11 +76,13 @@ class Decoder:
             if size == stored:
                 return np.asarray(self._opaque(file))
             treatment = f"{size} {self.resize_filter} {self.background} {self.upright}"
-            resample = _FILTERS[self.resize_filter]
+            resample = Image.Resampling[self.resize_filter.upper()]
             image = remembered(path, treatment, lambda: self._opaque(file).resize(size, resample))
             return np.asarray(image)
 
     def _opaque(self, file: Image.Image) -> Image.Image:
+        from PIL import Image
+
         if self.upright:
             file = ImageOps.exif_transpose(file)
         if not file.has_transparency_data:
@@ -91,10 +99,15 @@ def read_mask(path: Path, size: Size) -> Pixels:
     Raises:
         SceneError: the file is missing or damaged.
     """
+    import numpy as np
+    from PIL import Image
+
     with decoding("the mask", path, _FIX), Image.open(path) as file:
         _check_mode(file, path)
         grey = file.convert("L")
-        return np.asarray(grey if grey.size == size else grey.resize(size, _FILTERS["bicubic"]))
+        return np.asarray(
+            grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
+        )
 
 
 def stored_size(path: Path, *, upright: bool = False) -> Size:
@@ -103,6 +116,8 @@ def stored_size(path: Path, *, upright: bool = False) -> Size:
     Raises:
         SceneError: the file is missing or is no image.
     """
+    from PIL import Image
+
     with decoding("the image", path, _FIX), Image.open(path) as file:
         return upright_size(file) if upright else file.size
 

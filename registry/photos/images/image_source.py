@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -12,6 +11,9 @@ from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter
 from .image_files import list_images
 from .sizes import divided_by
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class ImageSourceSettings(Settings):

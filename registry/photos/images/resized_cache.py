@@ -7,13 +7,16 @@ The key is a hash over the file's bytes, the treatment and Pillow's version.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import PIL
 from PIL import Image
 
 from ...cache import Cache, content_key
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 _FILE = "image.png"
 

@@ -6,11 +6,18 @@ What is asked of a scene's *views* is answered from the disk cache where the sam
 is asked of *images*, renders among them, is not kept.
 """
 
-from .matching import MatchingPrior
-from .monocular_depth import MonocularDepthPrior
-from .multi_view_depth import MultiViewDepthPrior
-from .optical_flow import OpticalFlowPrior
-from .stereo import StereoPrior
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .matching import MatchingPrior
+    from .monocular_depth import MonocularDepthPrior
+    from .multi_view_depth import MultiViewDepthPrior
+    from .optical_flow import OpticalFlowPrior
+    from .stereo import StereoPrior
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "MatchingPrior",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from ...errors import PluginError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def check_map(what: str, answer: Any, image: Tensor, *channels: int) -> None:
@@ -19,6 +19,8 @@ def check_map(what: str, answer: Any, image: Tensor, *channels: int) -> None:
     Raises:
         PluginError: it is not.
     """
+    from torch import Tensor
+
     shape = (*image.shape[:2], *channels)
     if not isinstance(answer, Tensor) or tuple(answer.shape) != shape:
         got = tuple(answer.shape) if isinstance(answer, Tensor) else type(answer).__name__
@@ -31,5 +33,7 @@ def check_finite(what: str, answer: Tensor) -> None:
     Raises:
         PluginError: a value is not.
     """
+    import torch
+
     if not torch.isfinite(answer).all():
         raise PluginError(f"the {what} has values that are not finite")

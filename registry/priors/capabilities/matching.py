@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.maps import Matches
 from ...contract.prior import Prior
-from ...contract.scene import TrainingView
 from ...errors import PluginError
 from .checking import check_finite
 from .remembering import remembered
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...contract.scene import TrainingView
 
 
 class MatchingPrior(Prior[SettingsType]):
@@ -36,6 +37,9 @@ class MatchingPrior(Prior[SettingsType]):
         Raises:
             PluginError: points, scores or their numbers that do not fit, or are not finite.
         """
+        import torch
+        from torch import Tensor
+
         with torch.no_grad():
             answer = self.estimate(first, second)
         if not isinstance(answer, Matches):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.prior import Prior
-from ...contract.scene import TrainingView
 from ...drawing.pictures import nearness_picture
 from .checking import check_finite, check_map
 from .remembering import remembered
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...contract.scene import TrainingView
 
 
 class MonocularDepthPrior(Prior[SettingsType]):
@@ -40,6 +41,8 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape or values that are not finite.
         """
+        import torch
+
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
             answer = self.estimate(image)
         check_map("inverse depth", answer, image)
@@ -52,6 +55,8 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: see `inverse_depth`.
         """
+        import torch
+
         found = remembered(
             self,
             [view],

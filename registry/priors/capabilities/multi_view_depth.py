@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.maps import DepthMap
 from ...contract.prior import Prior
-from ...contract.scene import TrainingView
 from ...drawing.pictures import nearness_picture
 from ...errors import PluginError
 from .checking import check_map
 from .remembering import remembered, stem
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
+
+    from ...contract.scene import TrainingView
 
 
 class MultiViewDepthPrior(Prior[SettingsType]):
@@ -73,6 +75,8 @@ def _pictures(answer: Mapping[str, Tensor], views: Sequence[TrainingView]) -> di
 
 
 def _depth_map(answer: Any, view: TrainingView) -> DepthMap:
+    import torch
+
     for name in ("depth", "valid", "confidence"):
         check_map(name, getattr(answer, name, None), view.image)
     depth, confidence = answer.depth.detach().float(), answer.confidence.detach().float()

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.maps import Flow
 from ...contract.prior import Prior
-from ...contract.scene import TrainingView
 from ...drawing.pictures import nearness_picture
 from .checking import check_map
 from .remembering import remembered, stem
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...contract.scene import TrainingView
 
 
 class OpticalFlowPrior(Prior[SettingsType]):
@@ -38,6 +39,8 @@ class OpticalFlowPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape.
         """
+        import torch
+
         with torch.no_grad():
             answer = self.estimate(first, second)
         check_map("flow", answer, first, 2)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ...cache import content_key
-from ...contract.prior import Prior
-from ...contract.scene import TrainingView
 from ..prior_cache import PriorCache, code_digest
 
-Tensors = dict[str, Tensor]
-Pictures = Mapping[str, Tensor]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...contract.prior import Prior
+    from ...contract.scene import TrainingView
+
+Tensors: TypeAlias = "dict[str, Tensor]"
+Pictures: TypeAlias = "Mapping[str, Tensor]"
 
 
 def remembered(
@@ -32,6 +33,8 @@ def remembered(
         ask: gives the answer; called without gradients.
         pictures: what to keep beside it for people to look at, by file name without ending.
     """
+    import torch
+
     cache = PriorCache(prior.context.name)
     key = content_key(
         code_digest(type(prior)),

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.maps import Disparity
 from ...contract.prior import Prior
 from ...errors import PluginError
 from .checking import check_map
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class StereoPrior(Prior[SettingsType]):
@@ -48,6 +48,8 @@ class StereoPrior(Prior[SettingsType]):
         Raises:
             PluginError: the images differ in size, or the answer has the wrong shape.
         """
+        import torch
+
         _check_pair(left, right)
         with torch.no_grad():
             return _disparity(self.estimate(left, right), left)
@@ -58,6 +60,8 @@ class StereoPrior(Prior[SettingsType]):
         Raises:
             PluginError: see `disparity`.
         """
+        import torch
+
         _check_pair(left, right)
         with torch.no_grad():
             of_left, of_right = self.estimate_both(left, right)
@@ -73,6 +77,8 @@ def _check_pair(left: Tensor, right: Tensor) -> None:
 
 
 def _disparity(answer: Any, image: Tensor) -> Disparity:
+    import torch
+
     check_map("disparity", answer, image)
     values = answer.detach().float()
     valid = torch.isfinite(values) & (values > 0)

@@ -6,12 +6,17 @@ looks through the gap between foreground and background into nothing.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import NDArray
 
 from .layers import Layer, cell_middles, joined, layer_at
-from .projection import Floats, Indices
-from .view_depth import ViewDepth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .projection import Floats, Indices
+    from .view_depth import ViewDepth
 
 STRIDE = 8
 """Pixels between the points."""

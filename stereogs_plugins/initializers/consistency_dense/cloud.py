@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from .back_layer import back_layer
 from .layers import Layer, joined, surface
 from .margin import margin
 from .other_views import covered, hides, overlooked
-from .view_depth import ViewDepth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .view_depth import ViewDepth
 
 Item = TypeVar("Item")
 

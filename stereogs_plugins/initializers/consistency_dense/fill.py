@@ -6,10 +6,14 @@ directions a rather far one is taken, of a surface with the hole's colour if the
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
-from .projection import DepthImage, Floats, Indices, Mask
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .projection import DepthImage, Floats, Indices, Mask
 
 QUANTILE = 0.2
 """Of the inverse depths around a hole, by weight: rather far, for holes are mostly background."""

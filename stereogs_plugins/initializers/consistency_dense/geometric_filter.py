@@ -7,13 +7,16 @@ pixel and depth come back to nearly the same values, the two views agree.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from core_rasterizer import Camera
-
 from .projection import DepthImage, Floats, Mask, interpolate, lift, pixel_centers, project
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from core_rasterizer import Camera
 
 
 def default_min_consistent(views: int) -> int:

@@ -8,13 +8,9 @@ points behind foreground edges (`back_layer`) and around each image (`margin`). 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Initializer,
@@ -28,17 +24,20 @@ from registry import (
     hookimpl,
 )
 
-from .cloud import all_but, back_layers, margins, surfaces
-from .fill import fill_holes
 from .geometric_filter import (
     consistent_depths,
     default_min_consistent,
     without_small_patches,
 )
-from .layers import Layer, is_background, joined
-from .other_views import hides
-from .projection import DepthImage, lift, pixel_centers
-from .view_depth import ViewDepth
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
+
+    from .layers import Layer
+    from .projection import DepthImage
+    from .view_depth import ViewDepth
 
 _log = logging.getLogger(__name__)
 
@@ -91,6 +90,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             SceneError: one training view, fewer other views than must agree, or views that agree on
                 nothing.
         """
+        import numpy as np
+
         needed = self._min_consistent(scene)
         prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
         answers = prior.depths(scene.train, scene.bounds)
@@ -147,6 +148,15 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         self, scene: TrainingScene, raw: list[DepthImage], confirmed: list[DepthImage]
     ) -> list[ViewDepth]:
         """The views with their guesses, if those are wanted."""
+        import numpy as np
+
+        from .cloud import all_but
+        from .fill import fill_holes
+        from .layers import is_background
+        from .other_views import hides
+        from .projection import lift, pixel_centers
+        from .view_depth import ViewDepth
+
         cameras = [view.camera for view in scene.train]
         views = []
         for index, view in enumerate(scene.train):
@@ -161,6 +171,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _layers(self, views: list[ViewDepth], background: Sequence[float]) -> dict[str, Layer]:
         """Points by kind."""
+        from .cloud import back_layers, margins, surfaces
+        from .layers import is_background
+
         layers = surfaces(views, stride=self.settings.stride, merge=self.settings.merge)
         coarse = {}
         if self.settings.back_layer:
@@ -173,12 +186,18 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _chosen(self, count: int) -> Tensor:
         """Indices of the points that are kept, in order."""
+        import torch
+
         if self.settings.max_points is None or count <= self.settings.max_points:
             return torch.arange(count)
         shuffled = torch.randperm(count, generator=self.generator)
         return shuffled[: self.settings.max_points].sort().values
 
     def _point_cloud(self, layers: dict[str, Layer], views: list[ViewDepth]) -> PointCloud:
+        import torch
+
+        from .layers import joined
+
         settings, points = self.settings, joined(list(layers.values()))
         chosen = self._chosen(len(points))
         sizes = torch.tensor([len(layer) for layer in layers.values()])

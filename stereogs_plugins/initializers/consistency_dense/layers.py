@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-
-from core_rasterizer import Camera
 
 from .projection import Floats, Indices, Mask, lift
-from .view_depth import ViewDepth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
+
+    from .view_depth import ViewDepth
 
 SAME_COLOR = 2 / 255
 """Difference of each channel up to which a colour is the background's."""

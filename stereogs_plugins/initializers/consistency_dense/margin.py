@@ -5,11 +5,16 @@ They carry the blurred colour of the nearest image border and lie at the backgro
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import NDArray
 
 from .layers import Layer, layer_at
-from .view_depth import ViewDepth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .view_depth import ViewDepth
 
 WIDTH = 0.5
 """Of the ring, as a part of the image's width and height."""

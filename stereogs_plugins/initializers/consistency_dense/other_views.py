@@ -6,13 +6,16 @@ Each function takes world points `[..., 3]` and some views' cameras and depths, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from core_rasterizer import Camera
-
 from .projection import DepthImage, Floats, Mask, look_up, project
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from core_rasterizer import Camera
 
 FREE_SPACE = 0.05
 """A point hides a surface if it is nearer by more than this, relative to its own depth."""

@@ -5,13 +5,14 @@ Pixel positions are continuous: the centre of the top-left pixel is (0.5, 0.5). 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Camera
+if TYPE_CHECKING:
+    from core_rasterizer import Camera
 
 Floats = NDArray[np.floating[Any]]
 DepthImage = NDArray[np.float32]

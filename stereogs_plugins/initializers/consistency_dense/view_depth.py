@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from core_rasterizer import Camera
 from registry import TrainingView, nearness_picture, side_by_side
 
-from .projection import DepthImage
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
+
+    from .projection import DepthImage
 
 
 @dataclass(frozen=True, eq=False)

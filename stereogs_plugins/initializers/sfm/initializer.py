@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
 from pydantic import Field
 
 from registry import (
@@ -19,7 +17,12 @@ from registry import (
     hookimpl,
 )
 
-from .triangulation import Triangulation, triangulate
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import torch
+
+    from .triangulation import Triangulation
 
 BOUNDS_MARGIN = 1.1
 """A point nearer than near / margin or farther than far * margin comes from a wrong match."""
@@ -60,6 +63,8 @@ class SfmInitializer(Initializer[SfmSettings]):
         return scene.points
 
     def _triangulate(self, scene: TrainingScene) -> PointCloud:
+        from .triangulation import triangulate
+
         if len(scene.train) < 2:
             raise SceneError(
                 "points cannot be triangulated from one training view",
@@ -85,6 +90,8 @@ class SfmInitializer(Initializer[SfmSettings]):
 
 def _within_bounds(found: Triangulation, scene: TrainingScene) -> torch.Tensor:
     """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    import torch
+
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)
     for index, view in enumerate(scene.train):

@@ -7,20 +7,24 @@ photographs that finds about 1.4 times the points of blind matching, and nothing
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from core_rasterizer import Camera
 from registry import TrainingView, grey
 from registry.photos import import_pycolmap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
 
 CONTRAST_THRESHOLD = 0.002
 """Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""

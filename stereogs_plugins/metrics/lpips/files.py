@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from registry import OnnxModel, PluginError, first_line, read_model_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Network = Callable[..., list[Tensor]]
 """Takes images `[1, 3, H, W]` float32, as many as the file has inputs; returns all its outputs."""

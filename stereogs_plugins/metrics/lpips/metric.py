@@ -9,14 +9,11 @@ two numbers differ and cannot be compared, so they have different names.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias
 
 import pydantic
-import torch
-from torch import Tensor
 
 from registry import (
     AverageErrorRole,
@@ -30,7 +27,12 @@ from registry import (
     white_outside,
 )
 
-from .files import Network, read_heads, read_network
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from torch import Tensor
+
+    from .files import Network
 
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
@@ -38,7 +40,7 @@ SCALE = (0.458, 0.448, 0.450)
 EPSILON = 1e-10
 """Added to the length of a pixel's features, so that no features have no direction."""
 
-Distance = Callable[[Tensor, Tensor], float]
+Distance: TypeAlias = "Callable[[Tensor, Tensor], float]"
 
 
 class LPIPSSettings(ImageMetricSettings):
@@ -95,6 +97,8 @@ class LPIPS(Metric[LPIPSSettings]):
 
     @cached_property
     def _distance(self) -> Distance | Unavailable:
+        from .files import read_heads, read_network
+
         settings = self.settings
         if settings.file is None or settings.sha256 is None:
             return Unavailable("no network is named: set `file`, `sha256` and, if need be, `heads`")
@@ -147,6 +151,8 @@ class _FeatureDistance:
         return distance
 
     def _features(self, planes: Tensor) -> list[Tensor]:
+        import torch
+
         shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (SHIFT, SCALE))
         outputs = self._network((planes - shift) / scale)
         found = [list(output.shape[:2]) for output in outputs]

@@ -8,16 +8,16 @@ It takes the place of the periodic reset.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import Context, OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
 
-from .decay_statistics import UnseenPruned, quantiles
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
 
 QUANTILES_EVERY = 25
 """Iterations between two looks at the quantiles, which need a sort."""
@@ -47,6 +47,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
+        from .decay_statistics import UnseenPruned
+
         super().__init__(settings, context)
         self._unseen = UnseenPruned()
 
@@ -57,6 +59,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         iterations the 5, 25, 50, 75 and 95 % quantiles of gradient and beta; and how many Gaussians
         have been pruned so far that got no gradient between two edits.
         """
+        import torch
+
         opacities = step.model.opacities()
         gradient = step.model.gradient("opacity_logits").abs()
         if self.settings.wrt == "activated":
@@ -76,6 +80,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         return OpacityUpdate(factor * opacities)
 
     def _log(self, step: Step, gradient: Tensor, relative: Tensor, factor: Tensor) -> None:
+        from .decay_statistics import quantiles
+
         mean = float(gradient.mean())
         step.log("opacity_gradient_mean", mean)
         step.log("opacity_gradient_below_mean", float((relative < 1).float().mean()))
@@ -92,6 +98,8 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         `step` and `linear` are the paper's; linear is clamped, because beyond relative = 1 /
         sensitivity it would make opacities grow.
         """
+        import torch
+
         loss, sensitivity = 1 - self.settings.base, self.settings.sensitivity
         weakened = {
             "exp_beta": lambda: torch.exp(-sensitivity * relative),

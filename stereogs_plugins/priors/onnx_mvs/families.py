@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import OnnxModel
-from registry.image_fitting import ValueRange
+
+if TYPE_CHECKING:
+    from registry import OnnxModel
+    from registry.image_fitting import ValueRange
 
 FamilyName = Literal["mvsanywhere", "mvsformer"]
 Cameras = Sequence[Camera]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Context,
@@ -23,6 +20,11 @@ from registry import (
 from registry.image_fitting import Fit, ValueRange, full_size_maps, in_range, stretched
 
 from .families import FAMILIES, FamilyName
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
 
 
 class OnnxMvsSettings(OnnxModelSettings):
@@ -93,6 +95,8 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
 
     def _depth(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> DepthMap:
         """The depth of the first view."""
+        import torch
+
         family = self._family
         fit = self._fit(views[0])
         height, width = fit.target

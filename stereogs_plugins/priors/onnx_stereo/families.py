@@ -7,9 +7,10 @@ is fitted with the settings of the same names.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from registry.image_fitting import ValueRange
+if TYPE_CHECKING:
+    from registry.image_fitting import ValueRange
 
 FamilyName = Literal[
     "foundation_stereo",

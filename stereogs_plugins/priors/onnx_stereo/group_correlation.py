@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from torch import Tensor
+from typing import TYPE_CHECKING
+
 from torch.nn.functional import normalize
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def group_correlation(

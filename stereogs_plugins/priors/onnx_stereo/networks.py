@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Protocol
 
 from registry import OnnxModel, PluginError
-from registry.image_fitting import FrozenSize
 
-from .families import StereoFamily
 from .group_correlation import group_correlation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
+
+    from registry.image_fitting import FrozenSize
+
+    from .families import StereoFamily
 
 _REDUCTION = 4
 """The volume of a pair of graphs stands on a grid of a quarter of the image's size."""

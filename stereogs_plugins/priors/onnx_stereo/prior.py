@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Context,
@@ -22,7 +21,11 @@ from registry import (
 from registry.image_fitting import Padding, ValueRange, full_size_maps, in_range, padded, stretched
 
 from .families import FAMILIES, FamilyName, StereoFamily
-from .networks import OneGraph, StereoNetwork, TwoGraphs
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from .networks import StereoNetwork
 
 
 class OnnxStereoSettings(OnnxModelSettings):
@@ -93,6 +96,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
         """Both directions, in one call if the graph takes two pairs at once."""
+        import torch
+
         of_left, mirrored = self._infer(
             torch.stack([left, right.flip(1)]), torch.stack([right, left.flip(1)])
         )
@@ -100,6 +105,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def _infer(self, lefts: Tensor, rights: Tensor) -> Tensor:
         """Disparities `[N, H, W]` of pairs `[N, H, W, 3]`."""
+        import torch
+
         settings, network = self.settings, self._network
         height, width = int(lefts.shape[1]), int(lefts.shape[2])
         frozen = network.frozen if settings.size is None else settings.size[::-1]
@@ -121,6 +128,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     def _clean(self, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
         """The disparity, positive, NaN where there is none or it cannot be trusted."""
+        import torch
+
         disparity = self._map(self._output, answers, shape)
         if self._family.negated:
             disparity = -disparity
@@ -145,6 +154,9 @@ def _family(settings: OnnxStereoSettings) -> StereoFamily:
 
 
 def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
+
+    from .networks import OneGraph, TwoGraphs
+
     pair = settings.family == "fast_foundation_stereo"
     if pair != (settings.second_model is not None):
         raise PluginError(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from registry import PluginError, Settings, Step, TrainingView
@@ -112,6 +111,8 @@ def _check_overlap(
 
 def _depth_range(step: Step, view: TrainingView) -> DepthRange:
     """From a render of the view; from the scene's bounds if it shows nothing solid."""
+    import numpy as np
+
     rendering = step.render(view.camera, gradient=False)
     solid = rendering.alpha > _SOLID
     if not solid.any():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 REDUCTION = 4
 """The picture is kept, and compared, as means of blocks of this many pixels squared."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
-from registry import Disparity
+if TYPE_CHECKING:
+    from registry import Disparity
 
 
 def agreeing(left: Disparity, right: Disparity, tolerance: float) -> Tensor:

@@ -8,12 +8,9 @@ gradient flows into the right view or the model: only the depth rendered at the 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry import (
     Context,
@@ -30,8 +27,11 @@ from registry import (
 from registry.photos import dark_background
 
 from .baseline import BaselineSettings, choose_baseline
-from .lazy_refresh import LazyRefresh
-from .left_right_check import agreeing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
 
 SMALLEST_DISPARITY = 0.1
 """Pixels; below, depth explodes."""
@@ -81,6 +81,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     Settings = StereoDepthSettings
 
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
+        from .lazy_refresh import LazyRefresh
+
         super().__init__(settings, context)
         self._baseline: float | None = None
         self._refresh = LazyRefresh(settings.refresh_threshold)
@@ -115,6 +117,10 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
     def _trusted(self, step: Step, left: Disparity, right: Disparity) -> Tensor:
         """The left disparity `[H, W]`, 0 where it is not to be trusted."""
+        import torch
+
+        from .left_right_check import agreeing
+
         trusted = left.valid & (left.values >= SMALLEST_DISPARITY)
         agree = agreeing(left, right, self.settings.tau)
         self._log(step, "occluded", 1 - float(agree.float().mean()))
@@ -123,6 +129,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         return torch.where(trusted, left.values, 0.0)
 
     def _background(self, view: TrainingView) -> Tensor:
+        import torch
+
         if self.settings.background == "intensity":
             return dark_background(view.image, self.settings.background_level)
         if self.settings.background == "alpha":
@@ -144,7 +152,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         self._log(step, "valid", count / used.numel())
         if count == 0:
             self._skipped += 1
-            return torch.zeros(())
+            return depth.new_zeros(())
         focal_baseline = step.view.camera.fx * baseline
         rendered = depth[used]
         if self.settings.depth == "expected":
@@ -162,6 +170,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
     def state(self) -> dict[str, Tensor]:
         """The baseline once it is settled, and what the prior answered last."""
+        import torch
+
         state = {f"refresh/{key}": value for key, value in self._refresh.state().items()}
         state["skipped"] = torch.tensor(self._skipped)
         if self._baseline is not None:

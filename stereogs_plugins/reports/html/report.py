@@ -6,9 +6,7 @@ no script and asks the network for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from registry import Register, Report, Scene, Settings, hookimpl, write_text
 from registry.web_page import (
@@ -25,7 +23,10 @@ from registry.web_page import (
 )
 
 from .run_files import RunFiles, read_run
-from .training_plots import training_plots
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
 
 FILE = "report.html"
 
@@ -41,6 +42,8 @@ class HtmlReport(Report[Settings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
+        from .training_plots import training_plots
+
         run = read_run(folder)
         title = f"{scene.name}: {run.results['pipeline']}"
         contents = [

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from registry.web_page import Axis, Line, Point, line_plot
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _GROUPS = (
     ("Loss", re.compile(r"loss|photometric")),

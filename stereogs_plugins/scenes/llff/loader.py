@@ -6,9 +6,8 @@ every row: `{"all_names": ["first.jpg", ...]}`. The split is then that of the wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import pydantic
 
@@ -29,6 +28,9 @@ from registry.photos import (
 
 from .points import read_points
 from .poses import PoseRow, read_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class LLFFSettings(SplitSettings, ImageSourceSettings):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from registry import PointCloud, SceneError
 from registry.photos import POINTS_FIX, Tracks, decoding, has_colmap_model, read_colmap_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from core_rasterizer import load_points
 from registry import Fact, PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 from registry.photos import (
     Decoder,
@@ -26,6 +25,9 @@ from registry.photos import (
 )
 
 from .transforms import Transforms, lens_of, read_transforms
+
+if TYPE_CHECKING:
+    pass
 
 
 class NerfstudioSettings(SplitSettings):
@@ -121,6 +123,8 @@ def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto
 
 
 def _read_points(folder: Path, transforms: Transforms, path: Path) -> PointCloud | None:
+    from core_rasterizer import load_points
+
     if transforms.ply_file_path is None:
         return None
     file = inside(folder, transforms.ply_file_path, str(path))

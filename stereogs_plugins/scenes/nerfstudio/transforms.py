@@ -7,13 +7,15 @@ not taken back, for the points of `ply_file_path` went through it too.
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import pydantic
 
 from registry import SceneError
 from registry.photos import Distortion, Finite, Lens, Matrix4x4, MatrixRow, read_document
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 FIX = "write transforms.json as nerfstudio's ns-process-data does"
 

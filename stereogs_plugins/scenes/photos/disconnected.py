@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from registry import SceneError
 
-from .structure_from_motion import Reconstruction
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
 """A photograph with fewer is blurred, dark, or of a plain surface."""

@@ -10,15 +10,18 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from registry.cache import Cache, content_key, source_digest
 from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
 from .structure_from_motion import reconstruct
 from .unposed_photos import UnposedPhoto
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 

@@ -9,16 +9,18 @@ depend on how threads take turns.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
 from registry.photos import Decoder, import_pycolmap, in_parallel
 
-from .unposed_photos import UnposedPhoto
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .unposed_photos import UnposedPhoto
 
 MAX_ERROR = 2.0
 """Pixels, of matches and of points; COLMAP's 4 are meant for photographs several times as large."""

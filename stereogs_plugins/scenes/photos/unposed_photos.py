@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
 from registry import SceneError
 from registry.photos import Size, decoding, in_parallel, list_images, upright_size
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 MIN_PHOTOS = 3
 """From two photographs the lens cannot be told from the depth."""

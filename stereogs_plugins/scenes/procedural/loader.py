@@ -7,12 +7,11 @@ the viewing direction, so a perfect reconstruction has no excuse.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from pydantic import Field
 
-from core_rasterizer import Camera
 from registry import (
     Fact,
     PointCloud,
@@ -25,8 +24,10 @@ from registry import (
     validate,
 )
 
-from .ray_casting import Surface, cast
-from .room import furnish
+if TYPE_CHECKING:
+    from core_rasterizer import Camera
+
+    from .ray_casting import Surface
 
 FIELD_OF_VIEW = math.radians(62)
 """Horizontal, of every camera."""
@@ -64,6 +65,10 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
 
     def load(self) -> Scene:
         """Return the scene; the same settings give the same bits."""
+        import torch
+
+        from .room import furnish
+
         settings = self.settings
         generator = np.random.default_rng(settings.seed)
         focal = settings.width / 2 / math.tan(FIELD_OF_VIEW / 2)
@@ -92,6 +97,10 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
         )
 
     def _view(self, name: str, surfaces: list[Surface], angle: float, lift: float) -> View:
+        import torch
+
+        from .ray_casting import cast
+
         camera = _camera_on_arc(angle, lift, self.settings.width, self.settings.height)
         colors, depth = cast(surfaces, camera)
         return View(
@@ -113,6 +122,10 @@ def _lift(index: int) -> float:
 
 def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera:
     """A camera that looks at the target from `angle` radians to its side, horizon level."""
+    import torch
+
+    from core_rasterizer import Camera
+
     offset = ARC_RADIUS * np.array([math.sin(angle), 0.0, -math.cos(angle)])
     center = TARGET + offset
     center[1] = EYE_LEVEL + lift
@@ -130,6 +143,8 @@ def _sample_points(
     views: list[View], count: int, noise: float, generator: np.random.Generator
 ) -> PointCloud | None:
     """Points behind random pixels of the views, at the true depth, with the pixels' colours."""
+    import torch
+
     if not count:
         return None
     positions, colors = [], []

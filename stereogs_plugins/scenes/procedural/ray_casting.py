@@ -6,15 +6,17 @@ z coordinate in the camera is 1; the parameter t of a hit o + t d is then its z-
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Camera
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from core_rasterizer import Camera
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,15 @@ World units are metres; +x right, +y down, +z away from the cameras, which stand
 from __future__ import annotations
 
 from importlib.resources import as_file, files
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from .ray_casting import Array, Rectangle, Sphere, Surface, Texture
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 LEFT, RIGHT = -2.4, 2.4
 CEILING, FLOOR = -1.3, 1.15

@@ -144,7 +144,6 @@ def train_here(
             run.pipeline,
             device=device,
             out=folder.run(run).path,
-            command=[],
             console=Console(file=io.StringIO()),
         )
 

@@ -88,8 +88,7 @@ def test_a_folder_that_fails_vanishes(tmp_path: Path) -> None:
 
 
 def test_metrics_lines_are_averages_and_json(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path)
-    log = MetricsLog(run)
+    log = MetricsLog(RunFolder(tmp_path).append_metrics)
     for number in range(1, 76):
         extra = {"rare": float("inf")} if number == 60 else {}
         log.add(Iteration(number, float(number), 7, extra), 0.5 * number, last=number == 75)

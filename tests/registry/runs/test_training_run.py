@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import signal
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
+from registry.runs.run import Run
 from registry.runs.training_run import open_run, resume, start
 from tests.registry.toy_plugin import ToyPoints, ToyScene
 
@@ -44,14 +46,14 @@ def run(
     plugins: Plugins, device: Device, out: Path, *overrides: str
 ) -> tuple[RunFolder, bool, str]:
     stream = io.StringIO()
-    folder, finished = start(
-        pipeline(plugins, *overrides),
-        device=device,
-        out=out,
-        command=["stereogs", "train"],
-        console=Console(file=stream),
+    done = start(
+        pipeline(plugins, *overrides), device=device, out=out, console=Console(file=stream)
     )
-    return folder, finished, stream.getvalue()
+    return done.folder_or_refuse(), done.finished, stream.getvalue()
+
+
+def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
+    return resume(path, plugins=plugins, device=device, console=Console(file=io.StringIO()))
 
 
 def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: Path) -> None:
@@ -66,6 +68,10 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert (results["iterations"], len(results["hash"])) == (30, 64)
     assert results["gaussians"] > 0
     assert results["seconds"] > 0
+    assert list(results["stages"]) == ["scene", "initialization", "training", "evaluation"]
+    assert results["stages"]["training"] == results["seconds"]
+    assert results["stages"]["initialization"] == results["initialization"]["seconds"] > 0
+    assert results["seconds_total"] == pytest.approx(sum(results["stages"].values()))
     assert results["iterations_per_second"] == pytest.approx(30 / results["seconds"], rel=0.01)
     assert 10 < results["peak_memory_mb"] < 100_000
     assert results["device"]["name"] == device.name
@@ -77,7 +83,7 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert names == {"view1.png", "depth/view1.png", "comparison/view1.png"}
     facts = json.loads((folder.path / "provenance.json").read_text())
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
-    assert facts["command"] == ["stereogs", "train"]
+    assert facts["command"] == sys.argv
     assert facts["packages"]["torch"] == torch.__version__
     lines = [json.loads(x) for x in (folder.path / "metrics.jsonl").read_text().splitlines()]
     assert [line["iteration"] for line in lines] == [20, 30]
@@ -138,8 +144,8 @@ def test_ctrl_c_then_resume_ends_in_the_same_bits(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert not (folder.path / "results.json").exists()
     opened = open_run(folder.path, plugins=toys, device=device)
-    assert opened.checkpoint.iteration == iteration
-    assert resume(folder.path, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    assert opened.iteration == iteration
+    assert resumed(folder.path, toys, device).finished
     results = folder.results()
     assert results["hash"] == whole["hash"]
     assert results["test"] == whole["test"]
@@ -164,7 +170,7 @@ def test_a_finished_run_may_be_resumed_to_the_same_results(
     folder, _, _ = run(toys, device, tmp_path / "run")
     before = folder.results()
     (folder.path / "results.json").unlink()
-    assert resume(folder.path, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    assert resumed(folder.path, toys, device).finished
     assert folder.results()["hash"] == before["hash"]
     assert folder.results()["test"] == before["test"]
 
@@ -183,7 +189,7 @@ def test_a_failure_leaves_the_last_checkpoint(
             "training.checkpoint_every=8",
         )
     assert "iteration 21" in caught.value.where
-    assert open_run(out, plugins=toys, device=device).checkpoint.iteration == 16
+    assert open_run(out, plugins=toys, device=device).iteration == 16
 
 
 @pytest.mark.parametrize(
@@ -241,14 +247,9 @@ def test_the_module_writes_with_the_projects_own_plugins(
     demo = (Path(training_run.__file__).parents[1] / "data" / "demo.yaml").read_text()
     small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
     chosen = parse_pipeline(demo, Plugins(), overrides=small)
-    folder, finished = start(
-        chosen,
-        device=device,
-        out=tmp_path / "run",
-        command=[],
-        console=Console(file=io.StringIO()),
-    )
-    assert finished
+    done = start(chosen, device=device, out=tmp_path / "run", console=Console(file=io.StringIO()))
+    assert done.finished
+    folder = done.folder_or_refuse()
     results = folder.results()
     assert results["train"]["psnr"] > 22
     assert 0 < results["test"]["ssim"] < 1

@@ -9,15 +9,14 @@ from registry import PointCloud, Scene, SceneError, View
 from stereogs_plugins.initializers.sfm import SfmInitializer, stereogs_register_initializers
 from stereogs_plugins.initializers.sfm.triangulation import triangulate
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.depth_scenes import distance_to_surface, pixels_of
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return build(ProceduralScene, test_views=0).load()
+def scene(procedural_room: Scene) -> Scene:
+    return replace(procedural_room, test=())
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from registry import DepthMap, PluginError, Scene, View
 from registry.testing import check, tiny_scene
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_priors
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 
@@ -27,9 +26,9 @@ PLANES = 64
 
 
 @pytest.fixture(scope="module")
-def room() -> Scene:
+def room(procedural_room: Scene) -> Scene:
     """Three training views of the ray-cast room, with exact depth."""
-    return build(ProceduralScene, train_views=3, test_views=0).load()
+    return replace(procedural_room, test=())
 
 
 @pytest.fixture(scope="module")

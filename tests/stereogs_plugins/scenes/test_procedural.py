@@ -16,9 +16,18 @@ WHITE = Texture(np.ones((2, 2, 3)))
 CAMERA = Camera(torch.eye(4), 20, 20, 10.5, 8.5, 21, 17)
 
 
+SMALL = {"width": 84, "height": 63}
+"""A third of the usual size."""
+
+
+@pytest.fixture
+def scene(procedural_room: Scene) -> Scene:
+    return procedural_room
+
+
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return build(ProceduralScene).load()
+def small() -> Scene:
+    return build(ProceduralScene, **SMALL).load()
 
 
 def test_is_offered_as_procedural() -> None:
@@ -66,7 +75,7 @@ def test_every_pixel_has_a_depth_within_the_bounds(scene: Scene) -> None:
 
 
 def test_points_lie_on_surfaces_with_the_right_colors() -> None:
-    scene = build(ProceduralScene, point_noise=0.0, points=301).load()
+    scene = build(ProceduralScene, point_noise=0.0, points=301, test_views=0, **SMALL).load()
     assert scene.points is not None
     assert len(scene.points) == 301
     surface = torch.cat([unproject(view).reshape(-1, 3) for view in scene.train])
@@ -77,7 +86,10 @@ def test_points_lie_on_surfaces_with_the_right_colors() -> None:
 
 
 def test_noise_has_the_size_that_was_asked_for() -> None:
-    exact, noisy = (build(ProceduralScene, point_noise=noise).load() for noise in (0.0, 0.05))
+    exact, noisy = (
+        build(ProceduralScene, point_noise=noise, test_views=0, **SMALL).load()
+        for noise in (0.0, 0.05)
+    )
     assert exact.points is not None
     assert noisy.points is not None
     moved = noisy.points.positions - exact.points.positions
@@ -85,23 +97,23 @@ def test_noise_has_the_size_that_was_asked_for() -> None:
     torch.testing.assert_close(noisy.points.colors, exact.points.colors)
 
 
-def test_the_same_settings_give_the_same_bits(scene: Scene) -> None:
-    again = build(ProceduralScene, seed=77).load()  # the run's seed does not matter
-    for first, second in zip(scene.train + scene.test, again.train + again.test, strict=True):
+def test_the_same_settings_give_the_same_bits(small: Scene) -> None:
+    again = build(ProceduralScene, seed=77, **SMALL).load()  # the run's seed does not matter
+    for first, second in zip(small.train + small.test, again.train + again.test, strict=True):
         assert torch.equal(first.image, second.image)
         assert first.depth is not None
         assert second.depth is not None
         assert torch.equal(first.depth, second.depth)
-    assert scene.points is not None
+    assert small.points is not None
     assert again.points is not None
-    assert torch.equal(scene.points.positions, again.points.positions)
+    assert torch.equal(small.points.positions, again.points.positions)
 
 
-def test_another_seed_moves_the_furniture(scene: Scene) -> None:
-    settings = ProceduralScene.Settings(seed=1)
+def test_another_seed_moves_the_furniture(small: Scene) -> None:
+    settings = ProceduralScene.Settings(seed=1, **SMALL)
     other = ProceduralScene(settings, build(ProceduralScene).context).load()
-    assert not torch.equal(scene.train[0].image, other.train[0].image)
-    assert (scene.train[0].camera.world_to_camera == other.train[0].camera.world_to_camera).all()
+    assert not torch.equal(small.train[0].image, other.train[0].image)
+    assert (small.train[0].camera.world_to_camera == other.train[0].camera.world_to_camera).all()
 
 
 def test_counts_and_sizes() -> None:

@@ -18,7 +18,6 @@ from stereogs_plugins.initializers.consistency_dense import (
 )
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.depth_scenes import (
@@ -31,8 +30,8 @@ COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return build(ProceduralScene, test_views=0, points=0).load()
+def scene(procedural_room: Scene) -> Scene:
+    return replace(procedural_room, test=(), points=None)
 
 
 def dense(scene: Scene, depth_of: Any = true_depth, **settings: Any) -> PointCloud:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,14 +19,12 @@ from stereogs_plugins.initializers.consistency_dense.projection import (
     pixel_centers,
     project,
 )
-from stereogs_plugins.scenes.procedural import ProceduralScene
-from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, true_depth
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return build(ProceduralScene, test_views=0, points=0).load()
+def scene(procedural_room: Scene) -> Scene:
+    return replace(procedural_room, test=(), points=None)
 
 
 def confirmed(

@@ -1,0 +1,58 @@
+"""Packages whose names are imported when they are first asked for, so that importing one costs nothing.
+
+    if TYPE_CHECKING:
+        from .camera import Camera
+    else:
+        __getattr__, __dir__ = names_on_first_use(__name__)
+
+Type checkers and readers see plain imports. At run time they are read, not executed: each module is
+imported when one of its names is first used (PEP 562). No name may be that of a module of the package,
+which Python would put in its place.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from importlib.util import resolve_name
+from typing import Any
+
+
+def names_on_first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that imports only under `if TYPE_CHECKING:`.
+
+    Args:
+        package: its dotted name. Its source must be there, as it is in every wheel.
+    """
+    homes = dict(_homes(package))
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, original = homes[name]
+        if module == package:  # `from . import module`
+            return importlib.import_module(f"{package}.{original}")
+        value = getattr(importlib.import_module(module), original)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *homes})
+
+    return get, names
+
+
+def _homes(package: str) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Each name with its module and what it is called there."""
+    spec = sys.modules[package].__spec__
+    source = spec.loader.get_source(package)  # type: ignore[union-attr]
+    for node in ast.parse(source).body:
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            continue
+        for statement in node.body:
+            if isinstance(statement, ast.ImportFrom):
+                module = resolve_name("." * statement.level + (statement.module or ""), package)
+                for alias in statement.names:
+                    yield alias.asname or alias.name, (module, alias.name)

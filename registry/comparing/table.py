@@ -1,0 +1,104 @@
+"""Runs, their means and published rows as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rich import box
+from rich.table import Table
+
+from ..pipeline.protocols import load_protocol
+from .comparison import FinishedRun, MethodMean, method_means, metric_names
+from .paper_tables import PaperTables
+from .run_table import ABSENT
+
+_COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
+
+
+@dataclass(frozen=True)
+class Published:
+    """What a paper reports for one protocol."""
+
+    tables: PaperTables
+    protocol: str
+
+
+def comparison_table(runs: Sequence[FinishedRun], published: Published | None) -> Table:
+    """Runs, their means over scenes, and published rows."""
+    metrics = metric_names(runs) or list(published.tables.metrics if published else ())
+    table = Table(
+        title=_title(runs, published), box=box.SIMPLE, title_justify="left", caption_justify="left"
+    )
+    for column in ("run", "method", "scene"):
+        table.add_column(column, no_wrap=True)
+    for column in (*metrics, *_COSTS.values()):
+        table.add_column(column, justify="right", no_wrap=True)
+    for finished in runs:
+        numbers = {**finished.scores, **{key: finished.results.get(key) for key in _COSTS}}
+        label = (finished.folder.name, finished.pipeline, finished.scene)
+        table.add_row(*label, *_cells(numbers, metrics))
+    captions = _add_means(table, method_means(runs), metrics)
+    if published is not None:
+        captions += _add_published(table, published, metrics, runs)
+    table.caption = "\n".join(captions) or None
+    return table
+
+
+def _title(runs: Sequence[FinishedRun], published: Published | None) -> str:
+    protocol = runs[0].protocol if runs else published.protocol if published else None
+    return f"protocol {protocol}" if protocol else "no protocol"
+
+
+def _add_means(table: Table, means: Sequence[MethodMean], metrics: Sequence[str]) -> list[str]:
+    """Rows of means if there are several scenes; returns remarks for below the table."""
+    covered = {mean.scenes for mean in means}
+    if max((len(scenes) for scenes in covered), default=0) < 2:
+        return []
+    if len(covered) > 1:
+        parts = "; ".join(f"{mean.method}: {', '.join(mean.scenes)}" for mean in means)
+        return [f"No means: the methods were run on different scenes ({parts})."]
+    table.add_section()
+    for mean in means:
+        scenes = f"mean of {len(mean.scenes)}"
+        table.add_row("", mean.method, scenes, *_cells(mean.numbers, metrics))
+    return []
+
+
+def _add_published(
+    table: Table, published: Published, metrics: Sequence[str], runs: Sequence[FinishedRun]
+) -> list[str]:
+    """The published rows; returns remarks for below the table."""
+    tables, protocol = published.tables, published.protocol
+    scenes = load_protocol(protocol).scenes
+    costs = tables.overhead.get(protocol, {})
+    table.add_section()
+    for method, row in tables.results[protocol].items():
+        numbers: dict[str, float | None] = {}
+        if row is not None:
+            numbers.update(zip(tables.metrics, row, strict=True))
+        if method in costs:
+            numbers["gaussians"] = costs[method].gaussians
+        label = ("published", tables.methods[method], f"mean of {len(scenes)}")
+        table.add_row(*label, *_cells(numbers, metrics))
+    remarks = [f"Published: {tables.source}; means over {', '.join(scenes)}.", *tables.notes]
+    if protocol in tables.protocol_notes:
+        remarks.append(tables.protocol_notes[protocol])
+    if runs:
+        ours = ", ".join(sorted({finished.scene for finished in runs}))
+        remarks.append(f"Ours: {ours}. A mean over other scenes is no reproduction.")
+    return remarks
+
+
+def _cells(numbers: Mapping[str, float | None], metrics: Sequence[str]) -> list[str]:
+    scores = [numbers.get(name) for name in metrics]
+    costs = [numbers.get(name) for name in _COSTS]
+    return [
+        *(ABSENT if score is None else _score(score) for score in scores),
+        *(ABSENT if cost is None else f"{cost:,.0f}" for cost in costs),
+    ]
+
+
+def _score(value: float) -> str:
+    """To as many digits as papers print."""
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"

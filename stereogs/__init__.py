@@ -1,0 +1,55 @@
+"""Sparse-view 3D Gaussian splatting from Python: what the command line does, in few lines.
+
+    import stereogs
+
+    scene = stereogs.load_scene("photos")
+    run = stereogs.train("pipelines/3dgs.yaml", scene=scene)
+    print(run.scores["test"].mean)
+
+docs/python.md shows more. Importing it is quick: torch is imported when something is computed.
+"""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from core_rasterizer import Camera, ExplainedError, list_devices, open_device
+    from registry import PointCloud, Scene, View
+    from registry.pipeline.pipeline import Pipeline
+    from registry.runs.run import Picture, Run
+    from registry.session import (
+        build_pipeline,
+        load_scene,
+        open_run,
+        render,
+        results,
+        resume,
+        scene_from_arrays,
+        train,
+    )
+    from registry.training.trainer import Iteration
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "Camera",
+    "ExplainedError",
+    "Iteration",
+    "Picture",
+    "Pipeline",
+    "PointCloud",
+    "Run",
+    "Scene",
+    "View",
+    "build_pipeline",
+    "list_devices",
+    "load_scene",
+    "open_device",
+    "open_run",
+    "render",
+    "results",
+    "resume",
+    "scene_from_arrays",
+    "train",
+]
