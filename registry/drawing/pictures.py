@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-from PIL import Image
-
 from ..contract.scene import View
 from ..files import replacing
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
     from core_rasterizer import Rendering
@@ -37,6 +35,8 @@ _LUMA = (0.299, 0.587, 0.114)
 
 def save_png(image: Tensor, path: Path) -> None:
     """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG."""
+    from PIL import Image
+
     with replacing(path) as temporary:
         Image.fromarray(to_bytes(image)).save(temporary, "PNG", compress_level=PNG_EFFORT)
 
@@ -105,6 +105,7 @@ def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
         nearness: `[H, W]`; values that are not known do not matter.
         known: `[H, W]` bool.
     """
+    import numpy as np
     import torch
 
     if not known.any():

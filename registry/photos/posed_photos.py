@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..contract.scene import View
 from .cameras.undistortion import undistort
 from .images.decoder import Decoder, read_mask
@@ -17,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from .cameras.lens import Lens
@@ -53,6 +52,7 @@ def load_views(photos: Sequence[PosedPhoto], decoder: Decoder) -> list[View]:
 
 
 def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
+    import numpy as np
     import torch
 
     pixels = decoder.read(find_image(photo.path))

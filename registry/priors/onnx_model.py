@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..errors import PluginError
 from .model_file import read_model_file
 from .onnx_session import (
@@ -123,6 +121,7 @@ class OnnxModel:
         Raises:
             PluginError: a name or shape that is not the graph's, or a failure inside the model.
         """
+        import numpy as np
         import torch
 
         unknown = [name for name in inputs if name not in {spec.name for spec in self.inputs}]

@@ -6,20 +6,19 @@ C2 = 0.03², mean over all pixels and channels. `ssim_skimage` is the definition
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
-OFFSETS = np.arange(-5, 6)
+RADIUS = 5
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-Image = np.ndarray[Any, Any]
+Image: TypeAlias = "np.ndarray[Any, Any]"
 
 
 class SSIM(Metric[ImageMetricSettings]):
@@ -44,9 +43,10 @@ class SSIM(Metric[ImageMetricSettings]):
 
 
 def _blur(image: Image) -> Image:
+    import numpy as np
     from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
 
-    window = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))
+    window = np.exp(-(np.arange(-RADIUS, RADIUS + 1) ** 2) / (2 * SIGMA**2))
     rows = correlate1d(image, window / window.sum(), axis=0, mode="constant")
     blurred: Image = correlate1d(rows, window / window.sum(), axis=1, mode="constant")
     return blurred

@@ -13,7 +13,7 @@ from core_rasterizer import Device
 from registry import PipelineError, RunError, SceneError
 from registry.testing import tiny_scene
 
-from .conftest import Install
+from .conftest import TOY_ENTRIES, Install
 
 PIPELINE = {
     "name": "toy",
@@ -27,7 +27,7 @@ PIPELINE = {
 @pytest.fixture(autouse=True)
 def _toys(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The toy plugin is installed; the working folder is empty."""
-    install("toys", "1.5", {"toy": "tests.registry.toy_plugin"})
+    install("toys", "1.5", TOY_ENTRIES)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ...errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from core_rasterizer import Camera
@@ -45,6 +44,8 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
     Raises:
         SceneError: there is one camera, or all stand at one place, and there are no points.
     """
+    import numpy as np
+
     centers = np.stack([camera.center.numpy() for camera in cameras])
     axes = np.stack([camera.world_to_camera[2, :3].numpy() for camera in cameras])
     bounds = _from_points(cameras, points) or _from_focus(centers, axes) or _from_baselines(centers)
@@ -59,6 +60,7 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
 
 
 def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds | None:
+    import numpy as np
     import torch
 
     if points is None:
@@ -78,6 +80,8 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
 
 def _from_focus(centers: NDArray[np.float64], axes: NDArray[np.float64]) -> Bounds | None:
     """Least squares: the point p with the smallest sum of squared distances to all axes."""
+    import numpy as np
+
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]
     together = across.mean(axis=0)
     if np.linalg.eigvalsh(together)[0] < 1e-3:  # axes within about 2 degrees
@@ -90,5 +94,7 @@ def _from_focus(centers: NDArray[np.float64], axes: NDArray[np.float64]) -> Boun
 
 
 def _from_baselines(centers: NDArray[np.float64]) -> Bounds | None:
+    import numpy as np
+
     largest = float(np.linalg.norm(centers[:, None] - centers[None], axis=2).max())
     return (BASELINES[0] * largest, BASELINES[1] * largest) if largest > 0 else None

@@ -16,12 +16,11 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
 PARAMETERS = {
@@ -57,6 +56,7 @@ class ColmapImage(NamedTuple):
     @property
     def world_to_camera(self) -> NDArray[np.float64]:
         """The pose `[4, 4]`, OpenCV axes."""
+        import numpy as np
         from scipy.spatial.transform import Rotation
 
         result = np.eye(4)
@@ -137,6 +137,8 @@ def _binary_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
 
 
 def _binary_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
+    import numpy as np
+
     cursor = _Cursor(path.read_bytes())
     for _ in range(cursor.count(smallest=51)):
         identity, x, y, z, red, green, blue, _error = cursor.take("<Q3d3Bd")

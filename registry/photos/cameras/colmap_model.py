@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ...errors import SceneError
 from ..reading import decoding
 from .colmap_files import (
@@ -24,6 +22,7 @@ from .tracks import Tracks
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
 _NAMES = ("cameras", "images", "points3D")
@@ -66,6 +65,8 @@ class ColmapModel:
 
     def tracks(self) -> Tracks:
         """The points with their tracks; images are counted in the order of their names."""
+        import numpy as np
+
         index = {identity: k for k, (identity, _) in enumerate(self.images)}
         images = [index[identity] for point in self.points for identity in point.image_ids]
         return Tracks(
@@ -104,6 +105,8 @@ def read_colmap_model(folder: Path, fix: str) -> ColmapModel:
 
 
 def _problem(model: ColmapModel) -> str:
+    import numpy as np
+
     if not model.images:
         return "it has no registered image"
     names = [image.name for _, image in model.images]
@@ -128,5 +131,7 @@ def _problem(model: ColmapModel) -> str:
 
 
 def _single(positions: list[tuple[float, float, float]]) -> NDArray[np.float32]:
+    import numpy as np
+
     with np.errstate(over="ignore"):  # an overflow becomes infinite and is refused
         return np.array(positions, dtype=np.float64).reshape(-1, 3).astype(np.float32)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ...errors import SceneError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
 
@@ -22,6 +21,8 @@ def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
     Raises:
         SceneError: the last row is not 0 0 0 1.
     """
+    import numpy as np
+
     pose = np.asarray(matrix, dtype=np.float64)
     if not np.array_equal(pose[3], [0, 0, 0, 1]):
         raise SceneError(
@@ -39,6 +40,8 @@ def pose_from_axes(
     center: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """The world-to-camera matrix `[4, 4]` of a camera given by its axes and centre in the world."""
+    import numpy as np
+
     rotation = np.stack([right, down, forward])
     result = np.eye(4)
     result[:3, :3] = rotation

@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ...contract.scene import PointCloud
 from ...errors import SceneError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 MIN_TRAINING_OBSERVATIONS = 2
@@ -41,6 +40,7 @@ class Tracks:
 
     def seen_by(self, training: list[int]) -> PointCloud | None:
         """The points that at least two of the training views see; None if there are none."""
+        import numpy as np
         import torch
 
         owner = np.repeat(np.arange(len(self.lengths)), self.lengths)
@@ -60,6 +60,8 @@ class Tracks:
         Raises:
             SceneError: says what does not fit.
         """
+        import numpy as np
+
         count = len(self.lengths)
         problem = ""
         if self.positions.shape != (count, 3) or self.colors.shape != (count, 3):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ...errors import SceneError
 from .lens import Lens
 from .safe_pycolmap import import_pycolmap
@@ -29,6 +27,8 @@ def undistort(lens: Lens, pixels: Pixels, where: str) -> tuple[Lens, Pixels]:
     Raises:
         SceneError: the lens bends the picture more than any real one would.
     """
+    import numpy as np
+
     if lens.is_pinhole:
         return lens, pixels
     colmap = import_pycolmap()

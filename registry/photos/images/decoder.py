@@ -8,11 +8,7 @@ as reading the small result.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from ...errors import SceneError
 from ..reading import decoding
@@ -21,9 +17,13 @@ from .resized_cache import remembered
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+    from PIL import Image
+
     from .sizes import Size, SizeRule
 
-Pixels = NDArray[np.uint8]
+Pixels: TypeAlias = "NDArray[np.uint8]"
 """`[H, W, 3]`, or `[H, W]` of one brightness."""
 ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
 """Pillow's filter of that name; each averages over the area when it reduces."""
@@ -33,12 +33,6 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of that EXIF tag that exchange width and height."""
-_FILTERS = {
-    "box": Image.Resampling.BOX,
-    "bilinear": Image.Resampling.BILINEAR,
-    "bicubic": Image.Resampling.BICUBIC,
-    "lanczos": Image.Resampling.LANCZOS,
-}
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 _FIX = "restore the photograph, or save it anew as an 8-bit PNG or JPEG"
 
@@ -81,7 +75,7 @@ class Decoder:
             return np.asarray(image)
 
     def _opaque(self, file: Image.Image) -> Image.Image:
-        from PIL import Image
+        from PIL import Image, ImageOps
 
         if self.upright:
             file = ImageOps.exif_transpose(file)

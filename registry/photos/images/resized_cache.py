@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import PIL
-from PIL import Image
-
 from ...cache import Cache, content_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from PIL import Image
 
 _FILE = "image.png"
 
@@ -27,6 +26,8 @@ def remembered(path: Path, treatment: str, compute: Callable[[], Image.Image]) -
     Args:
         treatment: all that the result depends on beside the file.
     """
+    import PIL
+
     kept = Cache("photographs")
     if kept.folder is None:
         return compute()
@@ -39,5 +40,7 @@ def remembered(path: Path, treatment: str, compute: Callable[[], Image.Image]) -
 
 
 def _read(folder: Path) -> Image.Image:
+    from PIL import Image
+
     with Image.open(folder / _FILE) as file:
         return file.convert("RGB")

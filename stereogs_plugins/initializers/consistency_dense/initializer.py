@@ -24,12 +24,6 @@ from registry import (
     hookimpl,
 )
 
-from .geometric_filter import (
-    consistent_depths,
-    default_min_consistent,
-    without_small_patches,
-)
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -101,6 +95,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return self._point_cloud(self._layers(views, scene.background), views)
 
     def _min_consistent(self, scene: TrainingScene) -> int:
+        from .geometric_filter import default_min_consistent
+
         others = len(scene.train) - 1
         if others < 1:
             raise SceneError(
@@ -120,6 +116,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     def _confirmed(
         self, scene: TrainingScene, raw: list[DepthImage], needed: int
     ) -> list[DepthImage]:
+        from .geometric_filter import consistent_depths, without_small_patches
+
         settings = self.settings
         confirmed = consistent_depths(
             [view.camera for view in scene.train],

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import torch
-from torch import Tensor
-
 from core_rasterizer import Camera
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from registry import OnnxModel
     from registry.image_fitting import ValueRange
 
@@ -48,6 +47,8 @@ def _posed(
     model: OnnxModel, cameras: Cameras, bounds: Bounds, intrinsics_scale: float
 ) -> dict[str, Tensor]:
     """`K` `[1, V, 3, 3]`, `cam_T_world` `[1, V, 4, 4]` and, if wanted, `depth_range` `[1, 2]`."""
+    import torch
+
     inputs = {
         "K": _intrinsics(cameras, intrinsics_scale)[None],
         "cam_T_world": _poses(cameras)[None],
@@ -64,6 +65,8 @@ def _staged(
 
     The stages work at 1/8, 1/4, 1/2 and the full size of the images.
     """
+    import torch
+
     inputs = {}
     for name, factor in _MVSFORMER_STAGES.items():
         matrices = torch.zeros(len(cameras), 2, 4, 4)
@@ -77,6 +80,8 @@ def _staged(
 
 def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
     """`[V, 3, 3]` on a grid whose sides are `factor` times the images'."""
+    import torch
+
     matrices = torch.stack([camera.intrinsics for camera in cameras])
     matrices[:, :2] *= factor
     return matrices.float()
@@ -84,6 +89,8 @@ def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
 
 def _poses(cameras: Cameras) -> Tensor:
     """World to camera, `[V, 4, 4]`."""
+    import torch
+
     return torch.stack([camera.world_to_camera for camera in cameras]).float()
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
@@ -25,7 +25,9 @@ from registry.photos import (
     list_images,
 )
 
-from .cameras import DtuCameras, calibrated, from_colmap, view_number
+if TYPE_CHECKING:
+    from .cameras import DtuCameras
+
 
 TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 """Three, six or nine of these train (PixelNeRF, RegNeRF and the literature since)."""
@@ -97,6 +99,8 @@ class DTUScene(SceneLoader[DTUSettings]):
         return replace(scene, train=tuple(self._darkened(view) for view in scene.train))
 
     def _read_cameras(self, folder: Path, train: list[int]) -> DtuCameras:
+        from .cameras import calibrated, from_colmap
+
         wanted = [*train, *TEST_VIEWS]
         if self.settings.cameras == "colmap":
             return from_colmap(folder / "sparse" / "0", train, wanted)
@@ -131,6 +135,8 @@ def _by_view(
     folder: Path, names: tuple[str, ...], numbers: list[int], hint: str
 ) -> dict[int, Path]:
     """The images in the first of some folders that has any, by view number."""
+    from .cameras import view_number
+
     found: dict[int, Path] = {}
     for name in names:
         files = list_images(folder / name)

@@ -26,11 +26,10 @@ from registry.photos import (
     split_rule,
 )
 
-from .points import read_points
-from .poses import PoseRow, read_poses
-
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from .poses import PoseRow
 
 
 class LLFFSettings(SplitSettings, ImageSourceSettings):
@@ -66,6 +65,9 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             SceneError: a missing folder or file, a number of poses that is not the number of images, an
                 image of another size, a pose that is not finite, more training views than there are.
         """
+        from .points import read_points
+        from .poses import read_poses
+
         settings = self.settings
         folder = settings.path.expanduser()
         if not folder.is_dir():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
@@ -22,10 +22,8 @@ from registry.photos import (
     split_rule,
 )
 
-from .disconnected import refuse_disconnected
-from .found_cameras import remembered_model
-from .structure_from_motion import image_index, reconstruct
-from .unposed_photos import UnposedPhoto, read_folder
+if TYPE_CHECKING:
+    from .unposed_photos import UnposedPhoto
 
 
 class PhotosSettings(SplitSettings):
@@ -69,6 +67,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             SceneError: fewer than three photographs, one that cannot be read, two equal ones, or
                 photographs that do not connect; then it says which do and what to photograph next.
         """
+        from .unposed_photos import read_folder
+
         settings = self.settings
         folder = settings.path.expanduser()
         found = read_folder(folder)
@@ -92,6 +92,10 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
+        from .disconnected import refuse_disconnected
+        from .found_cameras import remembered_model
+        from .structure_from_motion import reconstruct
+
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
 
@@ -105,6 +109,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
+    from .structure_from_motion import image_index
+
     stems = [photo.path.stem for photo in found]
     return [
         PosedPhoto(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
 from pydantic import Field
 
 from registry import (
@@ -25,13 +24,15 @@ from registry import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from core_rasterizer import Camera
 
     from .ray_casting import Surface
 
 FIELD_OF_VIEW = math.radians(62)
 """Horizontal, of every camera."""
-TARGET = np.array([0.0, 0.1, 3.2])
+TARGET = (0.0, 0.1, 3.2)
 """What the cameras look at."""
 ARC_RADIUS = 3.2
 ARC_HALF_ANGLE = math.radians(11)
@@ -65,6 +66,7 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
 
     def load(self) -> Scene:
         """Return the scene; the same settings give the same bits."""
+        import numpy as np
         import torch
 
         from .room import furnish
@@ -97,6 +99,7 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
         )
 
     def _view(self, name: str, surfaces: list[Surface], angle: float, lift: float) -> View:
+        import numpy as np
         import torch
 
         from .ray_casting import cast
@@ -122,14 +125,16 @@ def _lift(index: int) -> float:
 
 def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera:
     """A camera that looks at the target from `angle` radians to its side, horizon level."""
+    import numpy as np
     import torch
 
     from core_rasterizer import Camera
 
     offset = ARC_RADIUS * np.array([math.sin(angle), 0.0, -math.cos(angle)])
-    center = TARGET + offset
+    target = np.array(TARGET)
+    center = target + offset
     center[1] = EYE_LEVEL + lift
-    forward = (TARGET - center) / np.linalg.norm(TARGET - center)
+    forward = (target - center) / np.linalg.norm(target - center)
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
@@ -143,6 +148,7 @@ def _sample_points(
     views: list[View], count: int, noise: float, generator: np.random.Generator
 ) -> PointCloud | None:
     """Points behind random pixels of the views, at the true depth, with the pixels' colours."""
+    import numpy as np
     import torch
 
     if not count:

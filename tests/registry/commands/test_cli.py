@@ -186,8 +186,8 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
         return Verdict(0.0, 0.0)
 
     devices = [open_device(), open_device().as_variant("gpu")]
-    monkeypatch.setattr("registry.commands.doctor.list_devices", lambda: devices)
-    monkeypatch.setattr("registry.commands.doctor.self_test", fails_first)
+    monkeypatch.setattr("core_rasterizer.list_devices", lambda: devices)
+    monkeypatch.setattr("registry.inspection.self_test.self_test", fails_first)
     assert main(["doctor"]) == 1
     output = capsys.readouterr().out
     assert "FAILED: RuntimeError: the driver is gone" in output
