@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-from core_rasterizer import Camera
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from core_rasterizer import Camera
     from registry import OnnxModel
     from registry.image_fitting import ValueRange
 
 FamilyName = Literal["mvsanywhere", "mvsformer"]
-Cameras = Sequence[Camera]
+Cameras: TypeAlias = "Sequence[Camera]"
 Bounds = tuple[float, float]
 
 _MVSFORMER_STAGES = {"stage1": 1 / 8, "stage2": 1 / 4, "stage3": 1 / 2, "stage4": 1.0}

@@ -19,12 +19,12 @@ from registry import (
 )
 from registry.image_fitting import Fit, ValueRange, full_size_maps, in_range, stretched
 
+from .families import FAMILIES, FamilyName
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from torch import Tensor
-
-    from .families import FamilyName
 
 
 class OnnxMvsSettings(OnnxModelSettings):
@@ -52,8 +52,6 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
     Settings = OnnxMvsSettings
 
     def __init__(self, settings: OnnxMvsSettings, context: Context) -> None:
-        from .families import FAMILIES
-
         super().__init__(settings, context)
         family = FAMILIES[settings.family]
         self._family = replace(
