@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,7 +70,7 @@ class DeviceArray:
         """
         shape, begin, end = self._rows(first, last)
         if self._host is not None:
-            self._map(self._host, cl.map_flags.READ)
+            self._map(cl.map_flags.READ)
             return self._host[begin:end].reshape(shape)
         result = torch.empty(shape, dtype=self.dtype)
         if result.numel():
@@ -86,7 +87,7 @@ class DeviceArray:
         if not values.numel():
             return
         if self._host is not None:
-            self._map(self._host, cl.map_flags.WRITE)
+            self._map(cl.map_flags.WRITE)
             self._host[begin:end].copy_(values.reshape(-1))
         else:
             offset = begin * self.dtype.itemsize
@@ -98,7 +99,7 @@ class DeviceArray:
         """Set every element of rows `[first, last)` to `value`; by default all."""
         _, begin, end = self._rows(first, last)
         if self._host is not None:
-            self._map(self._host, cl.map_flags.WRITE)
+            self._map(cl.map_flags.WRITE)
             self._host[begin:end] = value
         elif begin < end:
             pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
@@ -111,16 +112,29 @@ class DeviceArray:
         row = math.prod(self.shape[1:])
         return (last - first, *self.shape[1:]), first * row, last * row
 
-    def _map(self, host: Tensor, flags: Any) -> None:
+    def _map(self, flags: Any) -> None:
         """Make the host's view current; only mapping promises that, though it copies nothing."""
+        self._enqueue_map(flags)
+        self.device.finish()
+
+    def _enqueue_map(self, flags: Any) -> None:
+        """The same, once the device has finished. It costs half of a call that waits itself."""
         mapped: Any
-        with self.device.retired.drained():
-            mapped, _ = cl.enqueue_map_buffer(
-                self.device.queue,
-                self.buffer,
-                flags,
-                0,
-                (host.numel(),),
-                np.dtype(_NUMPY_TYPES[self.dtype]),
-            )
+        elements, dtype = max(1, math.prod(self.shape)), np.dtype(_NUMPY_TYPES[self.dtype])
+        mapped, _ = cl.enqueue_map_buffer(
+            self.device.queue, self.buffer, flags, 0, (elements,), dtype, is_blocking=False
+        )
         mapped.base.release()
+
+
+def read_together(arrays: Sequence[DeviceArray]) -> list[Tensor]:
+    """The contents of several arrays of one device, as `DeviceArray.read` gives them, after one wait."""
+    hosts = [array._host for array in arrays]
+    for array, host in zip(arrays, hosts, strict=True):
+        if host is not None:
+            array._enqueue_map(cl.map_flags.READ)
+    arrays[0].device.finish()
+    return [
+        array.read() if host is None else host.reshape(array.shape)
+        for array, host in zip(arrays, hosts, strict=True)
+    ]

@@ -107,7 +107,7 @@ class Edit:
             return
         if not isinstance(self.add, Gaussians):
             raise GaussianError(
-                f"add is a {type(self.add).__name__}, expected Gaussians", field="add"
+                f"'add' is a {type(self.add).__name__}, expected Gaussians", field="add"
             )
         self.add.check_finite()
         _check_tensor("parents", self.parents, torch.int64, len(self.add))
@@ -149,7 +149,7 @@ def _check_tensor(field: str, values: Tensor, dtype: torch.dtype, length: int) -
         )
     if values.dtype != dtype or tuple(values.shape) != (length,):
         raise GaussianError(
-            f"{field} is {values.dtype} {tuple(values.shape)}, expected {dtype} ({length},)",
+            f"{field!r} is {values.dtype} {tuple(values.shape)}, expected {dtype} ({length},)",
             field=field,
         )
 

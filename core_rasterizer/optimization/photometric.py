@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, open_device
+from ..device import Device, DeviceArray, open_device, read_together
 from ..errors import ExplainedError
 from ..finite import undefined_places
 
@@ -164,11 +164,13 @@ class _Workspace:
             real(l1_weight / values),
             real(ssim_weight / values),
         )
-        l1, dissimilarity = (self._sums.read().double().sum(dim=0) / values).tolist()
+        # Without a gradient nothing was written to `result`.
+        sums, *gradient = read_together([self._sums, result] if with_gradient else [self._sums])
+        l1, dissimilarity = (sums.double().sum(dim=0) / values).tolist()
         loss = l1_weight * l1 + ssim_weight * dissimilarity
         if not math.isfinite(loss):
             raise _undefined(rgb, target)
-        return loss, result.read() if with_gradient else None
+        return loss, gradient[0] if gradient else None
 
     def _bind(self, rgb: Tensor, target: Tensor) -> list[DeviceArray]:
         """The two images and room for the gradient, as device arrays."""

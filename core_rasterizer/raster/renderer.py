@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from ..device import Device, DeviceArray, Program, Scratch
+from ..device import Device, DeviceArray, Program, Scratch, read_together
 from ..errors import ExplainedError
 from ..finite import undefined_places
-from ..layout import PARAMETER_BITS
+from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
 from .footprint import Footprint
@@ -147,17 +147,16 @@ class Renderer:
             frame.request = request
             self._prepare(frame, block, request)
             self._project(frame, block, request)
-            self._lists.sort(self.program, frame, block.count)
             while True:
-                self._lists.bin(self.program, frame, self._capacity_of(frame))
+                self._lists.build(self.program, frame, block.count, self._capacity_of(frame))
                 images = self._blend(frame, request.camera)
-                counters = frame.arrays["counters"].read()
+                *tensors, counters = read_together([*images, frame.arrays["counters"]])
                 frame.visible, frame.pairs = int(counters[0]), int(counters[1])
                 if frame.pairs <= self._capacity_of(frame):
                     break
                 self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
                 frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
-            rgb, depth, alpha = (image.read() for image in images)
+            rgb, depth, alpha = tensors
             return rgb, depth, alpha, lease
 
     def backward(
@@ -188,31 +187,40 @@ class Renderer:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
-            sums = self._raster_backward(frame, image_gradients)
-            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            images = self._image_gradients(frame, image_gradients)
             wants_pose = frame.request.wants_pose_gradient
+            if not frame.pairs:
+                if not accumulate:
+                    gradients.fill(0, 0, row_count(frame.request.bands))
+                return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
+            with_depth = image_gradients[1] is not None
+            sums = self._raster_backward(frame, images, with_depth)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
             pose_sums = self._sum_poses(frame, block) if wants_pose else None
             self.device.finish()
             if pose_sums is None:
                 return None
             return pose_gradient(pose_sums.read(), frame.request.camera)
 
-    def _raster_backward(
-        self, frame: Frame, image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
-    ) -> DeviceArray:
-        """The sums that each pair of a tile and a Gaussian hands back."""
-        arrays, camera = frame.arrays, frame.request.camera
+    def _image_gradients(
+        self, frame: Frame, gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
+    ) -> list[DeviceArray]:
+        """The gradients of `rgb`, `depth` and `alpha` on the device."""
+        camera = frame.request.camera
         pixels = camera.width * camera.height
-        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
-        d_rgb, d_depth, d_alpha = (
+        return [
             self._image_gradient(gradient, size, name)
             for gradient, size, name in zip(
-                image_gradients,
-                (3 * pixels, pixels, pixels),
-                ("rgb", "depth", "alpha"),
-                strict=True,
+                gradients, (3 * pixels, pixels, pixels), ("rgb", "depth", "alpha"), strict=True
             )
-        )
+        ]
+
+    def _raster_backward(
+        self, frame: Frame, image_gradients: list[DeviceArray], with_depth: bool
+    ) -> DeviceArray:
+        """The sums that each pair of a tile and a Gaussian hands back."""
+        arrays = frame.arrays
+        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         self._run_raster(
             "raster_backward",
             frame,
@@ -223,12 +231,10 @@ class Renderer:
             arrays["rgb"],
             arrays["depth"],
             arrays["transmittance"],
-            d_rgb,
-            d_depth,
-            d_alpha,
+            *image_gradients,
             sums,
             np.int32(frame.tiles[0]),
-            np.int32(image_gradients[1] is not None),
+            np.int32(with_depth),
         )
         return sums
 
@@ -305,7 +311,6 @@ class Renderer:
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
-        frame.arrays.reserve("camera", self._wide, 32)
         frame.arrays.reserve("records", self.dtype, capacity * RECORD)
         frame.arrays.reserve("slot_start", torch.int32, capacity)
         frame.arrays.reserve("slot_count", torch.int32, capacity)
@@ -315,11 +320,21 @@ class Renderer:
         frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
         frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
-        frame.arrays["camera"].write(request.camera_block())
+        frame.arrays["camera"] = self._camera(request)
         if request.is_modified:
             rows = request.modifier_rows(capacity, self.dtype)
             frame.arrays.reserve("modifiers", self.dtype, rows.numel())
             frame.arrays["modifiers"].write(rows, 0, rows.numel())
+
+    def _camera(self, request: RenderRequest) -> DeviceArray:
+        """A new array: kernels under way may still read the last render's."""
+        numbers = request.camera_block().to(self._wide)
+        shape = tuple(numbers.shape)
+        if self.device.shares_memory:
+            return DeviceArray(self.device, shape, self._wide, over=numbers)
+        array = DeviceArray(self.device, shape, self._wide)
+        array.write(numbers)
+        return array
 
     def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays

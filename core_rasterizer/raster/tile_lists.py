@@ -10,12 +10,15 @@ import torch
 from ..device import Device, DeviceArray, Program, Scratch
 from .frame import Frame
 
-SOURCES = ("raster/scan", "raster/sort", "raster/bin")
+SOURCES = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
 """The kernels of this module; they build on "raster/scene" and "raster/cover"."""
 
 _DIGIT_BITS = 11
 BUCKETS = 1 << _DIGIT_BITS
 """Entries of the sort's tables of counts; a row a chunk, like those of the tiles."""
+FEW = 1 << 14
+"""Up to so many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
+fourteen. Beyond twice as many, work shared by two cores outweighs what the launches cost."""
 
 
 def chunks_of(device: Device) -> int:
@@ -42,6 +45,7 @@ class TileLists:
         self._device = device
         self._chunks = chunks_of(device)
         on_cpu = device.variant == "cpu"
+        self._few = FEW if on_cpu else 0
         self._group, self._items = (16, 1) if on_cpu else (64, 256)
         self.macros = {
             "DIGIT_BITS": _DIGIT_BITS,
@@ -72,7 +76,41 @@ class TileLists:
         """Tiles that each Gaussian can touch, which the projection writes: `[4 * capacity]`, 32 bits."""
         return self._scratch["covers"]
 
-    def sort(self, program: Program, frame: Frame, count: int) -> None:
+    def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+        """Fill `frame.arrays["pairs"]`, unless there are more pairs than it has room for.
+
+        The numbers of visible Gaussians and of pairs are left in `frame.arrays["counters"]`.
+        """
+        if count <= self._few:
+            self._build_alone(program, frame, count, pair_capacity)
+        else:
+            self._sort(program, frame, count)
+            self._bin(program, frame, pair_capacity)
+
+    def _build_alone(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+        arrays, scratch = frame.arrays, self._scratch
+        program.run(
+            "lists_of_few",
+            (1,),
+            (1,),
+            arrays["records"],
+            *(
+                scratch[name]
+                for name in ("covers", "keys", "keys_a", "order_a", "keys_b", "order_b")
+            ),
+            scratch["counts"],
+            *(
+                arrays[name]
+                for name in ("tile_starts", "pairs", "slot_start", "slot_count", "counters")
+            ),
+            np.uint32(count),
+            np.uint32(frame.tiles[0] * frame.tiles[1]),
+            np.int32(frame.tiles[0]),
+            np.uint32(frame.pair_limit),
+            np.uint32(pair_capacity),
+        )
+
+    def _sort(self, program: Program, frame: Frame, count: int) -> None:
         """Leave the visible Gaussians, nearest first, in the scratch array `order_a`."""
         scratch, counters = self._scratch, frame.arrays["counters"]
         counts, totals = scratch["counts"], scratch["totals"]
@@ -98,8 +136,7 @@ class TileLists:
                 *settings,
             )
 
-    def bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
-        """Fill `frame.arrays["pairs"]`, unless there are more pairs than it has room for."""
+    def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
         arrays, scratch = frame.arrays, self._scratch
         counters, counts, order = arrays["counters"], scratch["counts"], scratch["order_a"]
         tiles = frame.tiles[0] * frame.tiles[1]

@@ -12,22 +12,22 @@ from rich.console import Console
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
+from ..contract.scene import Scene, validate
+from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
-from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .evaluation import evaluate
-from ..training.initial_model import initial_gaussians
-from .interrupt import stop_on_interrupt
-from .metrics_log import MetricsLog
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
+from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..training.initial_model import initial_gaussians, new_model
+from ..training.trainer import Trainer, maps_of
+from .evaluation import evaluate
+from .folder import RunFolder, default_folder
+from .interrupt import stop_on_interrupt
+from .metrics_log import MetricsLog
 from .progress import TrainingProgress
 from .provenance import provenance
 from .results import finish
-from .folder import RunFolder, default_folder
-from ..contract.scene import Scene, validate
-from ..inspection.scene_facts import summary, warnings
-from ..training.trainer import Trainer
 
 CHECKPOINT = "checkpoint"
 
@@ -76,9 +76,9 @@ def start(
     initializer = parts.one("initializer")
     begin = time.monotonic()
     with blame(initializer.item):
-        points = initializer.component.initialize(scene, parts.priors)
+        points = initializer.component.initialize(scene.for_training(), parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
-    model = GaussianModel(gaussians, device)
+    model = new_model(gaussians, pipeline.training, device)
     run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
     run.create(pipeline.to_yaml(), provenance(pipeline, device, list(command)))
     facts = {
@@ -89,7 +89,7 @@ def start(
     }
     run.write_initialization(facts, points.pictures)
     console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
-    trainer = Trainer(pipeline.training, parts, scene, model)
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
     return run, _train_to_end(run, pipeline, trainer, 0.0, console)
 
 
@@ -103,7 +103,13 @@ def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) ->
         ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
     """
     opened = open_run(path, plugins=plugins, device=device)
-    trainer = Trainer(opened.pipeline.training, opened.parts, opened.scene, opened.model)
+    trainer = Trainer(
+        opened.pipeline.training,
+        opened.parts,
+        opened.scene,
+        opened.model,
+        maps_of(opened.checkpoint.part("maps")),
+    )
     trainer.restore(opened.checkpoint.iteration, opened.checkpoint.part)
     opened.run.forget_metrics_after(opened.checkpoint.iteration)
     console.print(
@@ -124,7 +130,8 @@ def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:
     checkpoint = load_checkpoint(path / CHECKPOINT)
     parts = Parts(pipeline, device)
     scene = load_scene(parts)
-    model = GaussianModel(Gaussians(**checkpoint.part("model")), device)
+    gaussians = Gaussians(**checkpoint.part("model"))
+    model = new_model(gaussians, pipeline.training, device)
     return Opened(run, pipeline, parts, scene, model, checkpoint)
 
 

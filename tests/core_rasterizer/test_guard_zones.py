@@ -18,6 +18,7 @@ from core_rasterizer import (
     Edit,
     GaussianModel,
     Gaussians,
+    Relocation,
     apply_edit,
     photometric_loss,
     rasterize,
@@ -169,7 +170,7 @@ def test_the_photometric_loss(device: Device, size: tuple[int, int], dtype: torc
 
 @pytest.mark.parametrize(("count", "degree"), [(1, 3), (16, 0), (17, 3), (4097, 0)])
 def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
-    """Steps of the optimizer at lower bands too, moments reset, clones, splits and prunes."""
+    """Steps at lower bands too, moments reset; clones, splits, prunes, relocated and added ones."""
     gaussians = parameters(count, sh_degree=degree)
     camera = random_camera(torch.Generator().manual_seed(4), 15, 11)
 
@@ -187,10 +188,28 @@ def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
         masks = torch.rand(3, count, generator=generator) < torch.tensor([[0.5], [0.5], [0.3]])
         masks[2, 0] = False
         apply_edit(model, optimizer, Edit(*masks), generator)
-        model.render(camera, opacity_scale=torch.ones(model.count)).depth.sum().backward()
-        optimizer.step(RATES, active_sh_degree=degree)
+        first = torch.zeros(model.count // 3, dtype=torch.int64)
+        edit = Edit(
+            split=torch.arange(model.count) == model.count - 1,
+            split_into=3,
+            add=gaussians,
+            parents=torch.zeros(count, dtype=torch.int64),
+            relocate=Relocation(first, 1 + torch.arange(len(first))),
+        )
+        apply_edit(model, optimizer, edit, generator)
+        rendering = model.render(
+            camera, opacity_scale=torch.ones(model.count), detach=("means", "sh")
+        )
+        (rendering.depth.sum() + model.parameter("scales").sum()).backward()
+        optimizer.step(RATES, active_sh_degree=degree, skip=("sh_rest",))
         state = optimizer.state()
         after = [model.read(name).clone() for name in ("means", "log_scales", "sh")]
-        return [*after, statistics, state["first_moments"], state["second_moments"]]
+        return [
+            *after,
+            rendering.visible,
+            statistics,
+            state["first_moments"],
+            state["second_moments"],
+        ]
 
     same_inside_zones(device, work)

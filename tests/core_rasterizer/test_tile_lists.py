@@ -29,8 +29,8 @@ class Lists(NamedTuple):
     tiles_across: int
 
 
-def lists_of(device: Device) -> Lists:
-    model, camera = GaussianModel(parameters(300), device), view()
+def lists_of(device: Device, model: GaussianModel | None = None) -> Lists:
+    model, camera = model or GaussianModel(parameters(300), device), view()
     renderer = model.renderer
     frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[3].frame
     tiles = frame.tiles[0] * frame.tiles[1]
@@ -80,11 +80,25 @@ def test_slots_of_a_gaussian_are_neighbours_and_no_two_pairs_share_one(device: D
         assert (np.diff(slots) == 1).all()
 
 
+def test_one_launch_for_few_gives_the_lists_of_many(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After each other in the same scratch memory, too: neither leaves anything that the other reads."""
+    expected = lists_of(device)
+    model = GaussianModel(parameters(300), device)
+    for few in (0, 300, 0, 300):
+        monkeypatch.setattr(model.renderer._lists, "_few", few)
+        lists = lists_of(device, model)
+        assert np.array_equal(lists.pairs, expected.pairs)
+        assert np.array_equal(lists.starts, expected.starts)
+
+
 @pytest.mark.parametrize("chunks", [1, 7, 500])
 def test_the_number_of_chunks_changes_nothing(
     device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = lists_of(device)
+    monkeypatch.setattr("core_rasterizer.raster.tile_lists.FEW", 0)
     for module in ("tile_lists", "renderer"):
         monkeypatch.setattr(f"core_rasterizer.raster.{module}.chunks_of", lambda device: chunks)
     lists = lists_of(device)

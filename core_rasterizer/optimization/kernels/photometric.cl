@@ -87,9 +87,13 @@ static inline real sum_lanes(lane values)
     const int y = (wanted) < 0 ? 0 : (wanted) >= (height) ? (height) - 1 : (wanted); \
     const real inside = y == (wanted)
 
-static inline void filter_columns(
+/* Are all lines that a step at row `top` looks at lines of the image? Nearly always; the weights above
+ * are then known to be 1, and cost nothing. */
+#define ALL_INSIDE(top, height) ((top) >= RADIUS && (top) + ROWS - 1 + RADIUS < (height))
+
+static inline __attribute__((always_inline)) void filter_columns_of(
     __global const real *image, __global const real *target, __global real *lines,
-    int top, int height, int row, int stride)
+    int top, int height, int row, int stride, const int all_inside)
 {
     FOR_EACH_BLOCK(block, row) {
         const int start = BLOCK_START(block, row);
@@ -98,7 +102,9 @@ static inline void filter_columns(
             mean[r] = difference[r] = square[r] = product[r] = (lane)0;
 #pragma unroll
         for (int t = 0; t < RING; t++) {
-            ROW_INSIDE(y, inside, top + t - RADIUS, height);
+            ROW_INSIDE(nearest, weight_of_line, top + t - RADIUS, height);
+            const int y = all_inside ? top + t - RADIUS : nearest;
+            const real inside = all_inside ? (real)1 : weight_of_line;
             const lane a = inside * LOAD_GLOBAL(image + (size_t)y * row + start);
             const lane d = a - inside * LOAD_GLOBAL(target + (size_t)y * row + start);
             const lane dd = d * d, ab = a * (a - d);
@@ -121,6 +127,16 @@ static inline void filter_columns(
             STORE_GLOBAL(line + 3 * stride, product[r]);
         }
     }
+}
+
+static inline void filter_columns(
+    __global const real *image, __global const real *target, __global real *lines,
+    int top, int height, int row, int stride)
+{
+    if (ALL_INSIDE(top, height))
+        filter_columns_of(image, target, lines, top, height, row, stride, 1);
+    else
+        filter_columns_of(image, target, lines, top, height, row, stride, 0);
 }
 
 /* Row y. Writes this work-item's two partial sums, of |x - y| and of 1 - SSIM, unless sums is null. */
@@ -165,8 +181,8 @@ static inline void dissimilarity(
     }
 }
 
-static inline void filter_derivatives(
-    __global const real *ring, __global real *lines, int top, int height, int row, int stride)
+static inline __attribute__((always_inline)) void filter_derivatives_of(
+    __global const real *ring, __global real *lines, int top, int height, int row, int stride, const int all_inside)
 {
     FOR_EACH_BLOCK(block, row) {
         const int start = BORDER + BLOCK_START(block, row);
@@ -175,7 +191,9 @@ static inline void filter_derivatives(
             sum0[r] = sum1[r] = sum2[r] = (lane)0;
 #pragma unroll
         for (int t = 0; t < RING; t++) {
-            ROW_INSIDE(y, inside, top + t - RADIUS, height);
+            ROW_INSIDE(nearest, weight_of_line, top + t - RADIUS, height);
+            const int y = all_inside ? top + t - RADIUS : nearest;
+            const real inside = all_inside ? (real)1 : weight_of_line;
             __global const real *from = ring + (y % RING) * DERIVATIVES * stride + start;
             const lane value0 = inside * LOAD_GLOBAL(from);
             const lane value1 = inside * LOAD_GLOBAL(from + stride);
@@ -197,6 +215,15 @@ static inline void filter_derivatives(
             STORE_GLOBAL(line + 2 * stride, sum2[r]);
         }
     }
+}
+
+static inline void filter_derivatives(
+    __global const real *ring, __global real *lines, int top, int height, int row, int stride)
+{
+    if (ALL_INSIDE(top, height))
+        filter_derivatives_of(ring, lines, top, height, row, stride, 1);
+    else
+        filter_derivatives_of(ring, lines, top, height, row, stride, 0);
 }
 
 /* d loss / d x of one row. */

@@ -73,6 +73,31 @@ static inline int all_finished(const real *transmittance)
 #define DOWN ((lane)(0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1))
 #endif
 
+/* The pixels of a tile that no Gaussian reaches. */
+static inline void show_background(
+    tile_area area, __global const wide *camera, __global real *rgb, __global real *depth,
+    __global real *alpha, __global real *final_transmittance)
+{
+    const int width = (int)camera[CAMERA_WIDTH];
+    const real red = camera[CAMERA_BACKGROUND], green = camera[CAMERA_BACKGROUND + 1],
+               blue = camera[CAMERA_BACKGROUND + 2];
+    for (int y = area.y; y < area.y + area.height; y++) {
+        const size_t first = (size_t)y * width + area.x;
+        /* A loop for each image: a compiler makes vectors of these, not of stores to four places. */
+        for (size_t pixel = first; pixel < first + area.width; pixel++) {
+            rgb[3 * pixel] = red;
+            rgb[3 * pixel + 1] = green;
+            rgb[3 * pixel + 2] = blue;
+        }
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            depth[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            alpha[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            final_transmittance[pixel] = 1;
+    }
+}
+
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void raster(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
@@ -84,12 +109,16 @@ void raster(
         return;
     const uint tile = get_global_id(0);
     const tile_area area = area_of(tile, tiles_x, camera);
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    if (begin == end) {
+        show_background(area, camera, rgb, depth, alpha, final_transmittance);
+        return;
+    }
     real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS];
     open_pixels(t, area);
     for (int i = 0; i < PIXELS; i++)
         red[i] = green[i] = blue[i] = z[i] = 0;
 
-    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
     for (uint p = begin; p < end; p++) {
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
             break;
@@ -194,13 +223,15 @@ static inline __attribute__((always_inline)) void walk_back(
     int tiles_x, const int with_depth)
 {
     const uint tile = get_global_id(0);
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    if (begin == end)
+        return;
     const tile_area area = area_of(tile, tiles_x, camera);
     real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS], rest[PIXELS];
     open_pixels(t, area);
     load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
         d_alpha, red, green, blue, z, rest);
 
-    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
     uint p = begin;
     for (; p < end; p++) {
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))

@@ -14,19 +14,39 @@ static inline void chunk_bounds(
     *end = elements * (chunk + 1) / chunks;
 }
 
+static inline void count_digits_in(
+    __global const uint *keys, __global uint *mine, size_t begin, size_t end, uint shift)
+{
+    for (uint bucket = 0; bucket < BUCKETS; bucket++)
+        mine[bucket] = 0;
+    for (size_t i = begin; i < end; i++)
+        if (keys[i] != INVISIBLE)
+            mine[(keys[i] >> shift) & (BUCKETS - 1)]++;
+}
+
+/* `mine` holds where the chunk's first element of each bucket goes. */
+static inline void scatter_digits_in(
+    __global const uint *keys, __global const uint *order, __global uint *keys_out,
+    __global uint *order_out, __global uint *mine, size_t begin, size_t end, uint shift, uint first)
+{
+    for (size_t i = begin; i < end; i++) {
+        const uint key = keys[i];
+        if (key == INVISIBLE)
+            continue;
+        const uint to = mine[(key >> shift) & (BUCKETS - 1)]++;
+        keys_out[to] = key;
+        order_out[to] = first ? (uint)i : order[i];
+    }
+}
+
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void count_digits(
     __global const uint *keys, __global uint *counts, __global const ulong *counters, uint count,
     uint shift, uint first)
 {
-    __global uint *mine = counts + get_global_id(0) * BUCKETS;
-    for (uint bucket = 0; bucket < BUCKETS; bucket++)
-        mine[bucket] = 0;
     size_t begin, end;
     chunk_bounds(counters, count, first, &begin, &end);
-    for (size_t i = begin; i < end; i++)
-        if (keys[i] != INVISIBLE)
-            mine[(keys[i] >> shift) & (BUCKETS - 1)]++;
+    count_digits_in(keys, counts + get_global_id(0) * BUCKETS, begin, end, shift);
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -40,12 +60,5 @@ void scatter_digits(
         mine[bucket] += starts[bucket];
     size_t begin, end;
     chunk_bounds(counters, count, first, &begin, &end);
-    for (size_t i = begin; i < end; i++) {
-        const uint key = keys[i];
-        if (key == INVISIBLE)
-            continue;
-        const uint to = mine[(key >> shift) & (BUCKETS - 1)]++;
-        keys_out[to] = key;
-        order_out[to] = first ? (uint)i : order[i];
-    }
+    scatter_digits_in(keys, order, keys_out, order_out, mine, begin, end, shift, first);
 }
