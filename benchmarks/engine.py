@@ -26,7 +26,14 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
-from core_rasterizer import Adam, Device, GaussianModel, open_device, photometric_loss
+from core_rasterizer import (
+    Adam,
+    Device,
+    GaussianModel,
+    Rendering,
+    open_device,
+    photometric_loss,
+)
 
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
@@ -185,6 +192,42 @@ def ratios(device: Device) -> dict[str, float]:
     }
 
 
+def options(device: Device, rounds: int = 45) -> dict[str, float]:
+    """Time of renders that ask for more over that of a plain one, all in turn, medians over rounds."""
+    workload = Workload(COUNTS[-1], device)
+    camera, gaussians = workload.camera, workload.model.gaussians()
+    compensated = GaussianModel(gaussians, device, compensate_dilation=True)
+    pose = camera.world_to_camera.clone().requires_grad_()
+    posed = replace(camera, world_to_camera=pose)
+    smoothing = torch.full((len(gaussians),), 1e-3)
+    renders: dict[str, Callable[[], Rendering]] = {
+        "plain": lambda: workload.model.render(camera),
+        "pose gradient": lambda: workload.model.render(posed),
+        "dilation compensated": lambda: compensated.render(camera),
+        "smoothing": lambda: workload.model.render(camera, smoothing=smoothing),
+        "half of band 3": lambda: workload.model.render(camera, sh_degree=2.5),
+    }
+    times: dict[tuple[str, str], list[float]] = {}
+    for number in range(rounds + 2):
+        for name, render in renders.items():
+            for model in (workload.model, compensated):
+                model.zero_gradients()
+            begin = time.perf_counter()
+            rendering = render()
+            middle = time.perf_counter()
+            torch.autograd.backward([rendering.rgb], [workload.weights])
+            if number >= 2:
+                times.setdefault((name, "forward"), []).append(middle - begin)
+                times.setdefault((name, "backward"), []).append(time.perf_counter() - middle)
+    return {
+        f"{name}, {part}": median(
+            one / plain for one, plain in zip(values, times["plain", part], strict=True)
+        )
+        for (name, part), values in times.items()
+        if name != "plain"
+    }
+
+
 def peak_memory_mb(count: int) -> float:
     """Peak memory above that of an interpreter with torch and a device, in a process of its own."""
     code = (
@@ -215,6 +258,7 @@ def measure(device: Device) -> dict[str, Any]:
     result["fixed_cost_ms"] = fixed_costs(device)
     result["stages_ms"] = stages(Workload(COUNTS[-1], device))
     result["ratios"] = ratios(device)
+    result["options_over_plain"] = options(device)
     result["growth_with_count_ms"] = {
         str(count): milliseconds(Workload(count, device).iteration, 7) for count in MORE_COUNTS
     }
@@ -238,6 +282,7 @@ def show(result: dict[str, Any]) -> None:
         "fixed_cost_ms",
         "stages_ms",
         "ratios",
+        "options_over_plain",
         "growth_with_count_ms",
         "growth_with_pixels_ms",
         "peak_memory_mb",

@@ -2,34 +2,68 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ..camera import Camera
+from ..device import Device, DeviceArray, Program, Scratch
+from .block import Block
 
 POSE_NUMBERS = 16
 """Numbers that a block of Gaussians adds up: rotation 9, translation 3, view directions 3, none."""
-POSE_CHUNKS = 256
+_CHUNKS = 256
 """Runs of blocks that are added up side by side; fixed, so that the order of the sum is too."""
 
 _LARGEST = 1e37
 """What reaches it is no gradient and becomes 0, as in the kernels."""
 
 
-def pose_gradient(chunk_sums: Tensor, camera: Camera) -> Tensor:
-    """The gradient of `world_to_camera`, its twelve numbers taken on their own.
+class PoseSums:
+    """Room for what blocks of Gaussians say of the pose, and the sum of it.
+
+    Args:
+        device: where the kernels run.
+        wide: the type of the sums, that of the kernels' `wide`.
+    """
+
+    def __init__(self, device: Device, wide: torch.dtype) -> None:
+        self._device, self._wide = device, wide
+        self._scratch = Scratch(device)
+
+    def parts(self, block: Block) -> DeviceArray:
+        """Where the projection's backward pass writes, a row of `POSE_NUMBERS` a block of Gaussians."""
+        rows = block.capacity // self._device.lanes
+        return self._scratch.reserve("parts", self._wide, rows * POSE_NUMBERS)
+
+    def gradient(self, program: Program, block: Block, camera: Camera) -> Tensor:
+        """The gradient of `world_to_camera`, `[4, 4]` float64, from what stands in `parts`."""
+        sums = self._scratch.reserve("sums", self._wide, _CHUNKS * POSE_NUMBERS)
+        program.run(
+            "sum_poses",
+            (_CHUNKS, POSE_NUMBERS),
+            (1, POSE_NUMBERS),
+            self.parts(block),
+            sums,
+            np.uint32(-(-block.count // self._device.lanes)),
+        )
+        by_chunk = sums.read()[: _CHUNKS * POSE_NUMBERS].double().reshape(_CHUNKS, POSE_NUMBERS)
+        return _through_center(by_chunk.sum(dim=0), camera)
+
+
+def _through_center(sums: Tensor, camera: Camera) -> Tensor:
+    """The gradient of the twelve numbers of the pose, each taken on its own.
 
     The camera centre c = -R^T t is where colours are seen from. With h the sum of dL/d(mean) along the
     view directions, dL/dc = -h, so that t h^T is added to dL/dR and R h to dL/dt.
 
     Args:
-        chunk_sums: `[POSE_CHUNKS * POSE_NUMBERS]` from the kernel `sum_poses`.
+        sums: `[POSE_NUMBERS]` over all Gaussians.
 
     Returns:
         `[4, 4]` float64; the last row is zero.
     """
-    sums = chunk_sums[: POSE_CHUNKS * POSE_NUMBERS].double().reshape(POSE_CHUNKS, POSE_NUMBERS)
-    rotation_sum, translation_sum, view_sum, _ = sums.sum(dim=0).split((9, 3, 3, 1))
+    rotation_sum, translation_sum, view_sum, _ = sums.split((9, 3, 3, 1))
     pose = camera.world_to_camera.detach()
     rotation, translation = pose[:3, :3], pose[:3, 3]
     gradient = torch.zeros(4, 4, dtype=torch.float64)

@@ -22,7 +22,7 @@ from .block import Block
 from .budget import RECORD, Budget
 from .footprint import Footprint
 from .frame import Frame, Lease
-from .pose import POSE_CHUNKS, POSE_NUMBERS, pose_gradient
+from .pose import PoseSums
 from .request import RenderRequest
 from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
 
@@ -124,6 +124,7 @@ class Renderer:
             LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
         )
         self._wide = torch.float64 if device.supports_double else dtype
+        self._poses = PoseSums(device, self._wide)
         self._scratch = Scratch(device)
         self._frames: list[Frame] = []
         self._pair_capacity = PAIRS_AT_FIRST
@@ -196,11 +197,12 @@ class Renderer:
             with_depth = image_gradients[1] is not None
             sums = self._raster_backward(frame, images, with_depth)
             self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
-            pose_sums = self._sum_poses(frame, block) if wants_pose else None
+            pose_gradient = None
+            if wants_pose:
+                program = self._projection(frame.request)
+                pose_gradient = self._poses.gradient(program, block, frame.request.camera)
             self.device.finish()
-            if pose_sums is None:
-                return None
-            return pose_gradient(pose_sums.read(), frame.request.camera)
+            return pose_gradient
 
     def _image_gradients(
         self, frame: Frame, gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
@@ -270,25 +272,8 @@ class Renderer:
             np.int32(accumulate),
             np.int32(statistics is not None),
             np.int32(sum(PARAMETER_BITS[name] for name in detach)),
-            *((self._pose_parts(block),) if request.wants_pose_gradient else ()),
+            *((self._poses.parts(block),) if request.wants_pose_gradient else ()),
         )
-
-    def _pose_parts(self, block: Block) -> DeviceArray:
-        """What each block of Gaussians adds to the gradient of the pose."""
-        blocks = block.capacity // self.device.lanes
-        return self._scratch.reserve("pose_parts", self._wide, blocks * POSE_NUMBERS)
-
-    def _sum_poses(self, frame: Frame, block: Block) -> DeviceArray:
-        sums = self._scratch.reserve("pose_sums", self._wide, POSE_CHUNKS * POSE_NUMBERS)
-        self._projection(frame.request).run(
-            "sum_poses",
-            (POSE_CHUNKS, POSE_NUMBERS),
-            (1, POSE_NUMBERS),
-            self._pose_parts(block),
-            sums,
-            np.uint32(-(-block.count // self.device.lanes)),
-        )
-        return sums
 
     def _projection(self, request: RenderRequest) -> Program:
         """The projection kernels for what a render asks for; built when it is asked for first."""

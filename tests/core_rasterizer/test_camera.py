@@ -95,7 +95,12 @@ def test_a_pose_stays_in_the_graph_of_autograd() -> None:
     right = left.shifted_right(0.3).resized(20, 15)
     for _ in range(2):
         u, _, z = right.project(torch.tensor([[0.2, -0.1, 2.0]]))
-        for values in (u + z, left.center, left.camera_to_world):
+        for values in (
+            u + z,
+            right.unproject(u.detach(), u.detach(), z.detach()),
+            left.center,
+            left.camera_to_world,
+        ):
             pose.grad = None
             values.sum().backward()
             assert pose.grad is not None

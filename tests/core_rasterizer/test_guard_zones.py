@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from core_rasterizer.layout import PARAMETER_GROUPS
 from core_rasterizer.raster import Renderer, RenderRequest
 from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
+from tests.core_rasterizer.options import all_options, posed
 from tests.core_rasterizer.scenes import random_camera, random_scene
 from tests.core_rasterizer.test_model import parameters
 from tests.core_rasterizer.test_rasterize import weighted_loss
@@ -51,10 +53,12 @@ def same_inside_zones(device: Device, work: Callable[[Device], list[Tensor]]) ->
         assert inside.check() > 0
 
 
-def rendered(scene: tuple[Tensor, ...], camera: Camera, device: Device) -> list[Tensor]:
+def rendered(
+    scene: tuple[Tensor, ...], camera: Camera, device: Device, **options: Any
+) -> list[Tensor]:
     """Images and gradients of one render."""
     leaves = [values.detach().clone().requires_grad_() for values in scene]
-    rendering = rasterize(*leaves, camera, (0.1, 0.2, 0.3), device=device)
+    rendering = rasterize(*leaves, camera, (0.1, 0.2, 0.3), **options, device=device)
     weighted_loss(rendering, 0).backward()
     images = [rendering.rgb, rendering.depth, rendering.alpha]
     return [image.detach().clone() for image in images] + [leaf.grad for leaf in leaves]
@@ -83,6 +87,22 @@ def test_any_count_and_any_image_size(device: Device, count: int, size: tuple[in
     scene, camera = random_scene(generator, count), random_camera(generator, *size)
     tensors = scene.tensors(torch.float32)
     same_inside_zones(device, lambda on: rendered(tensors, camera, on))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("count", [0, 1, 8, 17, 2100])
+def test_poses_and_filters(device: Device, count: int, dtype: torch.dtype) -> None:
+    """Fewer and more blocks of Gaussians than there are chunks of the pose's sum."""
+    generator = torch.Generator().manual_seed(count)
+    scene, camera = random_scene(generator, count), random_camera(generator, 65, 33)
+    options = all_options(generator, count)
+    tensors = scene.tensors(dtype)
+
+    def work(on: Device) -> list[Tensor]:
+        with_pose, pose = posed(camera)
+        return [*rendered(tensors, with_pose, on, **options), pose.grad]
+
+    same_inside_zones(device, work)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

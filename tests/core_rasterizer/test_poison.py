@@ -1,6 +1,6 @@
 """Poison in any slot: NaN, infinities, the ends of the number range, thresholds to the last bit.
 
-The rule: a finite image and finite gradients, or an error that names what is wrong. The suite tries 200
+The rule: a finite image and finite gradients, or an error that names what is wrong. The suite tries 300
 scenes on every engine, always the same ones; `make stress` tries 10,000 that are new each time.
 """
 
@@ -30,12 +30,13 @@ from core_rasterizer import (
 )
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
+from tests.core_rasterizer.options import posed
 from tests.core_rasterizer.scenes import Scene, random_scene
 from tests.core_rasterizer.test_rasterize import NAMES, weighted_loss
 
-IN_THE_SUITE = 200
+IN_THE_SUITE = 300
 SCENES = int(os.environ.get("STRESS_SCENES", IN_THE_SUITE))
-"""On each engine; half of them through each of the two tests."""
+"""On each engine; a third of them through each of the three tests."""
 
 FOCAL, DEPTH = 32.0, 2.0
 """A mean at (x, y, 2) lies at pixel (16 x, 16 y): whole numbers are edges of tiles."""
@@ -64,6 +65,12 @@ camera_slots = st.tuples(
     st.sampled_from(("fx", "fy", "cx", "cy", "x", "y", "z", "pose", "near", "red", "blue")),
     st.sampled_from(POISONS + BEYOND_FLOAT),
 )
+smoothing_slots = st.tuples(
+    st.integers(0, 10_000),
+    st.sampled_from([x for x in POISONS + BEYOND_FLOAT if not x < 0]),
+    st.booleans(),
+)
+degrees = st.sampled_from([0.5, 1.5, 2.5, 2.0, 7.5, 1e-300, 2.9999999999999996, math.nan, -1e-9])
 loss_scales = st.sampled_from([1.0, 1.0, 1.0, 1e-30, 1e10, 1e30, 1e37])
 sizes = st.sampled_from([(1, 1), (16, 16), (17, 5), (65, 33)])
 
@@ -108,7 +115,7 @@ def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:
 
 
 stress = settings(
-    max_examples=SCENES // 2,
+    max_examples=SCENES // 3,
     deadline=None,
     database=None,
     derandomize=SCENES == IN_THE_SUITE,
@@ -153,6 +160,55 @@ def test_the_function(
     event("something seen" if rendering.alpha.any() else "nothing seen")
     gradients = {f"gradient of {name}": t.grad for name, t in zip(NAMES, leaves, strict=True)}
     assert_finite(**images_of(rendering), **gradients)
+
+
+@stress
+@given(
+    scene=poisoned_scenes(),
+    view=poisoned_views(),
+    smoothed=st.lists(smoothing_slots, max_size=2),
+    degree=degrees,
+    dilation=st.sampled_from([0.3, 0.0]),
+    loss_scale=loss_scales,
+)
+def test_poses_and_filters(
+    device: Device,
+    scene: Scene,
+    view: tuple[dict[str, float], tuple[int, int]],
+    smoothed: list[tuple[int, float, bool]],
+    degree: float,
+    dilation: float,
+    loss_scale: float,
+) -> None:
+    """`rasterize` with everything that it can be asked for; with no dilation, ellipses without an area."""
+    numbers, size = view
+    leaves = scene.tensors(torch.float32)
+    smoothing = torch.full((len(scene.means),), 0.05, dtype=torch.float64)
+    for index, value, everywhere in smoothed:
+        smoothing[slice(None) if everywhere else index % len(smoothing)] = value
+    refusal: ExplainedError | None = None
+    try:
+        camera, pose = posed(camera_of(numbers, size))
+        rendering = rasterize(
+            *leaves,
+            camera,
+            near=numbers["near"],
+            sh_degree=degree,
+            dilation=dilation,
+            compensate_dilation=True,
+            smoothing=smoothing,
+            device=device,
+        )
+    except (CameraError, GaussianError) as error:
+        refusal = error
+    if refusal is not None:
+        assert refusal.where
+        event(f"refused: {refusal.where}")
+        return
+    (loss_scale * weighted_loss(rendering, 0)).backward()
+    event("something seen" if rendering.alpha.any() else "nothing seen")
+    gradients = {f"gradient of {name}": t.grad for name, t in zip(NAMES, leaves, strict=True)}
+    assert_finite(**images_of(rendering), **gradients, pose=pose.grad.float())
 
 
 @stress

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import torch
 
@@ -16,6 +17,7 @@ from core_rasterizer import (
     photometric_loss,
 )
 from core_rasterizer.layout import PARAMETER_GROUPS
+from tests.core_rasterizer.options import posed, smoothing_of
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 
@@ -25,7 +27,10 @@ RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
 def short_training(
     device: Device, count: int = 300, width: int = 120, height: int = 90, steps: int = 12
 ) -> str:
-    """Fit Gaussians to two pictures, with topology edits and resets; a digest of all that came of it."""
+    """Fit Gaussians to two pictures, with topology edits and resets; a digest of all that came of it.
+
+    Every other step asks for the gradient of a pose and half a band, every fourth for smoothing.
+    """
     generator = torch.Generator().manual_seed(0)
     cameras = [random_camera(generator, width, height) for _ in range(2)]
     targets = [torch.rand(height, width, 3, generator=generator) for _ in cameras]
@@ -35,17 +40,24 @@ def short_training(
     for step in range(steps):
         model.zero_gradients()
         factors = torch.rand(model.count, generator=generator) if step % 3 == 2 else None
+        camera, pose = posed(cameras[step % 2])
+        options: dict[str, Any] = {}
+        if step % 4 == 3:
+            options["smoothing"] = smoothing_of(generator, model.count)
         rendering = model.render(
-            cameras[step % 2],
+            camera if step % 2 else cameras[0],
             background=(0.1, 0.2, 0.3),
-            sh_degree=min(3, step // 2),
+            sh_degree=min(3, step / 2),
             opacity_scale=factors,
             collect_statistics=True,
+            **options,
         )
         loss = photometric_loss(rendering.rgb, targets[step % 2], device=device)
         (loss + 0.01 * rendering.depth.mean() + 0.1 * rendering.alpha.mean()).backward()
-        optimizer.step(RATES, active_sh_degree=min(3, step // 2))
+        optimizer.step(RATES, active_sh_degree=min(3, step / 2))
         losses.append(loss.item())
+        if pose.grad is not None:
+            losses += pose.grad.flatten().tolist()
         if step % 5 == 4:
             busy = model.screen_gradient() > model.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
