@@ -63,16 +63,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     with one_torch_thread():
         scene = load(found, open_device(arguments.device))
-    offer = found.item.offer
-    output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
-    for label, text in facts(scene):
-        output.print(f"  {label:<10}  {text}")
-    output.print("noted by the loader")
-    for label, text in notes(scene):
-        output.print(f"  {label:<10}  {text}")
-    for text in warnings(scene):
-        output.print(f"warning: {text}")
-    save_png(scene_picture(scene), arguments.out)
+        offer = found.item.offer
+        output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
+        for label, text in facts(scene):
+            output.print(f"  {label:<10}  {text}")
+        output.print("noted by the loader")
+        for label, text in notes(scene):
+            output.print(f"  {label:<10}  {text}")
+        for text in warnings(scene):
+            output.print(f"warning: {text}")
+        save_png(scene_picture(scene), arguments.out)
     output.print(f"picture  {arguments.out}")
     return 0
 
