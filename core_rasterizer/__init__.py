@@ -21,12 +21,19 @@ if TYPE_CHECKING:
     )
     from .functional import rasterize
     from .gaussians import Gaussians
-    from .model import GaussianModel
-    from .optimizer import Adam
-    from .photometric import photometric_loss
+    from .optimization import (
+        Adam,
+        Carried,
+        Edit,
+        GaussianModel,
+        Relocation,
+        apply_edit,
+        photometric_loss,
+        shared_among_copies,
+    )
+    from .optimization import ModelReader as GaussianReader
     from .ply import load_ply, load_points, save_ply
     from .rendering import Rendering
-    from .topology import Carried, Edit, apply_edit
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -41,9 +48,11 @@ __all__ = [
     "ExplainedError",
     "GaussianError",
     "GaussianModel",
+    "GaussianReader",
     "Gaussians",
     "MemoryBudgetError",
     "PlyError",
+    "Relocation",
     "Rendering",
     "apply_edit",
     "list_devices",
@@ -53,4 +62,5 @@ __all__ = [
     "photometric_loss",
     "rasterize",
     "save_ply",
+    "shared_among_copies",
 ]

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from . import web_page
-    from .contract.component import Component, Context, Settings
+    from . import cache, image_fitting, photos, web_page
+    from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
+        Appearance,
         Densification,
         Exporter,
         Initializer,
@@ -29,59 +30,69 @@ if TYPE_CHECKING:
         Modifier,
         OpacityPolicy,
         OpacityUpdate,
+        Perturbation,
         Regularizer,
         Report,
+        Sampler,
         SceneLoader,
         Unavailable,
         ViewMetric,
     )
     from .contract.hook_points import API_VERSION
     from .contract.hooks import Register, hookimpl
+    from .contract.maps import DepthMap, Disparity
     from .contract.prior import Prior
-    from .contract.scene import PointCloud, Scene, View, validate
-    from .contract.step import Step
+    from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
+    from .contract.step import OtherField, Render, Sample, Step
+    from .drawing.metric_images import ImageMetricSettings, white_outside
     from .drawing.pictures import grey, nearness_picture, side_by_side
     from .errors import PipelineError, PluginError, RunError, SceneError
-    from .priors.capabilities import (
-        DepthMap,
-        Disparity,
-        MonocularDepthPrior,
-        MultiViewDepthPrior,
-        StereoPrior,
-    )
+    from .files import write_text
+    from .priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+    from .priors.learned_features import LearnedFeatures
     from .priors.model_file import Sha256, read_model_file
     from .priors.onnx_model import OnnxModel, OnnxTensor
-    from .priors.onnx_session import OnnxProvider
-    from .priors.prior_cache import cache_folder
+    from .priors.onnx_session import OnnxProvider, first_line
+    from .priors.onnx_settings import OnnxModelSettings
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",
+    "Appearance",
     "Component",
     "Context",
     "Densification",
     "DepthMap",
     "Disparity",
     "Exporter",
+    "ImageMetricSettings",
     "Initializer",
+    "LearnedFeatures",
     "Metric",
     "Modifier",
     "MonocularDepthPrior",
     "MultiViewDepthPrior",
     "OnnxModel",
+    "OnnxModelSettings",
     "OnnxProvider",
     "OnnxTensor",
     "OpacityPolicy",
     "OpacityUpdate",
+    "OtherField",
+    "ParameterGroup",
+    "Perturbation",
     "PipelineError",
     "PluginError",
     "PointCloud",
     "Prior",
     "Register",
     "Regularizer",
+    "Render",
     "Report",
     "RunError",
+    "Sample",
+    "Sampler",
     "Scene",
     "SceneError",
     "SceneLoader",
@@ -89,15 +100,22 @@ __all__ = [
     "Sha256",
     "Step",
     "StereoPrior",
+    "TrainingScene",
+    "TrainingView",
     "Unavailable",
     "View",
     "ViewMetric",
-    "cache_folder",
+    "cache",
+    "first_line",
     "grey",
     "hookimpl",
+    "image_fitting",
     "nearness_picture",
+    "photos",
     "read_model_file",
     "side_by_side",
     "validate",
     "web_page",
+    "white_outside",
+    "write_text",
 ]

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _judge(device: Device) -> tuple[bool, str]:
-    from core_rasterizer import DeviceError
+    from core_rasterizer import ExplainedError
 
     from ..inspection.self_test import self_test
     from ..training.threads import one_torch_thread
@@ -58,7 +58,11 @@ def _judge(device: Device) -> tuple[bool, str]:
     try:
         with one_torch_thread():
             verdict = self_test(device)
-    except DeviceError as error:
+    except ExplainedError as error:
         return False, f"FAILED: {error.what}"
+    except (
+        Exception
+    ) as error:  # a broken driver may raise anything; the other devices are tested all the same
+        return False, f"FAILED: {type(error).__name__}: {error}"
     numbers = f"image error {verdict.image_error:.1e}, gradient error {verdict.gradient_error:.1e}"
     return verdict.passed, f"{'passed' if verdict.passed else 'FAILED'}, {numbers}"

@@ -9,46 +9,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..contract.component import SettingsType
+from ..contract.maps import DepthMap, Disparity
 from ..contract.prior import Prior
+from ..contract.scene import TrainingView
 from ..errors import PluginError
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-    from ..contract.scene import View
-
-
-@dataclass(frozen=True, eq=False)
-class Disparity:
-    """A rectified pair's disparity on the grid of the image that it was asked for.
-
-    Args:
-        values: `[H, W]` float32 pixels, > 0 where valid and 0 elsewhere. The left image's pixel
-            (u, v) shows what the right image shows at (u - values[v, u], v).
-        valid: `[H, W]` bool.
-    """
-
-    values: Tensor
-    valid: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """A view's depth.
-
-    Args:
-        depth: `[H, W]` float32 z-depth in world units, > 0 where valid and 0 elsewhere.
-        valid: `[H, W]` bool.
-        confidence: `[H, W]` float32 in [0, 1]; 0 where not valid.
-    """
-
-    depth: Tensor
-    valid: Tensor
-    confidence: Tensor
 
 
 class StereoPrior(Prior[SettingsType]):
@@ -110,7 +80,9 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     capability: ClassVar[str] = "multi_view_depth"
 
     @abstractmethod
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         """Return one depth map for each view, in order; unknown depths may be 0 or not finite.
 
         Args:
@@ -122,7 +94,7 @@ class MultiViewDepthPrior(Prior[SettingsType]):
         """What answers depend on beside settings and code: a model file's hash, a device."""
         return ""
 
-    def depths(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def depths(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> list[DepthMap]:
         """One depth map for each view, from the disk cache if the same question was asked before.
 
         Raises:
@@ -130,15 +102,16 @@ class MultiViewDepthPrior(Prior[SettingsType]):
         """
         import torch
 
+        from ..cache import content_key
         from ..drawing.pictures import nearness_picture
-        from .prior_cache import PriorCache, code_digest, content_key
+        from .prior_cache import PriorCache, code_digest
 
         if len(views) < 2:
             raise PluginError(
                 f"multi-view depth needs two views, there is {len(views)}",
                 fix="use more training views, or an initializer without a prior",
             )
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)),
             self.settings.model_dump_json(),
@@ -188,10 +161,11 @@ class MonocularDepthPrior(Prior[SettingsType]):
         """
         import torch
 
+        from ..cache import content_key
         from ..drawing.pictures import nearness_picture
-        from .prior_cache import PriorCache, code_digest, content_key
+        from .prior_cache import PriorCache, code_digest
 
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)), self.settings.model_dump_json(), self.fingerprint(), image
         )
@@ -235,7 +209,7 @@ def _disparity(answer: Any, image: Tensor) -> Disparity:
     return Disparity(torch.where(valid, values, 0.0), valid)
 
 
-def _depth_map(answer: Any, view: View) -> DepthMap:
+def _depth_map(answer: Any, view: TrainingView) -> DepthMap:
     import torch
 
     for name in ("depth", "valid", "confidence"):
@@ -247,7 +221,7 @@ def _depth_map(answer: Any, view: View) -> DepthMap:
     )
 
 
-def _content(view: View) -> tuple[Tensor | None, ...]:
+def _content(view: TrainingView) -> tuple[Tensor | None, ...]:
     """Everything of a view that an estimate may depend on."""
     return view.image, view.mask, view.camera.world_to_camera, view.camera.intrinsics
 

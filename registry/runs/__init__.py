@@ -1,1 +1,1 @@
-"""A run from its beginning to its results, and the folder that it leaves."""
+"""A whole run and its folder: from the scene to scores, exports and reports."""

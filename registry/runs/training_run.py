@@ -8,7 +8,7 @@ from time import monotonic
 
 from rich.console import Console
 
-from core_rasterizer import Device, GaussianModel, Gaussians
+from core_rasterizer import Device, Gaussians
 
 from ..contract.scene import Scene, validate
 from ..inspection.scene_facts import summary, warnings
@@ -17,8 +17,8 @@ from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
 from ..training.checkpoint import Checkpoint, load_checkpoint
-from ..training.initial_model import initial_gaussians
-from ..training.trainer import Iteration, Trainer
+from ..training.initial_model import initial_gaussians, new_model
+from ..training.trainer import Iteration, Trainer, maps_of
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
@@ -89,7 +89,9 @@ def resume(
     """
     run = open_run(path, plugins=plugins, device=device, scene=scene)
     checkpoint = run.checkpoint()
-    trainer = Trainer(run.pipeline.training, run.parts, run.scene, run.model)
+    trainer = Trainer(
+        run.pipeline.training, run.parts, run.scene, run.model, maps_of(checkpoint.part("maps"))
+    )
     trainer.restore(checkpoint.iteration, checkpoint.part)
     run.checkpoint = lambda: _checkpoint(run, trainer)
     run.folder_or_refuse().forget_metrics_after(checkpoint.iteration)
@@ -121,7 +123,7 @@ def open_run(path: Path, *, plugins: Plugins, device: Device, scene: Scene | Non
         pipeline,
         parts,
         scene,
-        GaussianModel(Gaussians(**checkpoint.part("model")), device),
+        new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device),
         checkpoint=lambda: checkpoint,
         iteration=checkpoint.iteration,
         initialization=facts,
@@ -150,9 +152,9 @@ def _begun(
     had_scene = monotonic()
     initializer = parts.one("initializer")
     with blame(initializer.item):
-        points = initializer.component.initialize(scene, parts.priors)
+        points = initializer.component.initialize(scene.for_training(), parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
-    model = GaussianModel(gaussians, device)
+    model = new_model(gaussians, pipeline.training, device)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     facts = {
         "initializer": initializer.item.name,
@@ -160,7 +162,7 @@ def _begun(
         "seconds": round(seconds.initialization, 3),
         **points.facts,
     }
-    trainer = Trainer(pipeline.training, parts, scene, model)
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
     run = Run(
         pipeline,
         parts,

@@ -6,7 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
+from registry import (
+    Initializer,
+    PointCloud,
+    Prior,
+    Register,
+    SceneError,
+    Settings,
+    TrainingScene,
+    hookimpl,
+)
 
 
 class PlySettings(Settings):
@@ -22,7 +31,7 @@ class PlyInitializer(Initializer[PlySettings]):
 
     Settings = PlySettings
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return the file's points.
 
         Raises:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from registry import Metric, Register, SceneError, hookimpl
-
-from ._images import ImageSettings
+from registry import ImageMetricSettings, Metric, Register, SceneError, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,10 +14,10 @@ MIN_ERROR = 1e-10
 """Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""
 
 
-class PSNR(Metric[ImageSettings]):
+class PSNR(Metric[ImageMetricSettings]):
     """Over all pixels and channels; with a mask, over the pixels inside it."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
     unit = "dB"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from registry import Metric, Register, hookimpl
-
-from ._images import ImageSettings, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,13 +21,15 @@ C1, C2 = 0.01**2, 0.03**2
 Image: TypeAlias = "np.ndarray[Any, Any]"
 
 
-class SSIM(Metric[ImageSettings]):
+class SSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
+        from registry import white_outside
+
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)

@@ -7,22 +7,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import Metric, Register, hookimpl
-
-from ._images import ImageSettings, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
-class ScikitImageSSIM(Metric[ImageSettings]):
+class ScikitImageSSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
         from skimage.metrics import structural_similarity
+
+        from registry import white_outside
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()

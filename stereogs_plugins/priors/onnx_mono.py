@@ -7,14 +7,19 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Context, MonocularDepthPrior, PluginError, Register, hookimpl
-
-from ._fitting import stretched
-from ._model_settings import ModelSettings
-from ._value_ranges import ValueRange, in_range
+from registry import (
+    Context,
+    MonocularDepthPrior,
+    OnnxModelSettings,
+    PluginError,
+    Register,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from registry.image_fitting import ValueRange
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
 
@@ -34,7 +39,7 @@ FAMILIES: dict[FamilyName, MonoFamily] = {
 }
 
 
-class OnnxMonoSettings(ModelSettings):
+class OnnxMonoSettings(OnnxModelSettings):
     family: FamilyName = "depth_anything_v2"
     """What the network is: how its image is resized and normalized (docs/prior_models.md)."""
     input: str | None = None
@@ -78,6 +83,8 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
             PluginError: the graph answers anything but one map.
         """
         from torch.nn.functional import interpolate
+
+        from registry.image_fitting import in_range, stretched
 
         size = (int(image.shape[0]), int(image.shape[1]))
         short = self.settings.short_side or self._family.short_side

@@ -22,7 +22,7 @@ from registry import (
     Register,
     Settings,
     Sha256,
-    View,
+    TrainingView,
     hookimpl,
 )
 
@@ -79,7 +79,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     Settings = PlaneSweepSettings
 
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
-        from ._learned_features import LearnedFeatures
+        from registry import LearnedFeatures
 
         super().__init__(settings, context)
         self._features = (
@@ -92,7 +92,9 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         model = self._features.fingerprint if self._features else ""
         return f"{device.platform} {device.name} {device.driver} {device.variant} {model}"
 
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         """Return one depth map for each view.
 
         A depth is valid where the point projects into another view that it was compared with. No view
@@ -127,7 +129,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         return maps
 
     def _sweep(
-        self, views: Sequence[View], greys: Sequence[Tensor], inverse_depths: Tensor
+        self, views: Sequence[TrainingView], greys: Sequence[Tensor], inverse_depths: Tensor
     ) -> ZnccSweep | FeatureSweep:
         from core_rasterizer.matching import FeatureSweep, ZnccSweep
 

@@ -67,8 +67,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def __init__(self, settings: SgmSettings, context: Context) -> None:
         from core_rasterizer.matching import Penalties
-
-        from ._learned_features import LearnedFeatures
+        from registry import LearnedFeatures
 
         super().__init__(settings, context)
         if settings.small_penalty > settings.large_penalty:

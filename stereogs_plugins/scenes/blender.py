@@ -15,14 +15,21 @@ import pydantic
 from pydantic import Field
 
 from registry import Register, Scene, SceneError, SceneLoader, Settings, hookimpl
-
-from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
-from ._reading import Finite, Matrix, inside, read_document
+from registry.photos import (
+    BACKGROUNDS,
+    Decoder,
+    Finite,
+    Matrix4x4,
+    ResizeFilter,
+    at_most,
+    find_image,
+    inside,
+    read_document,
+    stored_size,
+)
 
 if TYPE_CHECKING:
-    from ._lens import Lens
-    from ._loaded_photos import Notes
-    from ._posed_photos import PosedPhoto
+    from registry.photos import Lens, Notes, PosedPhoto
 
 STANDARD_VIEWS = (26, 86, 2, 55, 75, 93, 16, 73)
 """The eight training views of the sparse-view literature."""
@@ -66,7 +73,7 @@ class BlenderScene(SceneLoader[BlenderSettings]):
             SceneError: a missing or damaged file, an asked-for photograph that is not there, a pose
                 that is none.
         """
-        from ._loaded_photos import LoadedPhotos
+        from registry.photos import LoadedPhotos
 
         settings = self.settings
         folder = settings.path.expanduser()
@@ -96,7 +103,7 @@ class BlenderScene(SceneLoader[BlenderSettings]):
 
 class _Frame(pydantic.BaseModel):
     file_path: str
-    transform_matrix: Matrix
+    transform_matrix: Matrix4x4
 
 
 class _Transforms(pydantic.BaseModel):
@@ -106,8 +113,7 @@ class _Transforms(pydantic.BaseModel):
 
 def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
     """The photographs of one split by number, in the order of the file."""
-    from ._opengl import world_to_camera
-    from ._posed_photos import PosedPhoto
+    from registry.photos import PosedPhoto, pose_from_opengl
 
     path = folder / f"transforms_{split}.json"
     content = read_document(path, _Transforms, _FIX)
@@ -127,7 +133,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
         photos[int(number[1])] = PosedPhoto(
             name=f"{split}_{image.stem}",
             path=image,
-            world_to_camera=world_to_camera(frame.transform_matrix, where),
+            world_to_camera=pose_from_opengl(frame.transform_matrix, where),
             lens=lens,
             where=where,
         )
@@ -136,7 +142,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
 
 def _lens(angle: float, image: Path) -> Lens:
     """A field of view `angle` radians wide; square pixels, principal point at the centre."""
-    from ._lens import Lens
+    from registry.photos import Lens
 
     width, height = stored_size(image)
     focal = width / 2 / math.tan(angle / 2)

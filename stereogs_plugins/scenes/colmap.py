@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Register, Scene, SceneLoader, hookimpl
-
-from ._image_source import ImageSourceSettings
-from ._reading import inside, view_names
-from ._splits import SplitSettings, split, split_rule
+from registry.photos import (
+    ImageSourceSettings,
+    SplitSettings,
+    inside,
+    split,
+    split_rule,
+    view_names,
+)
 
 if TYPE_CHECKING:
-    from ._colmap_model import ColmapModel
-    from ._posed_photos import PosedPhoto
+    from registry.photos import ColmapModel, PosedPhoto
 
 _FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
 
@@ -40,9 +43,9 @@ class ColmapScene(SceneLoader[ColmapSettings]):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether the folder holds a COLMAP model in sparse/0."""
-        from ._colmap_model import has_model
+        from registry.photos import has_colmap_model
 
-        return has_model(folder / "sparse" / "0")
+        return has_colmap_model(folder / "sparse" / "0")
 
     def load(self) -> Scene:
         """Return the scene.
@@ -51,13 +54,11 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             SceneError: a missing, truncated or inconsistent file, an unknown camera model, a photograph
                 that is missing or has another shape than its camera.
         """
-        from ._bounds import estimate_bounds
-        from ._colmap_model import read_model
-        from ._loaded_photos import LoadedPhotos
+        from registry.photos import LoadedPhotos, estimate_bounds, read_colmap_model
 
         settings = self.settings
         folder = settings.path.expanduser()
-        model = read_model(inside(folder, settings.model, "the setting `model`"), _FIX)
+        model = read_colmap_model(inside(folder, settings.model, "the setting `model`"), _FIX)
         train, test = split(
             len(model.images), settings.test_every, settings.train_views, str(folder)
         )
@@ -75,8 +76,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 
 
 def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
-    from ._colmap_model import pose
-    from ._posed_photos import PosedPhoto
+    from registry.photos import PosedPhoto
 
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
     names = view_names([image.name for _, image in model.images])
@@ -84,7 +84,7 @@ def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
         PosedPhoto(
             name=name,
             path=inside(images, image.name, where),
-            world_to_camera=pose(image),
+            world_to_camera=image.world_to_camera,
             lens=model.lens(image),
             where=where,
         )

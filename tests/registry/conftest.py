@@ -13,6 +13,7 @@ from core_rasterizer import Device, open_device
 from registry.plugins import GROUP, SELECTION, Plugins
 
 TOY = EntryPoint("toy", "tests.registry.toy_plugin", GROUP)
+DOORS = EntryPoint("doors", "tests.registry.toy_doors", GROUP)
 
 Install = Callable[..., Path]
 
@@ -26,6 +27,12 @@ def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def toys() -> Plugins:
     """The toy components alone."""
     return Plugins([TOY])
+
+
+@pytest.fixture
+def doors() -> Plugins:
+    """The toy components, and those that go through every door of the host."""
+    return Plugins([TOY, DOORS])
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...errors import PipelineError
-from ...pipeline.edits import SECTIONS, component_items, item_names
+from ...pipeline.edits import component_items, item_names
 from ...pipeline.yaml_source import Node, Place, parse
 from ...suggestions import did_you_mean, listing
 from .description import Toggle
@@ -69,7 +69,7 @@ def _target(root: Node, toggle: Toggle) -> str:
     for section, item in component_items(root):
         if section == "scene":
             continue
-        if SECTIONS[section].many:
+        if isinstance(root.content, dict) and isinstance(root.content[section].content, list):
             name = item_names(item)[0]
             path = f"{section}.{name}"
             names = [path, name]
