@@ -17,6 +17,7 @@ height, width, _ = target.shape
 # Seen from the origin along +z, a pixel at depth 1 is 1 / focal world units wide.
 focal, count = float(width), 3000
 camera = Camera(torch.eye(4), focal, focal, width / 2, height / 2, width, height)
+torch.set_num_threads(1)  # its own threads would wait in a spin beside the OpenCL device's
 torch.manual_seed(0)
 positions = (torch.rand(count, 2) - 0.5) * torch.tensor([width, height]) / focal
 means = torch.cat([positions, torch.ones(count, 1)], dim=1).requires_grad_()

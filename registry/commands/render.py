@@ -43,15 +43,17 @@ def run(arguments: argparse.Namespace) -> int:
     from ..drawing.pictures import save_view_pictures
     from ..drawing.video import write_video
     from ..runs.results import RENDERS
+    from ..training.threads import one_torch_thread
 
     folder = run.folder_or_refuse().folder(RENDERS)
-    if not arguments.path:
-        for view in run.scene.test:
-            save_view_pictures(run.rendering(view.camera), view, folder)
-        output.print(f"{len(run.scene.test)} test views in {folder}")
-        return 0
-    cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
-    frames = (run.rendering(camera).rgb for camera in cameras)
-    written, note = write_video(frames, folder / PATH)
+    with one_torch_thread():
+        if not arguments.path:
+            for view in run.scene.test:
+                save_view_pictures(run.rendering(view.camera), view, folder)
+            output.print(f"{len(run.scene.test)} test views in {folder}")
+            return 0
+        cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
+        frames = (run.rendering(camera).rgb for camera in cameras)
+        written, note = write_video(frames, folder / PATH)
     output.print(f"{note}: {written}")
     return 0

@@ -94,7 +94,7 @@ class Component(Generic[SettingsType]):
                 cls.Settings = written[0]
 
     def __init__(self, settings: SettingsType, context: Context) -> None:
-        import torch  # only now: settings are checked without it
+        import torch
 
         self.settings = settings
         self.context = context

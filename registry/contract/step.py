@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from .prior import Prior
     from .scene import TrainingScene, TrainingView
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera, GaussianReader, Rendering
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:

@@ -23,6 +23,6 @@ class OnnxModelSettings(Settings):
 
     def open(self) -> OnnxModel:
         """The model, loaded."""
-        from registry import OnnxModel
+        from .onnx_model import OnnxModel
 
         return OnnxModel(self.model, self.sha256, self.provider)

@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..drawing.pictures import save_png
 from ..errors import RunError
 from ..files import new_folder, write_json, write_text
 
@@ -128,6 +127,8 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
+
+        from ..drawing.pictures import save_png
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)

@@ -21,6 +21,7 @@ from ..errors import RunError
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
 from ..training.checkpoint import Checkpoint, save_checkpoint
+from ..training.threads import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate
 from .folder import RunFolder
 from .provenance import provenance
@@ -115,10 +116,11 @@ class Run:
         """
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
-        scores = {
-            "test": evaluate(self.model, scene, scene.test, metrics, pictures),
-            "train": evaluate(self.model, scene, scene.train, metrics),
-        }
+        with one_torch_thread():
+            scores = {
+                "test": evaluate(self.model, scene, scene.test, metrics, pictures),
+                "train": evaluate(self.model, scene, scene.train, metrics),
+            }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
         return scores

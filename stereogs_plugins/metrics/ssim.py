@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +28,8 @@ class SSIM(Metric[ImageMetricSettings]):
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
+        from registry import white_outside
+
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -21,6 +21,8 @@ class ScikitImageSSIM(Metric[ImageMetricSettings]):
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
         from skimage.metrics import structural_similarity
+
+        from registry import white_outside
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()

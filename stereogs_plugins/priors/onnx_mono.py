@@ -15,10 +15,11 @@ from registry import (
     Register,
     hookimpl,
 )
-from registry.image_fitting import ValueRange, in_range, stretched
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from registry.image_fitting import ValueRange
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
 
@@ -82,6 +83,8 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
             PluginError: the graph answers anything but one map.
         """
         from torch.nn.functional import interpolate
+
+        from registry.image_fitting import in_range, stretched
 
         size = (int(image.shape[0]), int(image.shape[1]))
         short = self.settings.short_side or self._family.short_side

@@ -86,7 +86,12 @@ def test_the_example_packages_own_tests_pass() -> None:
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE)],
         cwd=EXAMPLE,
-        env={"PYTHONPATH": f"{root}:{EXAMPLE}", "PATH": "", "PYTHONDONTWRITEBYTECODE": "1"},
+        env={
+            "PYTHONPATH": f"{root}:{EXAMPLE}",
+            "PATH": "",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OMP_NUM_THREADS": "1",
+        },
         capture_output=True,
         text=True,
         check=False,

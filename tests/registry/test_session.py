@@ -137,6 +137,12 @@ def test_a_given_scene_is_told_of() -> None:
         stereogs.train(PIPELINE)
 
 
+def test_a_ready_pipeline_for_a_scene_of_ones_own() -> None:
+    text = "name: x\nscene: {use: toy_scene, path: '${NOWHERE}'}\ninitializer: toy_points\n"
+    pipeline = stereogs.build_pipeline(text, ["scene=in_memory", "training.iterations=2"])
+    assert stereogs.train(pipeline, scene=tiny_scene(), progress=False).finished
+
+
 def test_a_protocol_is_not_claimed_for_a_given_scene() -> None:
     pipeline = stereogs.build_pipeline({**PIPELINE, "metrics": []})
     from dataclasses import replace

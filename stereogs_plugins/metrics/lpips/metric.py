@@ -24,7 +24,6 @@ from registry import (
     Sha256,
     Unavailable,
     hookimpl,
-    white_outside,
 )
 
 if TYPE_CHECKING:
@@ -83,6 +82,8 @@ class LPIPS(Metric[LPIPSSettings]):
         Raises:
             PluginError: the files have another hash or do not hold what the settings say.
         """
+        from registry import white_outside
+
         if isinstance(self._distance, Unavailable):
             return self._distance
         first, second = (

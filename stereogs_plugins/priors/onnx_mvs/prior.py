@@ -17,7 +17,7 @@ from registry import (
     TrainingView,
     hookimpl,
 )
-from registry.image_fitting import Fit, ValueRange, full_size_maps, in_range, stretched
+from registry.image_fitting import ValueRange
 
 from .families import FAMILIES, FamilyName
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from torch import Tensor
+
+    from registry.image_fitting import Fit
 
 
 class OnnxMvsSettings(OnnxModelSettings):
@@ -97,6 +99,8 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         """The depth of the first view."""
         import torch
 
+        from registry.image_fitting import in_range
+
         family = self._family
         fit = self._fit(views[0])
         height, width = fit.target
@@ -118,11 +122,15 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         return DepthMap(torch.where(valid, depth, 0.0), valid, confidence)
 
     def _fit(self, view: TrainingView, target: tuple[int, int] | None = None) -> Fit:
+        from registry.image_fitting import stretched
+
         image = (view.camera.height, view.camera.width)
         wanted = target or (self.settings.size and self.settings.size[::-1]) or self._frozen
         return stretched(image, wanted, self._family.multiple)
 
     def _map(self, name: str, answers: Mapping[str, Tensor], fit: Fit) -> Tensor:
+        from registry.image_fitting import full_size_maps
+
         return full_size_maps(name, answers, (1, *fit.target), self._model.path)
 
 

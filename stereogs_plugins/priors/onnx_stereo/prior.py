@@ -10,7 +10,6 @@ from pydantic import Field
 
 from registry import (
     Context,
-    OnnxModel,
     OnnxModelSettings,
     PluginError,
     Register,
@@ -18,7 +17,7 @@ from registry import (
     StereoPrior,
     hookimpl,
 )
-from registry.image_fitting import Padding, ValueRange, full_size_maps, in_range, padded, stretched
+from registry.image_fitting import Padding, ValueRange
 
 from .families import FAMILIES, FamilyName, StereoFamily
 
@@ -107,6 +106,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         """Disparities `[N, H, W]` of pairs `[N, H, W, 3]`."""
         import torch
 
+        from registry.image_fitting import in_range, padded, stretched
+
         settings, network = self.settings, self._network
         height, width = int(lefts.shape[1]), int(lefts.shape[2])
         frozen = network.frozen if settings.size is None else settings.size[::-1]
@@ -140,6 +141,8 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         return torch.where(known, disparity, torch.nan)
 
     def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
+        from registry.image_fitting import full_size_maps
+
         return full_size_maps(name, answers, shape, self._network.last.path)
 
 
@@ -167,6 +170,8 @@ def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwor
     model = settings.open()
     if settings.second_model is None:
         return OneGraph(model, family)
+    from registry import OnnxModel
+
     second = OnnxModel(settings.second_model, settings.second_sha256, settings.provider)
     return TwoGraphs(
         model, second, family, groups=settings.groups, normalized=settings.normalize_groups
