@@ -11,7 +11,7 @@ from ..plugins import Plugins
 from ..runs.metrics_log import jsonable
 from ..runs.results import RENDERS, describe, results_table, score
 from ..runs.training_run import open_run
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 _EPILOG = """\
 examples:
@@ -26,6 +26,7 @@ def add(verbs: Verbs) -> None:
     """Add the verb."""
     parser = add_verb(verbs, "eval", "score a run's views again, from its checkpoint", _EPILOG)
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -33,10 +34,17 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print."""
     output = console()
-    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
+    opened = open_run(
+        arguments.run_folder,
+        plugins=Plugins(),
+        device=open_device(arguments.device),
+        accept_changed_inputs=arguments.accept_changed_inputs,
+    )
+    opened.keep_changes()
     scores = score(opened.run, opened.parts, opened.scene, opened.model)
     facts = describe(opened.pipeline, opened.scene, opened.model, opened.checkpoint.iteration)
-    results = jsonable({**opened.run.results(), **facts, **scores})
+    changed = {"changed_inputs": opened.run.inputs()[1]}
+    results = jsonable({**opened.run.results(), **facts, **changed, **scores})
     opened.run.write_results(results)
     output.print(results_table(results), soft_wrap=False)
     if opened.scene.test:

@@ -16,7 +16,7 @@ from ..plugins import Plugins
 from ..runs.evaluation import render_view
 from ..runs.results import RENDERS
 from ..runs.training_run import open_run
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 PATH = "path"
 
@@ -40,6 +40,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--frames", type=int, default=120, metavar="N", help="pictures of the flight (default 120)"
     )
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -47,7 +48,12 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render and say where the files lie."""
     output = console()
-    opened = open_run(arguments.run_folder, plugins=Plugins(), device=open_device(arguments.device))
+    opened = open_run(
+        arguments.run_folder,
+        plugins=Plugins(),
+        device=open_device(arguments.device),
+        accept_changed_inputs=arguments.accept_changed_inputs,
+    )
     folder = opened.run.folder(RENDERS)
     if not arguments.path:
         for view in opened.scene.test:

@@ -17,7 +17,7 @@ from ..plugins import Plugins
 from ..runs.folder import RunFolder
 from ..runs.results import RENDERS, results_table
 from ..runs.training_run import resume, start
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 INTERRUPTED = 130
 
@@ -60,6 +60,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--resume", type=Path, metavar="RUN", help="go on with a run that was stopped"
     )
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -76,8 +77,20 @@ def run(arguments: argparse.Namespace) -> int:
                 fix=f"only: stereogs train --resume {arguments.resume}",
             )
         device = open_device(arguments.device)
-        finished = resume(arguments.resume, plugins=Plugins(), device=device, console=output)
+        finished = resume(
+            arguments.resume,
+            plugins=Plugins(),
+            device=device,
+            console=output,
+            accept_changed_inputs=arguments.accept_changed_inputs,
+        )
         return conclude(RunFolder(arguments.resume), finished, output)
+    if arguments.accept_changed_inputs:
+        raise RunError(
+            "a new run has no inputs that could have changed",
+            where="--accept-changed-inputs",
+            fix="give it with --resume, or leave it out",
+        )
     if arguments.pipeline is None:
         raise RunError(
             "there is nothing to train",

@@ -56,6 +56,7 @@ def finish(
             "peak_memory_mb": peak_memory_mb(),
             "exports": exported,
             "reports": [],
+            "changed_inputs": run.inputs()[1],
             **scores,
         }
     )

@@ -12,10 +12,12 @@ from rich.console import Console
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
+from ..errors import RunError
 from ..pipeline.blame import blame
 from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from .evaluation import evaluate
 from ..training.initial_model import initial_gaussians
+from .inputs import changed_inputs, input_digests, listed
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
 from ..pipeline.parts import Parts
@@ -42,6 +44,15 @@ class Opened:
     scene: Scene
     model: GaussianModel
     checkpoint: Checkpoint
+    changed: tuple[str, ...] = ()
+    """Inputs that are not those that the run began with, and were accepted."""
+
+    def keep_changes(self) -> None:
+        """Write down which inputs have changed, once something is made from them."""
+        if self.changed:
+            earlier = self.run.inputs()[1]
+            names = dict.fromkeys([*earlier, *self.changed])
+            self.run.write_inputs(input_digests(self.scene, self.pipeline), [*names])
 
 
 def start(
@@ -80,7 +91,11 @@ def start(
         gaussians = initial_gaussians(points, pipeline.training)
     model = GaussianModel(gaussians, device)
     run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
-    run.create(pipeline.to_yaml(), provenance(pipeline, device, list(command)))
+    run.create(
+        pipeline.to_yaml(),
+        provenance(pipeline, device, list(command)),
+        input_digests(scene, pipeline),
+    )
     facts = {
         "initializer": initializer.item.name,
         "points": len(points),
@@ -93,8 +108,18 @@ def start(
     return run, _train_to_end(run, pipeline, trainer, 0.0, console)
 
 
-def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) -> bool:
+def resume(
+    path: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    console: Console,
+    accept_changed_inputs: bool = False,
+) -> bool:
     """Go on with a run from its checkpoint, to the same end as if it had never stopped.
+
+    Args:
+        accept_changed_inputs: go on with other photographs, cameras or model files than it began with.
 
     Returns:
         Whether it came to its end.
@@ -102,9 +127,12 @@ def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) ->
     Raises:
         ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
     """
-    opened = open_run(path, plugins=plugins, device=device)
+    opened = open_run(
+        path, plugins=plugins, device=device, accept_changed_inputs=accept_changed_inputs
+    )
     trainer = Trainer(opened.pipeline.training, opened.parts, opened.scene, opened.model)
     trainer.restore(opened.checkpoint.iteration, opened.checkpoint.part)
+    opened.keep_changes()
     opened.run.forget_metrics_after(opened.checkpoint.iteration)
     console.print(
         f"going on after iteration {opened.checkpoint.iteration} of "
@@ -113,11 +141,14 @@ def resume(path: Path, *, plugins: Plugins, device: Device, console: Console) ->
     return _train_to_end(opened.run, opened.pipeline, trainer, opened.checkpoint.seconds, console)
 
 
-def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:
+def open_run(
+    path: Path, *, plugins: Plugins, device: Device, accept_changed_inputs: bool = False
+) -> Opened:
     """Read a run folder: its pipeline, scene and newest checkpoint.
 
     Raises:
-        ExplainedError: one of them cannot be read.
+        ExplainedError: one of them cannot be read, or the scene or a model file is another than when
+            the run began, and that was not accepted.
     """
     run = RunFolder.existing(path)
     pipeline = load_pipeline(run.pipeline, plugins)
@@ -125,7 +156,15 @@ def open_run(path: Path, *, plugins: Plugins, device: Device) -> Opened:
     parts = Parts(pipeline, device)
     scene = load_scene(parts)
     model = GaussianModel(Gaussians(**checkpoint.part("model")), device)
-    return Opened(run, pipeline, parts, scene, model, checkpoint)
+    before, _ = run.inputs()
+    changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
+    if changed and not accept_changed_inputs:
+        raise RunError(
+            f"the run was made from other inputs; changed: {listed(changed)}",
+            where=str(path),
+            fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
+        )
+    return Opened(run, pipeline, parts, scene, model, checkpoint, changed)
 
 
 def load_scene(parts: Parts) -> Scene:

@@ -13,11 +13,12 @@ from rich.console import Console
 
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import Fact, PluginError, RunError, SceneError
+from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
+from registry.runs.source_code import checkout
 from registry.runs.training_run import open_run, resume, start
 from tests.registry.toy_plugin import ToyPoints, ToyScene
 
@@ -79,6 +80,7 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
     assert facts["command"] == ["stereogs", "train"]
     assert facts["packages"]["torch"] == torch.__version__
+    assert facts["source"] == checkout()
     lines = [json.loads(x) for x in (folder.path / "metrics.jsonl").read_text().splitlines()]
     assert [line["iteration"] for line in lines] == [20, 30]
     assert "psnr" in lines[0]["test"]
@@ -144,6 +146,38 @@ def test_ctrl_c_then_resume_ends_in_the_same_bits(
     assert results["hash"] == whole["hash"]
     assert results["test"] == whole["test"]
     assert results["gaussians"] == whole["gaussians"]
+
+
+def test_changed_inputs_are_refused_unless_accepted(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    load = ToyScene.load
+
+    def darker(self: ToyScene) -> Scene:
+        scene = load(self)
+        first = replace(scene.train[0], image=scene.train[0].image * 0.5)
+        return replace(scene, train=(first, *scene.train[1:]))
+
+    monkeypatch.setattr(ToyScene, "load", darker)
+    quiet = Console(file=io.StringIO())
+    with pytest.raises(RunError, match="changed: the photograph of view0\n") as caught:
+        resume(folder.path, plugins=toys, device=device, console=quiet)
+    assert "--accept-changed-inputs" in caught.value.fix
+    assert folder.results()["changed_inputs"] == []
+    assert resume(
+        folder.path, plugins=toys, device=device, console=quiet, accept_changed_inputs=True
+    )
+    assert folder.results()["changed_inputs"] == ["the photograph of view0"]
+    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+
+
+def test_a_run_that_kept_no_digests_goes_on(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    (folder.path / "inputs.json").unlink()
+    assert open_run(folder.path, plugins=toys, device=device).changed == ()
 
 
 def test_a_second_ctrl_c_stops_at_once(
