@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+
+from rich.console import Console
 
 from core_rasterizer import open_device
 
@@ -63,16 +66,20 @@ def run(arguments: argparse.Namespace) -> int:
         changes=arguments.set,
     )
     output.print(f"{scene.name}, read by the {item.point.title} {item.offer.name}")
-    for label, text in facts(scene):
-        output.print(f"  {label:<10}  {text}")
+    _print_columns(output, facts(scene))
     output.print("said by the loader")
-    for fact in scene.facts:
-        output.print(f"  {fact.name:<10}  {fact}")
+    _print_columns(output, [(fact.name, str(fact)) for fact in scene.facts])
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), arguments.out)
     output.print(f"picture  {arguments.out}")
     return 0
+
+
+def _print_columns(output: Console, rows: Sequence[tuple[str, str]]) -> None:
+    width = max((len(label) for label, _ in rows), default=0)
+    for label, text in rows:
+        output.print(f"  {label:<{width}}  {text}")
 
 
 def _check_picture(path: Path) -> None:
