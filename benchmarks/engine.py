@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -29,6 +30,8 @@ from core_rasterizer import Adam, Device, GaussianModel, open_device, photometri
 
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
+UNSEEN_COUNT = 1000
+"""Gaussians behind the camera, where only what an iteration costs at all is measured."""
 MORE_COUNTS = (10_000, 50_000, 126_000, 300_000, 1_000_000)
 SIZES = ((252, 189), (504, 378), (1008, 756))
 RATES = dict.fromkeys(
@@ -64,6 +67,32 @@ class Workload:
         self.model.device.finish()
 
 
+def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
+    """Median milliseconds of the steps of an iteration in which no Gaussian is to be seen."""
+    workload = Workload(UNSEEN_COUNT, device)
+    around = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
+    camera = workload.camera
+    camera = replace(camera, world_to_camera=around @ camera.world_to_camera)
+    model, times = workload.model, []
+    for _ in range(repeats + 2):
+        begin = time.perf_counter()
+        model.zero_gradients()
+        rgb = model.render(camera).rgb
+        rendered = time.perf_counter()
+        loss = photometric_loss(rgb, workload.target, device=device)
+        compared = time.perf_counter()
+        loss.backward()
+        returned = time.perf_counter()
+        workload.optimizer.step(RATES, active_sh_degree=3)
+        device.finish()
+        times.append((begin, rendered, compared, returned, time.perf_counter()))
+    steps = {
+        name: 1e3 * median(stamps[number + 1] - stamps[number] for stamps in times[2:])
+        for number, name in enumerate(("forward", "loss", "backward", "Adam"))
+    }
+    return steps | {"iteration": 1e3 * median(stamps[-1] - stamps[0] for stamps in times[2:])}
+
+
 def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
     """Median of several runs after two that are not counted."""
     times = []
@@ -85,8 +114,8 @@ def all_torch_threads() -> Iterator[None]:
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
     """Milliseconds of each kernel in an iteration, the device drained after each."""
     totals: dict[str, float] = {}
-    rasterizer = workload.model.rasterizer
-    programs = [rasterizer.program, rasterizer.raster_program, workload.optimizer.program]
+    renderer = workload.model.renderer
+    programs = [renderer.program, renderer.raster_program, workload.optimizer.program]
     originals = [program.run for program in programs]
 
     def timed(original: Callable[..., None]) -> Callable[..., None]:
@@ -183,6 +212,7 @@ def measure(device: Device) -> dict[str, Any]:
         workload = Workload(count, device)
         for name in ("forward", "forward_backward", "iteration"):
             result[f"{name}_ms"][str(count)] = milliseconds(getattr(workload, name))
+    result["fixed_cost_ms"] = fixed_costs(device)
     result["stages_ms"] = stages(Workload(COUNTS[-1], device))
     result["ratios"] = ratios(device)
     result["growth_with_count_ms"] = {
@@ -205,6 +235,7 @@ def show(result: dict[str, Any]) -> None:
         table.add_row(name, *(f"{value:.1f}" for value in result[f"{name}_ms"].values()))
     console.print(table)
     for name in (
+        "fixed_cost_ms",
         "stages_ms",
         "ratios",
         "growth_with_count_ms",

@@ -26,7 +26,7 @@ from benchmarks.sparse_adam import measure_sparse_adam
 from benchmarks.surfaces import surfaces
 from benchmarks.switches import EXACT, Overrides, Setting, Switch, build, switches
 from core_rasterizer import Camera, Device, GaussianModel, open_device
-from core_rasterizer.model import PARAMETERS
+from core_rasterizer.layout import PARAMETERS
 
 OUT = Path(__file__).parent / "out" / "error.json"
 SECONDS_A_SETTING = 2.5

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from benchmarks import priors_depth, priors_stereo
 from core_rasterizer import open_device
-from registry.priors.prior_cache import VARIABLE
+from registry.cache import FOLDER_VARIABLE
 
 PAGE = Path(__file__).parent.parent / "docs" / "prior_accuracy.md"
 FEATURES = Path("mc_cnn_fast", "mc_cnn_fast_mb.onnx")
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--write-docs", action="store_true", help=f"also write docs/{PAGE.name}")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    os.environ[VARIABLE] = ""  # answers from the cache would take no time
+    os.environ[FOLDER_VARIABLE] = ""  # answers from the cache would take no time
     features: Path | None = Path(os.environ.get("STEREOGS_MODELS", "."), FEATURES)
     if not (features and features.is_file()):
         features = None

@@ -18,11 +18,15 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from core_rasterizer import Device
 from registry import Context, Scene
-from stereogs_plugins.initializers._geometric_filter import consistent_depths, without_small_patches
+from stereogs_plugins.initializers.consistency_dense.geometric_filter import (
+    consistent_depths,
+    without_small_patches,
+)
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
 from stereogs_plugins.scenes.llff import LLFFScene
 
@@ -52,9 +56,8 @@ def point_errors(folder: Path, scene: Scene, depths: Sequence[DepthImage]) -> Fl
     for view, number, depth in zip(scene.train, numbers, depths, strict=True):
         seen = np.unique(owners[photographs == number + 1])
         seen = seen[lengths[seen] >= SHORTEST_TRACK]
-        camera, pose = view.camera, view.camera.world_to_camera.numpy()
-        x, y, z = (positions[seen] @ pose[:3, :3].T + pose[:3, 3]).T
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        camera, points = view.camera, torch.from_numpy(positions[seen])
+        u, v, z = (values.numpy() for values in camera.project(points))
         inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height) & (z > 0)
         found = depth[v[inside].astype(int), u[inside].astype(int)]
         errors.append(np.where(found > 0, np.abs(found - z[inside]) / z[inside], np.inf))

@@ -30,8 +30,8 @@ from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.ablation.running.folder import AblationFolder
 from registry.ablation.running.runner import train_all
+from registry.cache import FOLDER_VARIABLE
 from registry.plugins import Plugins
-from registry.priors.prior_cache import VARIABLE as PRIOR_CACHE
 
 OUT = Path(__file__).parent / "out" / "results"
 DOCS = Path(__file__).parent.parent / "docs"
@@ -50,7 +50,7 @@ def measure(
     Raises:
         RunError: some of the runs failed; says what the first one said.
     """
-    os.environ[PRIOR_CACHE] = ""  # answers from an earlier run would make this one look fast
+    os.environ[FOLDER_VARIABLE] = ""  # answers from an earlier run would make this one look fast
     with folder.locked() as lock:
         waiting = [m.run for m in measurements if not folder.results(m.run)]
         console.print(f"{len(measurements)} runs, {len(waiting)} to train; writing {folder.path}")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Adam, Camera, GaussianModel, Gaussians, photometric_loss
-from core_rasterizer.model import PARAMETERS
+from core_rasterizer.layout import PARAMETERS
 
 STEPS = 40
 RATES = {
@@ -44,7 +44,7 @@ class Training:
         self.optimizer = Adam(self.model)
         if visible_only:
             self.optimizer.program = model.device.program(
-                "adam", dtype=self.model.dtype, VISIBLE_ONLY=1
+                "optimization/adam", dtype=self.model.dtype, VISIBLE_ONLY=1
             )
 
     def iterate(self, number: int, targets: list[Tensor]) -> tuple[float, float]:

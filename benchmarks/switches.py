@@ -10,7 +10,7 @@ import torch
 
 from core_rasterizer import Device, GaussianModel
 from core_rasterizer.device import Variant
-from core_rasterizer.rasterizer import Rasterizer
+from core_rasterizer.raster import Renderer
 
 Overrides = Mapping[str, float]
 EXACT: Overrides = {"ALPHA_CUT_INVERSE": 1e6, "EARLY_STOP": 1e-12, "EXACT_TILE_TEST": 0}
@@ -83,7 +83,7 @@ def build(model: GaussianModel, setting: Setting) -> GaussianModel:
     """The same Gaussians, to be rendered with another setting."""
     device = model.device.as_variant(setting.variant) if setting.variant else model.device
     result = GaussianModel(model.gaussians(), device, dtype=setting.dtype)
-    result.rasterizer = Rasterizer(device, setting.dtype, overrides=setting.overrides)
+    result.renderer = Renderer(device, setting.dtype, overrides=setting.overrides)
     return result
 
 
@@ -113,7 +113,7 @@ def _degrees() -> Iterator[Setting]:
 
 
 def _tile_sizes(device: Device) -> Iterator[Setting]:
-    default = Rasterizer(device).tile
+    default = Renderer(device).tile
     sizes = ((32, 16), (32, 32), (64, 32), (64, 64))
     for width, height in sizes if device.variant == "cpu" else ((8, 8), (16, 8), (16, 16)):
         overrides = {"TILE_WIDTH": width, "TILE_HEIGHT": height}

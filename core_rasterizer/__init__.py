@@ -15,13 +15,20 @@ from .errors import (
     PlyError,
 )
 from .gaussians import Gaussians
-from .model import GaussianModel
-from .optimizer import Adam
-from .photometric import photometric_loss
+from .optimization import (
+    Adam,
+    Carried,
+    Edit,
+    GaussianModel,
+    Relocation,
+    apply_edit,
+    photometric_loss,
+    shared_among_copies,
+)
+from .optimization import ModelReader as GaussianReader
 from .ply import load_ply, load_points, save_ply
 from .rasterize import rasterize
 from .rendering import Rendering
-from .topology import Carried, Edit, apply_edit
 
 __all__ = [
     "Adam",
@@ -34,9 +41,11 @@ __all__ = [
     "ExplainedError",
     "GaussianError",
     "GaussianModel",
+    "GaussianReader",
     "Gaussians",
     "MemoryBudgetError",
     "PlyError",
+    "Relocation",
     "Rendering",
     "apply_edit",
     "list_devices",
@@ -46,4 +55,5 @@ __all__ = [
     "photometric_loss",
     "rasterize",
     "save_ply",
+    "shared_among_copies",
 ]

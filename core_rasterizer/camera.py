@@ -20,7 +20,8 @@ class Camera:
 
     Args:
         world_to_camera: `[4, 4]` rigid transform from world to camera coordinates; anything that
-            torch can turn into a tensor. Kept as float64 on the CPU.
+            torch can turn into a tensor. Kept as a copy, float64 on the CPU, that stays in autograd's
+            graph: where it requires a gradient, `backward` of a render gives it one (`rasterize`).
         fx, fy: focal lengths in pixels, > 0.
         cx, cy: principal point in pixels; it may lie outside the image.
         width, height: image size in pixels, >= 1.
@@ -98,6 +99,30 @@ class Camera:
         x, y, z = (points.double() @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
         return self.fx * x / z + self.cx, self.fy * y / z + self.cy, z
 
+    def unproject(self, u: Tensor, v: Tensor, z: Tensor) -> Tensor:
+        """The world points that appear at pixel positions: the inverse of `project`.
+
+        Args:
+            u, v: column and row in pixels, the top-left pixel's centre being (0.5, 0.5).
+            z: z-depth, world units. The three broadcast to one shape `[...]`.
+
+        Returns:
+            `[..., 3]` float64, world units.
+        """
+        u, v, z = torch.broadcast_tensors(u.double(), v.double(), z.double())
+        x, y = (u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z
+        pose = self.camera_to_world
+        return torch.stack([x, y, z], dim=-1) @ pose[:3, :3].T + pose[:3, 3]
+
+    def pixel_centers(self) -> tuple[Tensor, Tensor]:
+        """Columns u and rows v of all pixel centres, `[H, W]` float64 each."""
+        v, u = torch.meshgrid(
+            torch.arange(self.height, dtype=torch.float64) + 0.5,
+            torch.arange(self.width, dtype=torch.float64) + 0.5,
+            indexing="ij",
+        )
+        return u, v
+
     def shifted_right(self, distance: float) -> Camera:
         """The same camera moved along its own +x axis: the right eye of a rectified stereo pair.
 
@@ -123,7 +148,12 @@ class Camera:
 
 
 def _as_pose(matrix: Any) -> Tensor:
-    pose = torch.as_tensor(matrix).detach().to("cpu", torch.float64).clone()
+    pose = torch.as_tensor(matrix).to("cpu", torch.float64).clone()
+    _check_rigid(pose.detach())
+    return pose
+
+
+def _check_rigid(pose: Tensor) -> None:
     if pose.shape != (4, 4):
         raise CameraError(
             f"world_to_camera has shape {tuple(pose.shape)}; it must be (4, 4)",
@@ -141,4 +171,3 @@ def _as_pose(matrix: Any) -> Tensor:
             where="camera.world_to_camera",
             fix="remove scale or mirroring from the pose",
         )
-    return pose

@@ -13,15 +13,18 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from .errors import PlyError
 from .gaussians import SH_C0, Gaussians
+
+if TYPE_CHECKING:
+    from plyfile import PlyData, PlyElement
 
 _COMMENT = "SplatRenderMode: default"
 """How viewers are told that no anti-aliasing filter was part of training."""
@@ -81,6 +84,8 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
     rest_names = tuple(f"f_rest_{i}" for i in range(rest.shape[1]))
     names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
+    from plyfile import PlyData, PlyElement  # only who reads or writes such files waits for it
+
     vertex = PlyElement.describe(rows, "vertex")
     _write(PlyData([vertex], byte_order="<", comments=[_COMMENT]), path)
     return dropped
@@ -145,6 +150,8 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
 
 def _read_vertices(path: Path) -> PlyElement:
     """The `vertex` element of a PLY file whose header keeps its promises."""
+    from plyfile import PlyData, PlyParseError
+
     _check_header(path)
     try:
         with path.open("rb") as file:

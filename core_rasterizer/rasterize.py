@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -13,10 +14,19 @@ from torch.autograd.function import once_differentiable
 from .camera import Camera
 from .device import Device, DeviceArray, open_device
 from .errors import GaussianError
-from .frames import NEAR_PLANE, Block, View, padded
 from .gaussians import Gaussians
-from .model import rows_from
-from .rasterizer import Rasterizer
+from .layout import PARAMETERS, padded
+from .raster import (
+    DILATION,
+    NEAR_PLANE,
+    Block,
+    Coverage,
+    Footprint,
+    Renderer,
+    RenderRequest,
+    pack,
+    unpack_all,
+)
 from .rendering import Rendering
 
 
@@ -30,13 +40,21 @@ def rasterize(
     background: Sequence[float] | Tensor | None = None,
     *,
     near: float = NEAR_PLANE,
+    sh_degree: float | None = None,
+    dilation: float = DILATION,
+    compensate_dilation: bool = False,
+    smoothing: Tensor | None = None,
     device: Device | None = None,
 ) -> Rendering:
-    """Render Gaussians; differentiable with respect to the first five arguments.
+    """Render Gaussians; differentiable with respect to the first five arguments and the camera's pose.
 
     The kernels run in the type of `means`: float32, or float64 on devices that have it. Gaussians
     that are behind the camera, outside the image, fainter than 1/255 or not finite are invisible and
     get a zero gradient.
+
+    Where `camera.world_to_camera` requires a gradient it gets one, `[4, 4]` with zeros in the last row: the
+    twelve numbers of [R | t] each on their own, the camera centre being -R^T t. A pose that is optimized is
+    best a function of six numbers, of which a new `Camera` is made at every step.
 
     Args:
         means: `[N, 3]` centres, world units.
@@ -48,13 +66,23 @@ def rasterize(
         camera: what to look through.
         background: three numbers, the colour behind the scene; None is black. No gradient flows to it.
         near: z-depth below which Gaussians are culled, world units, > 0.
+        sh_degree: bands to use, 0 to 3, the last by a fraction: 1.5 is bands 0 and 1 and half of band 2.
+            None, or more than `sh` has, uses all.
+        dilation: added to the variances of every ellipse on the image, square pixels, >= 0. Kernels are
+            built for each new value.
+        compensate_dilation: let the opacity fall as dilation widens the ellipse, as the 2D filter of
+            Mip-Splatting does (Yu et al. 2024, eq. 10).
+        smoothing: `[N]` standard deviations >= 0, world units, of the 3D filter of Mip-Splatting (eq. 9):
+            scales become sqrt(s^2 + f^2) and the opacity shrinks by the product of s / sqrt(s^2 + f^2).
+            No gradient flows to them.
         device: the OpenCL device; None chooses (`open_device`).
 
     Returns:
         `rgb [H, W, 3]`, `depth [H, W]` (sum of z alpha T, not divided by alpha) and `alpha [H, W]`.
 
     Raises:
-        GaussianError: shapes or types that do not fit together, a background that is not finite.
+        GaussianError: shapes or types that do not fit together; a background, a degree, a dilation or a
+            smoothing that is not finite or out of range.
         CameraError: the image is too large to address, or `near` is not positive.
         MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
     """
@@ -68,16 +96,20 @@ def rasterize(
         }
     )
     color = (0.0, 0.0, 0.0) if background is None else tuple(float(value) for value in background)
-    rasterizer = _rasterizer(device or open_device(), means.dtype)
+    footprint = Footprint(float(dilation), bool(compensate_dilation))
+    renderer = _renderer(device or open_device(), means.dtype, footprint)
+    stored = math.isqrt(sh.shape[1]) - 1
+    degree = stored if sh_degree is None else min(sh_degree, stored)
+    request = RenderRequest(camera, color, degree, near, smoothing=smoothing)
     outputs = _Rasterize.apply(
-        means, scales, quaternions, opacities, sh, rasterizer, camera, color, near
+        means, scales, quaternions, opacities, sh, camera.world_to_camera, renderer, request
     )
     return Rendering(*outputs)
 
 
 @cache
-def _rasterizer(device: Device, dtype: torch.dtype) -> Rasterizer:
-    return Rasterizer(device, dtype)
+def _renderer(device: Device, dtype: torch.dtype, footprint: Footprint) -> Renderer:
+    return Renderer(device, dtype, footprint=footprint)
 
 
 class _Rasterize(torch.autograd.Function):
@@ -89,43 +121,38 @@ class _Rasterize(torch.autograd.Function):
         quaternions: Tensor,
         opacities: Tensor,
         sh: Tensor,
-        rasterizer: Rasterizer,
-        camera: Camera,
-        background: tuple[float, ...],
-        near: float,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        pose: Tensor,
+        renderer: Renderer,
+        request: RenderRequest,
+    ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
         gaussians = Gaussians(means, scales, quaternions, opacities, sh)
         count, dtype = len(gaussians), means.dtype
-        rows = rows_from(gaussians, dtype, padded(count))
-        parameters = DeviceArray(rasterizer.device, tuple(rows.shape), dtype)
+        rows = pack(gaussians, dtype, padded(count))
+        parameters = DeviceArray(renderer.device, tuple(rows.shape), dtype)
         parameters.write(rows)
         ctx.block = Block(parameters, count, activated=True)
-        view = View(camera, background, gaussians.sh_degree, near)
-        rgb, depth, alpha, ctx.lease = rasterizer.forward(ctx.block, view)
+        rgb, depth, alpha, ctx.lease = renderer.forward(ctx.block, request)
         ctx.set_materialize_grads(False)
-        ctx.rasterizer, ctx.sh_shape = rasterizer, sh.shape
+        ctx.renderer, ctx.sh_degree = renderer, gaussians.sh_degree
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
-        return rgb, depth, alpha
+        return rgb, depth, alpha, ctx.lease.frame.coverage(count)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         _ = ctx.saved_tensors
-        block, rasterizer = ctx.block, ctx.rasterizer
-        gradients = DeviceArray(rasterizer.device, block.parameters.shape, rasterizer.dtype)
-        d_rgb, d_depth, d_alpha = image_gradients
-        rasterizer.backward(
-            ctx.lease.frame, block, (d_rgb, d_depth, d_alpha), gradients, accumulate=False
+        block, renderer = ctx.block, ctx.renderer
+        gradients = DeviceArray(renderer.device, block.parameters.shape, renderer.dtype)
+        d_rgb, d_depth, d_alpha, _ = image_gradients
+        d_pose = renderer.backward(
+            ctx.lease.frame,
+            block,
+            (d_rgb, d_depth, d_alpha),
+            gradients,
+            accumulate=False,
         )
-        rows = gradients.read()[:, : block.count].T
-        return (
-            rows[:, 0:3].contiguous(),
-            rows[:, 3:6].contiguous(),
-            rows[:, 6:10].contiguous(),
-            rows[:, 10].contiguous(),
-            rows[:, 11:].reshape(ctx.sh_shape),
-            *(None,) * 4,
-        )
+        by_name = unpack_all(gradients.read(), block.count, ctx.sh_degree)
+        return *(by_name[name] for name in PARAMETERS), d_pose, None, None
 
 
 def _check(tensors: dict[str, Tensor]) -> None:

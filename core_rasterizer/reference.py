@@ -18,7 +18,7 @@ from torch import Tensor
 
 from .camera import Camera
 from .rendering import Rendering
-from .spherical_harmonics import sh_color
+from .spherical_harmonics import band_weights, sh_color
 
 NEAR = 0.2
 """A Gaussian whose centre has z at or below this (world units) is not drawn."""
@@ -40,6 +40,17 @@ FRUSTUM_MARGIN = 0.3
 
 TILE = 16
 """Side of the pixel blocks, in pixels: keeps the list of candidates short, changes no result."""
+
+
+class Ellipses(NamedTuple):
+    """N Gaussians on the image, without their places."""
+
+    covariances: Tensor
+    """`[N, 2, 2]` square pixels, dilation included."""
+    determinants: Tensor
+    """`[N]` of the covariances."""
+    undilated: Tensor
+    """`[N]` determinants before dilation; 0 where the Gaussian is seen on edge."""
 
 
 class Projected(NamedTuple):
@@ -72,8 +83,11 @@ def render(
     *,
     near: float = NEAR,
     dilation: float = DILATION,
+    compensate_dilation: bool = False,
+    smoothing: Tensor | None = None,
+    sh_degree: float | None = None,
 ) -> Rendering:
-    """Render Gaussians in float64; differentiable in every tensor by autograd.
+    """Render Gaussians in float64; differentiable in every tensor by autograd, the pose included.
 
     Args:
         means: `[N, 3]` centres, world units.
@@ -84,13 +98,29 @@ def render(
         camera: the view.
         background: `[3]` colour behind everything.
         near: Gaussians with z <= near are not drawn; world units, > 0.
-        dilation: added to the variances on the image, square pixels.
+        dilation: added to the variances on the image, square pixels, >= 0.
+        compensate_dilation: lower the opacity by what dilation adds to the ellipse's area, as the 2D
+            filter of Mip-Splatting does (Yu et al. 2024, eq. 10).
+        smoothing: `[N]` standard deviations >= 0, world units, of a Gaussian filter that each Gaussian
+            goes through before it is projected: the 3D filter of Mip-Splatting (eq. 9).
+        sh_degree: how many bands of the colour count, the last by a fraction (`band_weights`); None is
+            all.
 
     Returns:
         A float64 `Rendering`. A Gaussian with a parameter that is not finite is not drawn.
     """
     projected = project(
-        means, quaternions, scales, opacities, sh, camera, near=near, dilation=dilation
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        camera,
+        near=near,
+        dilation=dilation,
+        compensate_dilation=compensate_dilation,
+        smoothing=smoothing,
+        sh_degree=sh_degree,
     )
     return composite(projected, camera.width, camera.height, background)
 
@@ -105,27 +135,46 @@ def project(
     *,
     near: float = NEAR,
     dilation: float = DILATION,
+    compensate_dilation: bool = False,
+    smoothing: Tensor | None = None,
+    sh_degree: float | None = None,
 ) -> Projected:
     """The visible Gaussians as ellipses on the image, nearest first. Arguments as in `render`."""
-    parameters = tuple(t.double() for t in (means, quaternions, scales, opacities, sh))
+    means, quaternions, scales, opacities, sh = (
+        t.double() for t in (means, quaternions, scales, opacities, sh)
+    )
+    if sh_degree is not None:
+        sh = sh * band_weights(sh_degree, sh.shape[1])[:, None]
     # The first look decides who is visible; the second, at those alone, is the one that autograd
     # sees. So a Gaussian that overflows or lies behind the camera leaves no NaN in the gradient.
     with torch.no_grad():
-        visible = _visible(parameters, camera, near, dilation)
-        depths = _to_camera(parameters[0][visible], camera)[:, 2]
+        points, ellipses, strengths = _seen(
+            means, quaternions, scales, opacities, camera, dilation, compensate_dilation, smoothing
+        )
+        finite = _finite(means, quaternions, scales, opacities, sh)
+        in_front = (points[:, 2] > near) & (strengths >= ALPHA_MIN)
+        has_area = torch.isfinite(ellipses.determinants) & (ellipses.determinants > 0)
+        visible = (finite & in_front & has_area).nonzero()[:, 0]
         # Stable, so equal depths keep the order of their indices.
-        indices = visible[torch.sort(depths, stable=True).indices]
-    means, quaternions, scales, opacities, sh = (t[indices] for t in parameters)
-    points = _to_camera(means, camera)
-    directions = means - camera.center
-    covariances, determinants = _ellipses(points, quaternions, scales, camera, dilation)
+        indices = visible[torch.sort(points[visible, 2], stable=True).indices]
+    points, ellipses, strengths = _seen(
+        means[indices],
+        quaternions[indices],
+        scales[indices],
+        opacities[indices],
+        camera,
+        dilation,
+        compensate_dilation,
+        None if smoothing is None else smoothing[indices],
+    )
+    directions = means[indices] - camera.center
     return Projected(
         indices=indices,
         centers=_to_pixels(points, camera),
-        covariances=covariances,
-        determinants=determinants,
-        opacities=opacities,
-        colors=sh_color(sh, directions / directions.norm(dim=1, keepdim=True)),
+        covariances=ellipses.covariances,
+        determinants=ellipses.determinants,
+        opacities=strengths,
+        colors=sh_color(sh[indices], directions / directions.norm(dim=1, keepdim=True)),
         depths=points[:, 2],
     )
 
@@ -153,17 +202,42 @@ def composite(
     return Rendering(rgb=rgb + (1 - alpha)[..., None] * behind, depth=depth, alpha=alpha)
 
 
-def _visible(
-    parameters: tuple[Tensor, ...], camera: Camera, near: float, dilation: float
-) -> Tensor:
-    """Indices of the Gaussians in front of the camera with finite parameters and a finite ellipse."""
-    means, quaternions, scales, opacities, _ = parameters
-    finite = torch.isfinite(torch.cat([t[..., None].flatten(1) for t in parameters], 1)).all(1)
+def _seen(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    camera: Camera,
+    dilation: float,
+    compensate_dilation: bool,
+    smoothing: Tensor | None,
+) -> tuple[Tensor, Ellipses, Tensor]:
+    """Points in camera coordinates `[N, 3]`, ellipses, and opacities after both filters `[N]`."""
     points = _to_camera(means, camera)
-    _, determinants = _ellipses(points, quaternions, scales, camera, dilation)
-    return (
-        finite & (points[:, 2] > near) & (opacities >= ALPHA_MIN) & torch.isfinite(determinants)
-    ).nonzero()[:, 0]
+    if smoothing is not None:
+        scales, opacities = _smoothed(scales, opacities, smoothing.detach().double())
+    ellipses = _ellipses(points, quaternions, scales, camera, dilation)
+    if compensate_dilation:
+        opacities = opacities * torch.sqrt(ellipses.undilated / ellipses.determinants)
+    return points, ellipses, opacities
+
+
+def _finite(*parameters: Tensor) -> Tensor:
+    """Which Gaussians have finite numbers only, bool `[N]`."""
+    return torch.isfinite(torch.cat([t[..., None].flatten(1) for t in parameters], 1)).all(1)
+
+
+def _smoothed(scales: Tensor, opacities: Tensor, smoothing: Tensor) -> tuple[Tensor, Tensor]:
+    """Scales and opacities of Gaussians convolved with a Gaussian of the deviation `smoothing`.
+
+    Variances add up; the opacity falls as the volume grows, so that the mass stays (Mip-Splatting, eq. 9).
+    """
+    filtered = (smoothing > 0)[:, None]
+    # A stand-in where nothing is filtered: the square root has no slope at zero.
+    deviations = torch.where(filtered, smoothing[:, None], 1.0)
+    widened = torch.where(filtered, torch.sqrt(scales**2 + deviations**2), scales)
+    shrinkage = torch.where(filtered, scales / torch.where(filtered, widened, 1.0), 1.0)
+    return widened, opacities * shrinkage.prod(1)
 
 
 def _to_camera(means: Tensor, camera: Camera) -> Tensor:
@@ -178,8 +252,8 @@ def _to_pixels(points: Tensor, camera: Camera) -> Tensor:
 
 def _ellipses(
     points: Tensor, quaternions: Tensor, scales: Tensor, camera: Camera, dilation: float
-) -> tuple[Tensor, Tensor]:
-    """Covariances `[N, 2, 2]` on the image through the linearised projection, and determinants `[N]`.
+) -> Ellipses:
+    """What the linearised projection makes of N Gaussians.
 
     With M = J W R S the covariance is M M^T + d I. Its determinant ac - b^2 would lose all its digits
     for a long needle; as |u x v|^2 + d (|u|^2 + |v|^2) + d^2, where u and v are the rows of M
@@ -189,9 +263,9 @@ def _ellipses(
     axes = camera.world_to_camera[:3, :3] @ axes
     axes = _projection_jacobians(points, camera) @ axes
     covariances = axes @ axes.transpose(1, 2) + dilation * torch.eye(2, dtype=axes.dtype)
-    area = torch.linalg.cross(axes[:, 0], axes[:, 1])
-    determinants = (area**2).sum(1) + dilation * (axes**2).sum((1, 2)) + dilation**2
-    return covariances, determinants
+    undilated = (torch.linalg.cross(axes[:, 0], axes[:, 1]) ** 2).sum(1)
+    determinants = undilated + dilation * (axes**2).sum((1, 2)) + dilation**2
+    return Ellipses(covariances, determinants, undilated)
 
 
 def _projection_jacobians(points: Tensor, camera: Camera) -> Tensor:

@@ -65,6 +65,23 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(terms, dim=-1)
 
 
+def band_weights(sh_degree: float, coefficients: int) -> Tensor:
+    """How much each coefficient counts: whole bands, then one band by a fraction, then nothing.
+
+    Bands can fade in one after another, as the frequencies of FreeNeRF do (Yang et al. 2023): 1.5 is
+    bands 0 and 1 in full and half of band 2. A whole degree cuts the series off behind its band.
+
+    Args:
+        sh_degree: >= 0.
+        coefficients: how many there are, 1, 4, 9 or 16.
+
+    Returns:
+        `[coefficients]` float64, in [0, 1].
+    """
+    bands = torch.arange(coefficients, dtype=torch.float64).sqrt().floor()
+    return (sh_degree + 1 - bands).clamp(0.0, 1.0)
+
+
 def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
     """Colour of each Gaussian: the series plus 0.5, clamped at 0 below (zero gradient there).
 

@@ -28,7 +28,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8."""
+    """Write a text file in UTF-8: whole, or `path` stays what it was."""
     with replacing(path) as temporary:
         temporary.write_text(text, "utf-8")
 

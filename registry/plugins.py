@@ -14,7 +14,7 @@ import pluggy
 
 from .contract import hooks
 from .contract.component import Component, Settings
-from .contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
+from .contract.hook_points import API_VERSION, HOOK_POINTS, OLDEST_API, HookPoint
 from .errors import PluginError
 from .suggestions import did_you_mean, listing
 
@@ -238,9 +238,10 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
 
 def _check_api(entry: EntryPoint, module: object) -> None:
     wanted = getattr(module, "STEREOGS_API", API_VERSION)
-    if wanted != API_VERSION:
+    if not (isinstance(wanted, int) and OLDEST_API <= wanted <= API_VERSION):
         raise PluginError(
-            f"it needs stereogs API {wanted}, this is API {API_VERSION}",
+            f"it needs stereogs API {wanted}; this is API {API_VERSION}, and serves plugins from "
+            f"API {OLDEST_API} on",
             fix=f"pip install -U {_distribution(entry)[0]} stereogs-plugins",
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,36 +44,56 @@ def test_imports_go_one_way(file: Path) -> None:
     assert ours <= MAY_IMPORT[package]
 
 
-PLUGINS = [
-    file
-    for file in sorted((ROOT / "stereogs_plugins").rglob("*.py"))
-    if not file.name.startswith("_")
-]
+PLUGIN_FILES = sorted((ROOT / "stereogs_plugins").rglob("*.py"))
+FACES = {
+    "core_rasterizer": "core_rasterizer/__init__.py",
+    "core_rasterizer.matching": "core_rasterizer/matching/__init__.py",
+    "registry": "registry/__init__.py",
+    "registry.cache": "registry/cache/__init__.py",
+    "registry.image_fitting": "registry/image_fitting.py",
+    "registry.photos": "registry/photos/__init__.py",
+    "registry.web_page": "registry/web_page/__init__.py",
+}
+"""Modules that plugins may import from, and the files whose `__all__` says what."""
 
 
-@pytest.mark.parametrize("file", PLUGINS, ids=label)
-def test_plugins_use_the_public_api_and_no_other_plugin(file: Path) -> None:
-    folder = ".".join(file.relative_to(ROOT).parent.parts)
-    helpers = (f"{folder}._",)
+def plugin_of(file: Path) -> str:
+    """The plugin that a file belongs to: `stereogs_plugins.HOOK_POINT.NAME`, a file or a folder."""
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts[:3])
+
+
+@pytest.mark.parametrize("file", PLUGIN_FILES, ids=label)
+def test_plugins_use_public_names_and_no_other_plugin(file: Path) -> None:
     for name in imports(file):
-        top = name.split(".")[0]
+        top, own = name.split(".")[0], plugin_of(file)
         if top == "stereogs_plugins":
-            assert name == folder or name.startswith(helpers), f"{label(file)} imports {name}"
+            assert f"{name}.".startswith(f"{own}."), f"{label(file)} reaches into {name}"
         elif top in ("registry", "core_rasterizer"):
-            assert not any(part.startswith("_") for part in name.split("."))
-            modules = {path.stem for path in (ROOT / top).glob("*.py")} - {"reference"}
-            parts = name.split(".")
-            public = len(parts) == 1 or parts[1] not in modules or parts[1] in exported(top)
-            assert public, f"{label(file)} reaches into {name}"
+            face, _, member = name.rpartition(".")
+            public = name in FACES or (face in FACES and member in exported(face))
+            assert public, f"{label(file)} imports {name}, which is not public"
 
 
-def exported(package: str) -> set[str]:
-    """What a package offers in its `__all__`."""
-    tree = ast.parse((ROOT / package / "__init__.py").read_text("utf-8"))
+def test_helpers_live_with_their_plugin() -> None:
+    """In a plugin's own folder; what two plugins share, the host offers under a public name."""
+    strangers = [label(f) for f in PLUGIN_FILES if f.name != "__init__.py" and f.name[0] == "_"]
+    assert strangers == []
+
+
+def test_every_plugin_is_an_entry_point() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    entries = set(project["entry-points"]["stereogs.plugins"].values())
+    plugins = {plugin_of(file) for file in PLUGIN_FILES}
+    assert entries == {name for name in plugins if not name.endswith("__init__")}
+
+
+def exported(module: str) -> set[str]:
+    """What a module offers in its `__all__`."""
+    tree = ast.parse((ROOT / FACES[module]).read_text("utf-8"))
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             return set(ast.literal_eval(node.value))
-    raise AssertionError(f"{package} has no __all__")
+    raise AssertionError(f"{module} has no __all__")
 
 
 def test_each_package_can_be_imported_alone() -> None:

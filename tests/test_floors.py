@@ -14,8 +14,8 @@ MOST_ROOMS = 12
 
 FLOORS = (
     ("errors", "files", "suggestions", "web_page"),
-    ("contract",),
-    ("drawing", "plugins"),
+    ("contract", "cache", "image_fitting"),
+    ("drawing", "plugins", "photos"),
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs", "testing"),

@@ -66,7 +66,7 @@ class FeatureSweep:
         planes, camera = self._geometry.planes, self._cameras[reference]
         planes_an_item = PLANE_MULTIPLE if self._device.variant == "cpu" else 1
         program = self._device.program(
-            "feature_sweep",
+            "matching/feature_sweep",
             dtype=torch.float32,
             SOURCES=len(sources),
             CHANNELS=self._channels,

@@ -60,7 +60,7 @@ class ZnccSweep:
         # No sum of squares over a window exceeds 2^24; see the kernel.
         levels = 2**12 // (2 * radius + 1)
         self._weights = (np.float32((2 * levels * noise) ** 2), np.float32(second_share))
-        self._images = device.program("sweep_images", dtype=torch.float32, RADIUS=radius)
+        self._images = device.program("matching/sweep_images", dtype=torch.float32, RADIUS=radius)
         ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
         starts = [0, *ends[:-1]]
         self._geometry = SweepGeometry(device, cameras, starts, inverse_depths)
@@ -122,7 +122,7 @@ class ZnccSweep:
 
     def _program(self, sources: int) -> Program:
         return self._device.program(
-            "plane_sweep",
+            "matching/plane_sweep",
             dtype=torch.float32,
             SOURCES=sources,
             RADIUS=self._radius,

@@ -69,7 +69,7 @@ def zncc_costs(
         ]
     order = (maps[0], maps[3], maps[1], maps[2], maps[4], maps[5])
     arrays = [_on_device(device, values, torch.float32) for values in order]
-    program = device.program("rectified", dtype=torch.float32, RADIUS=radius)
+    program = device.program("matching/rectified", dtype=torch.float32, RADIUS=radius)
     size = (depth // device.lanes, width, -(-height // _ROWS_OF_ITEM))
     numbers = [
         np.int32(n) for n in (height, width, planes, depth, UNSEEN_CORRELATION, _ROWS_OF_ITEM)
@@ -97,7 +97,7 @@ def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> De
         _on_device(device, signs[0], torch.int64),
         _on_device(device, pad(signs[1].flip(1), (0, depth)), torch.int64),
     ]
-    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
     bits = _CENSUS_COLUMNS * _CENSUS_ROWS - 1
     numbers = [np.int32(n) for n in (width, planes, depth, UNSEEN_CENSUS, bits)]
     size = (depth // device.lanes, width, height)
@@ -121,7 +121,7 @@ def feature_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> D
     depth = costs.shape[2]
     rows = [left.permute(1, 0, 2), pad(right.flip(2), (0, depth)).permute(1, 0, 2)]
     arrays = [_on_device(device, values, torch.float32) for values in rows]
-    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
     numbers = [np.int32(n) for n in (channels, width, planes, depth, UNSEEN_CORRELATION)]
     size = (depth // device.lanes, width, height)
     program.run("correlate_features", size, None, *arrays, costs, *numbers)
@@ -136,7 +136,7 @@ def right_costs(device: Device, costs: DeviceArray) -> DeviceArray:
     """
     height, width, depth = costs.shape
     result = DeviceArray(device, costs.shape, torch.uint8)
-    program = device.program("rectified", dtype=torch.float32, RADIUS=1)
+    program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
     numbers = (np.int32(width), np.int32(depth))
     program.run("costs_of_right", (depth, width, height), None, costs, result, *numbers)
     return result

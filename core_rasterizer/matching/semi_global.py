@@ -108,7 +108,7 @@ def aggregate(
     jumps = DeviceArray(device, (256,), torch.uint16)
     jumps.write(penalties.by_grey_step())
     band = _CPU_BAND if device.variant == "cpu" else 1
-    program = device.program("semi_global", dtype=torch.float32, PLANES=planes, BAND=band)
+    program = device.program("matching/semi_global", dtype=torch.float32, PLANES=planes, BAND=band)
     for path in _directions(height, width):
         items = -(-path[0] // band)
         numbers = [np.int32(value) for value in (width, *path, penalties.small)]
@@ -140,7 +140,9 @@ def pick(device: Device, aggregated: DeviceArray, planes: int) -> tuple[Tensor, 
     confidence = DeviceArray(device, (height, width))
     if height * width:
         band = _CPU_BAND if device.variant == "cpu" else 1
-        program = device.program("semi_global", dtype=torch.float32, PLANES=padded, BAND=band)
+        program = device.program(
+            "matching/semi_global", dtype=torch.float32, PLANES=padded, BAND=band
+        )
         size = (height * width,)
         program.run("pick_plane", size, None, aggregated, index, confidence, np.int32(planes))
     return index.read().clone(), confidence.read().clone()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from core_rasterizer import Device, DeviceError, list_devices, open_device
+from core_rasterizer import Device, ExplainedError, list_devices, open_device
 
 from ..inspection.self_test import self_test
 from .output import Verbs, add_device, add_verb, console
@@ -49,7 +49,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _judge(device: Device) -> tuple[bool, str]:
     try:
         verdict = self_test(device)
-    except DeviceError as error:
+    except ExplainedError as error:
         return False, f"FAILED: {error.what}"
+    except (
+        Exception
+    ) as error:  # a broken driver may raise anything; the other devices are tested all the same
+        return False, f"FAILED: {type(error).__name__}: {error}"
     numbers = f"image error {verdict.image_error:.1e}, gradient error {verdict.gradient_error:.1e}"
     return verdict.passed, f"{'passed' if verdict.passed else 'FAILED'}, {numbers}"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Generic
+from typing import Any, ClassVar, Generic, get_args
 
 import pydantic
 import torch
@@ -44,21 +44,60 @@ class Context:
     device: Device
 
 
+@dataclass(frozen=True, eq=False)
+class ParameterGroup:
+    """Numbers of a component's own that the host trains beside the Gaussians.
+
+    Args:
+        name: unique within the component.
+        tensors: torch leaves that require a gradient; the same ones at every call.
+        learning_rate: of Adam (`torch.optim.Adam` with its usual betas and epsilon), >= 0.
+    """
+
+    name: str
+    tensors: Sequence[Tensor]
+    learning_rate: float
+
+
 class Component(Generic[SettingsType]):
-    """Base of all plugins. A subclass may define a nested `Settings` class of its own."""
+    """Base of all plugins: `class Mine(Regularizer[MySettings])` has settings of type `MySettings`.
+
+    Attributes:
+        Settings: the model of the settings, taken from the brackets behind the base class.
+        settings: this component's own.
+        context: what the host gave it.
+        generator: for every random number; seeded from the run's seed and the component's name, and
+            saved with checkpoints.
+    """
 
     Settings: ClassVar[type[Settings]] = Settings
     ablation_baseline: ClassVar[str | None] = None
     """What stands in its place where an ablation switches it off, as a pipeline writes a component:
     "name", or "{use: name, ...}". None: nothing does."""
 
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        super().__init_subclass__(**arguments)
+        if "Settings" not in cls.__dict__:
+            written = [
+                argument
+                for base in cls.__dict__.get("__orig_bases__", ())
+                for argument in get_args(base)
+                if isinstance(argument, type) and issubclass(argument, Settings)
+            ]
+            if written:
+                cls.Settings = written[0]
+
     def __init__(self, settings: SettingsType, context: Context) -> None:
         self.settings = settings
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)
 
+    def parameters(self) -> Sequence[ParameterGroup]:
+        """Numbers of one's own that take part in the loss; the host steps and saves them."""
+        return ()
+
     def state(self) -> dict[str, Tensor]:
-        """Running state to be saved in a checkpoint, beside the random generator's."""
+        """Running state to be saved in a checkpoint, beside the generator's and the parameters'."""
         return {}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:

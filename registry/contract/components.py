@@ -7,7 +7,7 @@ host applies the answer to parameters, optimizer moments and every component's p
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -18,8 +18,8 @@ from core_rasterizer import Edit, GaussianModel, Rendering
 
 from .component import Component, SettingsType
 from .prior import Prior
-from .scene import PointCloud, Scene, View
-from .step import Step
+from .scene import PointCloud, Scene, TrainingScene, View
+from .step import Sample, Step
 
 
 class SceneLoader(Component[SettingsType], ABC):
@@ -53,16 +53,54 @@ class Initializer(Component[SettingsType], ABC):
     """Makes the points that Gaussians start from."""
 
     @abstractmethod
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return at least one point. May look at the training views only."""
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+        """Return at least one point."""
+
+
+class Sampler(Component[SettingsType], ABC):
+    """Chooses or changes what an iteration learns from: the view, its camera, target, background."""
+
+    @abstractmethod
+    def sample(self, step: Step, sample: Sample) -> Sample:
+        """Return the sample, changed or not.
+
+        Args:
+            step: before the render.
+            sample: what the host drew, or what the sampler before this one returned.
+        """
+
+
+class Appearance(Component[SettingsType], ABC):
+    """Changes the rendered colours before they are compared, for example by a photograph's exposure."""
+
+    @abstractmethod
+    def colors(self, step: Step, rgb: Tensor) -> Tensor:
+        """Return `[H, W, 3]` colours in autograd.
+
+        Args:
+            rgb: the render's, `[H, W, 3]`, or what the appearance before this one returned.
+        """
 
 
 class Regularizer(Component[SettingsType], ABC):
     """Adds a term to the loss. Its weight and schedule belong to the pipeline, not to it."""
 
+    @property
+    def moves(self) -> Collection[str] | None:
+        """Parameter groups that a step of this term alone moves (`step: alone`); None means all.
+
+        Of the names in `core_rasterizer.layout.PARAMETER_GROUPS`. The others keep their values and
+        their moments.
+        """
+        return None
+
     @abstractmethod
     def loss(self, step: Step) -> Tensor:
-        """Return a scalar that takes part in autograd, finite."""
+        """Return a scalar that takes part in autograd, finite.
+
+        With `step: alone` it is asked before the iteration's own render: `step.rendering` is then
+        made when it is first looked at, without modifiers.
+        """
 
 
 class Modifier(Component[SettingsType], ABC):
@@ -74,7 +112,7 @@ class Modifier(Component[SettingsType], ABC):
 
 
 class Densification(Component[SettingsType], ABC):
-    """Decides where Gaussians are added and removed."""
+    """Decides where Gaussians are added, split, moved and removed."""
 
     @abstractmethod
     def refine(self, step: Step) -> Edit | None:
@@ -103,6 +141,14 @@ class OpacityPolicy(Component[SettingsType], ABC):
     @abstractmethod
     def update(self, step: Step) -> OpacityUpdate | None:
         """Return the update that is due, or None. Called after the backward pass, when scheduled."""
+
+
+class Perturbation(Component[SettingsType], ABC):
+    """Moves parameters after the optimizer's step, for example by noise."""
+
+    @abstractmethod
+    def offsets(self, step: Step) -> Mapping[str, Tensor]:
+        """Return what is to be added, by parameter name, in the shapes of `model.read`; may be empty."""
 
 
 @dataclass(frozen=True)

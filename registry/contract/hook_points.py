@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from . import components as c
 from .component import Component
 from .prior import Prior
 
-API_VERSION = 1
-"""Version of the plugin API. Raised when a plugin written for the one before would break."""
+API_VERSION = 2
+"""Version of the plugin API. Raised when it grows; a plugin says which one it needs.
+
+2: samplers, appearances, perturbations, parameters of components, terms stepped alone, several fields,
+edits that add, relocate and split into more than two, optical flow and matches; components see a
+scene without test views and true depth.
+"""
+OLDEST_API = 1
+"""Plugins written for versions from this one on still work."""
 
 
 @dataclass(frozen=True)
@@ -22,17 +29,17 @@ class HookPoint:
         title: what a component of this kind is called in messages.
         hook: the hook through which plugins offer components.
         base: the class that a component derives from.
-        many: the section holds a list; otherwise a single component.
+        holds: whether the section holds one component, a list, or either as it is written.
         required: a pipeline cannot do without.
         scheduled: the host lends `start`, `stop` and `every`.
-        weighted: the host lends `weight`.
+        weighted: the host lends `weight` and `step`.
     """
 
     section: str
     title: str
     hook: str
     base: type[Component[Any]]
-    many: bool = True
+    holds: Literal["one", "list", "one or list"] = "list"
     required: bool = False
     scheduled: bool = False
     weighted: bool = False
@@ -42,9 +49,9 @@ class HookPoint:
         """Settings that belong to the host; a component may not define them."""
         names: tuple[str, ...] = ("use", "name", "enabled")
         if self.weighted:
-            names += ("weight",)
+            names += ("weight", "step")
         if self.scheduled:
-            names += ("start", "stop", "every")
+            names += ("start", "stop", "every", "phase")
         return names
 
 
@@ -54,7 +61,7 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         "scene loader",
         "stereogs_register_scenes",
         c.SceneLoader,
-        many=False,
+        holds="one",
         required=True,
     ),
     HookPoint(
@@ -62,10 +69,14 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         "initializer",
         "stereogs_register_initializers",
         c.Initializer,
-        many=False,
+        holds="one",
         required=True,
     ),
     HookPoint("priors", "prior", "stereogs_register_priors", Prior),
+    HookPoint("samplers", "sampler", "stereogs_register_samplers", c.Sampler, scheduled=True),
+    HookPoint(
+        "appearances", "appearance", "stereogs_register_appearances", c.Appearance, scheduled=True
+    ),
     HookPoint(
         "regularizers",
         "regularizer",
@@ -80,7 +91,7 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         "densification",
         "stereogs_register_densifications",
         c.Densification,
-        many=False,
+        holds="one or list",
         scheduled=True,
     ),
     HookPoint(
@@ -88,7 +99,14 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         "opacity policy",
         "stereogs_register_opacity_policies",
         c.OpacityPolicy,
-        many=False,
+        holds="one or list",
+        scheduled=True,
+    ),
+    HookPoint(
+        "perturbations",
+        "perturbation",
+        "stereogs_register_perturbations",
+        c.Perturbation,
         scheduled=True,
     ),
     HookPoint("metrics", "metric", "stereogs_register_metrics", c.ViewMetric),

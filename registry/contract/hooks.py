@@ -45,6 +45,16 @@ def stereogs_register_priors(register: Register[Prior[Any]]) -> None:
 
 
 @hookspec
+def stereogs_register_samplers(register: Register[c.Sampler[Any]]) -> None:
+    """Offer samplers: what an iteration learns from, before its render."""
+
+
+@hookspec
+def stereogs_register_appearances(register: Register[c.Appearance[Any]]) -> None:
+    """Offer changes of the rendered colours before they are compared."""
+
+
+@hookspec
 def stereogs_register_regularizers(register: Register[c.Regularizer[Any]]) -> None:
     """Offer loss terms beside the photometric one."""
 
@@ -56,12 +66,17 @@ def stereogs_register_modifiers(register: Register[c.Modifier[Any]]) -> None:
 
 @hookspec
 def stereogs_register_densifications(register: Register[c.Densification[Any]]) -> None:
-    """Offer policies that clone, split and prune."""
+    """Offer policies that add, clone, split, move and prune."""
 
 
 @hookspec
 def stereogs_register_opacity_policies(register: Register[c.OpacityPolicy[Any]]) -> None:
     """Offer policies that reset or decay opacities."""
+
+
+@hookspec
+def stereogs_register_perturbations(register: Register[c.Perturbation[Any]]) -> None:
+    """Offer moves of parameters after the optimizer's step."""
 
 
 @hookspec

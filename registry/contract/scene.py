@@ -13,8 +13,9 @@ from torch import Tensor
 
 from core_rasterizer import Camera
 
-from ..errors import SceneError
+from ..errors import PluginError, SceneError
 from .fact import Fact, FactValue
+from .maps import DepthMap
 
 _FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _ROTATION_TOLERANCE = 1e-4
@@ -36,6 +37,8 @@ class PointCloud:
         opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
         facts: what the maker of the points wants people to know; goes into the results.
         pictures: `[H, W, 3]` in [0, 1] by file name without ending; the run keeps them as PNG.
+        maps: what is known of each training view's depth, by the view's name, for components that
+            train on it (`Step.maps`); empty if the initializer knows nothing.
     """
 
     positions: Tensor
@@ -44,29 +47,99 @@ class PointCloud:
     opacities: Tensor | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     pictures: Mapping[str, Tensor] = field(default_factory=dict)
+    maps: Mapping[str, DepthMap] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.positions.shape[0])
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """One photograph and the camera that took it.
+class TrainingView:
+    """One photograph and the camera that took it, as components see it while they train.
 
     Args:
         name: unique within the scene; used as a file name for renders.
         camera: pose and intrinsics; its size is the size of `image`.
         image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background.
         mask: `[H, W]` bool, True where pixels count in metrics; None where all do.
-        depth: `[H, W]` float32 true z-depth where a data set knows it (0 = unknown); for
-            evaluation only, no component trains on it.
+        alpha: `[H, W]` float32 in [0, 1], how much of each pixel the photographed object covers;
+            None where the photograph does not say.
     """
 
     name: str
     camera: Camera
     image: Tensor
     mask: Tensor | None = None
+    alpha: Tensor | None = None
+
+    @property
+    def depth(self) -> Tensor | None:
+        """Not to be had: true depth is for evaluation (`View.depth`).
+
+        Raises:
+            PluginError: always.
+        """
+        raise PluginError(
+            f"the true depth of the training view {self.name!r} was asked for; it is for evaluation",
+            fix="train on photographs, or on depth that a prior or the initializer estimates",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class View(TrainingView):
+    """A photograph as evaluation sees it.
+
+    Args:
+        depth: `[H, W]` float32 true z-depth where a data set knows it (0 = unknown).
+    """
+
     depth: Tensor | None = None
+
+    def for_training(self) -> TrainingView:
+        """The same photograph without its truth."""
+        return TrainingView(self.name, self.camera, self.image, self.mask, self.alpha)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingScene:
+    """What initializers and training may know of a scene: no test views, no true depth.
+
+    Args:
+        name: for messages.
+        train: the photographs to learn from; at least one.
+        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
+        points: sparse points seen by the training views alone, or None.
+        background: colour behind the scene, three numbers in [0, 1].
+    """
+
+    name: str
+    train: tuple[TrainingView, ...]
+    bounds: tuple[float, float]
+    points: PointCloud | None = None
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def extent(self) -> float:
+        """1.1 times the largest distance of a training camera from their mean (3DGS), world units.
+
+        A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
+        so that learning rates do not vanish.
+        """
+        centers = torch.stack([view.camera.center for view in self.train])
+        radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
+
+    @property
+    def test(self) -> tuple[View, ...]:
+        """Not to be had: training never sees a test view.
+
+        Raises:
+            PluginError: always.
+        """
+        raise PluginError(
+            "the test views were asked for; they are for evaluation",
+            fix="use scene.train: what learns from test views cannot be scored on them",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +167,13 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """1.1 times the largest distance of a training camera from their mean (3DGS), world units.
+        """The extent of its training cameras (`TrainingScene.extent`), world units."""
+        return self.for_training().extent
 
-        A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
-        so that learning rates do not vanish.
-        """
-        centers = torch.stack([view.camera.center for view in self.train])
-        radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
-        return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
+    def for_training(self) -> TrainingScene:
+        """What components may see of it before evaluation."""
+        views = tuple(view.for_training() for view in self.train)
+        return TrainingScene(self.name, views, self.bounds, self.points, self.background)
 
     def fact(self, name: str) -> FactValue:
         """The value of the fact of that name; KeyError if there is none."""
@@ -115,9 +187,9 @@ def validate(scene: Scene) -> Scene:
         SceneError: no training view; a repeated or unsafe name; two training views from one pose; a
             rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
             size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
-            bool, does not fit or leaves no pixel; a depth that does not fit or is not finite; points
-            that are not finite or have colours outside [0, 1]; bounds out of order; two facts of one
-            name, or a fact that JSON cannot say.
+            bool, does not fit or leaves no pixel; an alpha that does not fit or is not in [0, 1]; a
+            depth that does not fit or is not finite; points that are not finite or have colours
+            outside [0, 1]; bounds out of order; two facts of one name, or a fact that JSON cannot say.
     """
     if not scene.train:
         raise SceneError(
@@ -193,7 +265,7 @@ def _validate_camera(camera: Camera, where: str) -> None:
 
 def _validate_maps(view: View, where: str) -> None:
     """The mask and the depth."""
-    for name, array in (("mask", view.mask), ("depth", view.depth)):
+    for name, array in (("mask", view.mask), ("alpha", view.alpha), ("depth", view.depth)):
         if array is not None and array.shape != view.image.shape[:2]:
             raise SceneError(
                 f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
@@ -205,6 +277,10 @@ def _validate_maps(view: View, where: str) -> None:
         raise SceneError(
             "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
         )
+    if view.alpha is not None:
+        low, high = view.alpha.aminmax()
+        if not 0 <= low <= high <= 1:
+            raise SceneError("the alpha has values outside [0, 1] or not finite", where=where)
     if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
         raise SceneError("the depth has values that are negative or not finite", where=where)
 

@@ -36,7 +36,7 @@ def self_test(device: Device) -> Verdict:
     """Render 300 Gaussians and differentiate the image, on the device and by the reference.
 
     Raises:
-        DeviceError: the device refused the kernels.
+        DeviceError: the device could not be opened, or refused the kernels.
     """
     gaussians, camera = _scene()
     weights = torch.rand(camera.height, camera.width, 3, generator=_generator())

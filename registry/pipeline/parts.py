@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +12,15 @@ from torch import Tensor
 from core_rasterizer import Device
 
 from ..contract.component import Component, Context
+from ..contract.hook_points import HOOK_POINTS
 from ..contract.prior import Prior
 from ..errors import RunError
 from .blame import blame
 from .pipeline import Item, Pipeline
 from .seeding import derived_seed
+
+TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.scheduled)
+"""The sections whose components are asked within the training loop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +40,31 @@ class Parts:
     """
 
     def __init__(self, pipeline: Pipeline, device: Device) -> None:
+        self._pipeline, self._device = pipeline, device
         self._parts = {
             section: tuple(build_part(item, pipeline.training.seed, device) for item in items)
             for section, items in pipeline.items.items()
         }
+
+    def for_field(self, index: int) -> Parts:
+        """The same pipeline for another field of Gaussians.
+
+        What trains is built anew, with random numbers of its own; what a run has once is shared.
+
+        Args:
+            index: the field's number, from 1 on; 0 is this one.
+        """
+        other = copy(self)
+        other._parts = {
+            section: tuple(
+                build_part(part.item, self._pipeline.training.seed, self._device, field=index)
+                for part in parts
+            )
+            if section in TRAINING_SECTIONS
+            else parts
+            for section, parts in self._parts.items()
+        }
+        return other
 
     def __getitem__(self, section: str) -> tuple[Part, ...]:
         return self._parts[section]
@@ -105,13 +131,17 @@ class Parts:
                 part.component.restore(own)
 
 
-def build_part(item: Item, seed: int, device: Device) -> Part:
+def build_part(item: Item, seed: int, device: Device, *, field: int = 0) -> Part:
     """Build one component, with a seed derived from `seed` and its name.
+
+    Args:
+        field: number of the field of Gaussians that it works for.
 
     Raises:
         PluginError: it failed while it was built.
     """
-    context = Context(item.name, derived_seed(seed, item.qualified_name), device)
+    name = f"{item.qualified_name}/{field}" if field else item.qualified_name
+    context = Context(item.name, derived_seed(seed, name), device)
     with blame(item):
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)

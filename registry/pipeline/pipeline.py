@@ -86,10 +86,8 @@ class Pipeline:
             tree["protocol"] = self.protocol.written
         for point in HOOK_POINTS:
             written = [_written(item) for item in self.items[point.section]]
-            if point.many:
-                tree[point.section] = written
-            else:
-                tree[point.section] = written[0] if written else None
+            bare = point.holds == "one" or (point.holds == "one or list" and len(written) < 2)
+            tree[point.section] = (written[0] if written else None) if bare else written
         tree["training"] = self.training.model_dump(mode="json")
         return to_yaml(escape_variables(tree))
 
@@ -181,16 +179,16 @@ def _section(
 ) -> tuple[Item, ...]:
     if node is None or node.content is None:
         written: list[Node] = []
-    elif not point.many:
-        if isinstance(node.content, list):
+    elif isinstance(node.content, list):
+        if point.holds == "one":
             raise PipelineError(
                 f"{point.section} holds a single {point.title}, not a list",
                 where=str(node.place),
                 fix="write one component; set its `use` and settings without a dash",
             )
-        written = [node]
-    elif isinstance(node.content, list):
         written = node.content
+    elif point.holds != "list":
+        written = [node]
     else:
         raise PipelineError(
             f"{point.section} must be a list, not {node.kind}",
@@ -253,7 +251,7 @@ def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> It
 
 def _label(point: HookPoint, mapping: dict[str, Node]) -> str:
     """The component's path in the pipeline, for messages: "scene", "regularizers.stereo_depth"."""
-    if not point.many:
+    if point.holds == "one":
         return point.section
     name = next((mapping[key].content for key in ("name", "use") if key in mapping), None)
     return f"{point.section}.{name}" if isinstance(name, str) else point.section

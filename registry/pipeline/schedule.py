@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import pydantic
 
@@ -18,8 +18,9 @@ _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
 class Schedule(Settings):
     """The iterations in which a component is called.
 
-    Due exactly when start <= iteration <= stop and iteration is a multiple of `every`. Iterations
-    count from 1. With `start: 500, every: 100` the first call is at 500. In a pipeline, all three may
+    Due exactly when start <= iteration <= stop and iteration is `phase` more than a multiple of
+    `every`. Iterations count from 1. With `start: 500, every: 100` the first call is at 500; with
+    `start: 2001, every: 3000, phase: 2001` calls are at 2001, 5001, 8001. In a pipeline, all four may
     also be written as a share of `training.iterations`, such as `50%`.
     """
 
@@ -28,7 +29,9 @@ class Schedule(Settings):
     stop: Annotated[int, pydantic.Field(ge=1)] | None = None
     """The last iteration that may be due; null means the end of training."""
     every: Annotated[int, pydantic.Field(ge=1)] = 1
-    """Due only in multiples of this."""
+    """Due only in multiples of this, shifted by `phase`."""
+    phase: Annotated[int, pydantic.Field(ge=0)] = 0
+    """What remains of a due iteration when `every` is taken away as often as it can be."""
 
     @pydantic.model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -38,7 +41,8 @@ class Schedule(Settings):
 
     def due(self, iteration: int) -> bool:
         """Whether the component is called in this iteration."""
-        return iteration % self.every == 0 and iteration >= self.start and not self.over(iteration)
+        in_turn = (iteration - self.phase) % self.every == 0
+        return in_turn and iteration >= self.start and not self.over(iteration)
 
     def over(self, iteration: int) -> bool:
         """Whether neither this iteration nor a later one is due."""
@@ -56,6 +60,9 @@ class HostSettings(Schedule):
     """False switches the component off, as if it were not written."""
     weight: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 1.0
     """Factor of a regularizer's term in the loss."""
+    step: Literal["together", "alone"] = "together"
+    """A regularizer's term joins the loss, or has a backward pass and an optimizer step of its own,
+    before the iteration's own render, in the order of the pipeline."""
 
 
 def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
@@ -65,7 +72,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
     """
     result = dict(settings)
     shares: list[Node] = []
-    for name in ("start", "stop", "every"):
+    for name in ("start", "stop", "every", "phase"):
         node = settings.get(name)
         share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
         if node and share:

@@ -46,11 +46,20 @@ class TrainingSettings(Settings):
     sh_every: Positive = 1000
     """Iterations until the next band comes into use."""
     ssim_weight: Annotated[float, Field(ge=0, le=1)] = 0.2
-    """Share of D-SSIM in the photometric loss; the rest is L1."""
+    """Weight of D-SSIM in the photometric loss."""
+    l1_weight: Rate | None = None
+    """Weight of L1 in the photometric loss; null makes it what `ssim_weight` leaves of 1 (3DGS)."""
+    dilation: Rate = 0.3
+    """Square pixels added to the variance of every Gaussian's picture (3DGS)."""
+    compensate_dilation: bool = False
+    """Lower opacities so that the dilation adds no light (Mip-Splatting, Yu et al. 2024)."""
     initial_opacity: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Of the first Gaussians, where the initializer gives none."""
     learning_rates: LearningRates = LearningRates()
     """Adam's step sizes."""
+    fields: Positive = 1
+    """Fields of Gaussians that are trained in lock-step from the same points, each with an optimizer,
+    policies and random numbers of its own; losses and policies see the others. The first is scored."""
     max_gaussians: Positive | None = None
     """No densification goes beyond this number; null means no limit."""
     checkpoint_every: Count = 0

@@ -9,47 +9,19 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
+from ..cache import content_key
 from ..contract.component import SettingsType
+from ..contract.maps import DepthMap, Disparity
 from ..contract.prior import Prior
-from ..contract.scene import View
+from ..contract.scene import TrainingView
 from ..drawing.pictures import nearness_picture
 from ..errors import PluginError
-from .prior_cache import PriorCache, code_digest, content_key
-
-
-@dataclass(frozen=True, eq=False)
-class Disparity:
-    """A rectified pair's disparity on the grid of the image that it was asked for.
-
-    Args:
-        values: `[H, W]` float32 pixels, > 0 where valid and 0 elsewhere. The left image's pixel
-            (u, v) shows what the right image shows at (u - values[v, u], v).
-        valid: `[H, W]` bool.
-    """
-
-    values: Tensor
-    valid: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """A view's depth.
-
-    Args:
-        depth: `[H, W]` float32 z-depth in world units, > 0 where valid and 0 elsewhere.
-        valid: `[H, W]` bool.
-        confidence: `[H, W]` float32 in [0, 1]; 0 where not valid.
-    """
-
-    depth: Tensor
-    valid: Tensor
-    confidence: Tensor
+from .prior_cache import PriorCache, code_digest
 
 
 class StereoPrior(Prior[SettingsType]):
@@ -107,7 +79,9 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     capability: ClassVar[str] = "multi_view_depth"
 
     @abstractmethod
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         """Return one depth map for each view, in order; unknown depths may be 0 or not finite.
 
         Args:
@@ -119,7 +93,7 @@ class MultiViewDepthPrior(Prior[SettingsType]):
         """What answers depend on beside settings and code: a model file's hash, a device."""
         return ""
 
-    def depths(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def depths(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> list[DepthMap]:
         """One depth map for each view, from the disk cache if the same question was asked before.
 
         Raises:
@@ -130,7 +104,7 @@ class MultiViewDepthPrior(Prior[SettingsType]):
                 f"multi-view depth needs two views, there is {len(views)}",
                 fix="use more training views, or an initializer without a prior",
             )
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)),
             self.settings.model_dump_json(),
@@ -178,7 +152,7 @@ class MonocularDepthPrior(Prior[SettingsType]):
         Raises:
             PluginError: the answer has the wrong shape or values that are not finite.
         """
-        cache = PriorCache.default(self.context.name)
+        cache = PriorCache(self.context.name)
         key = content_key(
             code_digest(type(self)), self.settings.model_dump_json(), self.fingerprint(), image
         )
@@ -218,7 +192,7 @@ def _disparity(answer: Any, image: Tensor) -> Disparity:
     return Disparity(torch.where(valid, values, 0.0), valid)
 
 
-def _depth_map(answer: Any, view: View) -> DepthMap:
+def _depth_map(answer: Any, view: TrainingView) -> DepthMap:
     for name in ("depth", "valid", "confidence"):
         _check_map(name, getattr(answer, name, None), view.image)
     depth, confidence = answer.depth.detach().float(), answer.confidence.detach().float()
@@ -228,7 +202,7 @@ def _depth_map(answer: Any, view: View) -> DepthMap:
     )
 
 
-def _content(view: View) -> tuple[Tensor | None, ...]:
+def _content(view: TrainingView) -> tuple[Tensor | None, ...]:
     """Everything of a view that an estimate may depend on."""
     return view.image, view.mask, view.camera.world_to_camera, view.camera.intrinsics
 

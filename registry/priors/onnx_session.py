@@ -111,5 +111,5 @@ def _processors() -> int:
 
 
 def first_line(error: Exception) -> str:
-    """What an exception of onnxruntime says, without the trace that may follow."""
+    """What an exception of a library in C++ says, without the trace that may follow."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]

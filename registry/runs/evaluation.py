@@ -12,13 +12,13 @@ import torch
 from core_rasterizer import GaussianModel, Rendering
 
 from ..contract.answers import check_score
-from .average_error import AVERAGE_ERROR, average_error
-from ..pipeline.blame import blame
 from ..contract.components import AverageErrorRole, Unavailable
-from ..pipeline.parts import Part
-from ..drawing.pictures import save_view_pictures
-from ..pipeline.pipeline import Item
 from ..contract.scene import Scene, View
+from ..drawing.pictures import save_view_pictures
+from ..pipeline.blame import blame
+from ..pipeline.parts import Part
+from ..pipeline.pipeline import Item
+from .average_error import AVERAGE_ERROR, average_error
 
 _ROLES: tuple[AverageErrorRole, ...] = get_args(AverageErrorRole)
 """In the order in which `average_error` takes them."""

@@ -21,9 +21,9 @@ from typing import Any
 
 from torch import Tensor
 
+from ..drawing.pictures import save_png
 from ..errors import RunError
 from ..files import new_folder, write_json, write_text
-from ..drawing.pictures import save_png
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"

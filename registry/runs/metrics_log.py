@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .folder import RunFolder
 from ..training.trainer import Iteration
+from .folder import RunFolder
 
 EVERY = 50
 """Iterations that share a line."""

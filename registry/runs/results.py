@@ -10,16 +10,16 @@ from rich.table import Table
 
 from core_rasterizer import GaussianModel
 
-from .average_error import AVERAGE_ERROR
+from ..contract.scene import Scene
 from ..pipeline.blame import blame
-from .evaluation import averaged, evaluate
-from .memory import peak_memory_mb
-from .metrics_log import jsonable
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Item, Pipeline
-from .provenance import describe_device
+from .average_error import AVERAGE_ERROR
+from .evaluation import averaged, evaluate
 from .folder import RunFolder
-from ..contract.scene import Scene
+from .memory import peak_memory_mb
+from .metrics_log import jsonable
+from .provenance import describe_device
 
 RENDERS = "renders"
 EXPORTS = "exports"

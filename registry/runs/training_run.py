@@ -12,24 +12,24 @@ from rich.console import Console
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
+from ..contract.scene import Scene, validate
 from ..errors import RunError
+from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
-from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .evaluation import evaluate
-from ..training.initial_model import initial_gaussians
-from .inputs import changed_inputs, input_digests, listed
-from .interrupt import stop_on_interrupt
-from .metrics_log import MetricsLog
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
+from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..training.initial_model import initial_gaussians, new_model
+from ..training.trainer import Trainer, maps_of
+from .evaluation import evaluate
+from .folder import RunFolder, default_folder
+from .inputs import changed_inputs, input_digests, listed
+from .interrupt import stop_on_interrupt
+from .metrics_log import MetricsLog
 from .progress import TrainingProgress
 from .provenance import provenance
 from .results import finish
-from .folder import RunFolder, default_folder
-from ..contract.scene import Scene, validate
-from ..inspection.scene_facts import summary, warnings
-from ..training.trainer import Trainer
 
 CHECKPOINT = "checkpoint"
 
@@ -87,9 +87,9 @@ def start(
     initializer = parts.one("initializer")
     begin = time.monotonic()
     with blame(initializer.item):
-        points = initializer.component.initialize(scene, parts.priors)
+        points = initializer.component.initialize(scene.for_training(), parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
-    model = GaussianModel(gaussians, device)
+    model = new_model(gaussians, pipeline.training, device)
     run = RunFolder(out or default_folder(f"{pipeline.name}-{scene.name}"))
     run.create(
         pipeline.to_yaml(),
@@ -104,7 +104,7 @@ def start(
     facts |= {name: value for name, value in points.facts.items() if name not in facts}
     run.write_initialization(facts, points.pictures)
     console.print(f"{len(points):,} points; {device.name}; writing {run.path}")
-    trainer = Trainer(pipeline.training, parts, scene, model)
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
     return run, _train_to_end(run, pipeline, trainer, 0.0, console)
 
 
@@ -130,7 +130,13 @@ def resume(
     opened = open_run(
         path, plugins=plugins, device=device, accept_changed_inputs=accept_changed_inputs
     )
-    trainer = Trainer(opened.pipeline.training, opened.parts, opened.scene, opened.model)
+    trainer = Trainer(
+        opened.pipeline.training,
+        opened.parts,
+        opened.scene,
+        opened.model,
+        maps_of(opened.checkpoint.part("maps")),
+    )
     trainer.restore(opened.checkpoint.iteration, opened.checkpoint.part)
     opened.keep_changes()
     opened.run.forget_metrics_after(opened.checkpoint.iteration)
@@ -155,7 +161,6 @@ def open_run(
     checkpoint = load_checkpoint(path / CHECKPOINT)
     parts = Parts(pipeline, device)
     scene = load_scene(parts)
-    model = GaussianModel(Gaussians(**checkpoint.part("model")), device)
     before, _ = run.inputs()
     changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
     if changed and not accept_changed_inputs:
@@ -164,6 +169,8 @@ def open_run(
             where=str(path),
             fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
         )
+    gaussians = Gaussians(**checkpoint.part("model"))
+    model = new_model(gaussians, pipeline.training, device)
     return Opened(run, pipeline, parts, scene, model, checkpoint, changed)
 
 

@@ -6,7 +6,7 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from core_rasterizer import Gaussians
+from core_rasterizer import Device, GaussianModel, Gaussians
 
 from ..contract.scene import PointCloud
 from ..errors import SceneError
@@ -37,6 +37,20 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
         opacities = torch.full((count,), settings.initial_opacity)
     return Gaussians.from_points(
         points.positions, points.colors, scales, opacities, settings.sh_degree
+    )
+
+
+def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) -> GaussianModel:
+    """Gaussians on a device, rendered as the settings say.
+
+    Raises:
+        GaussianError: a parameter is not finite.
+    """
+    return GaussianModel(
+        gaussians,
+        device,
+        dilation=settings.dilation,
+        compensate_dilation=settings.compensate_dilation,
     )
 
 

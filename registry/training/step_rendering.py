@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
-from ..contract.scene import Scene
+from ..contract.step import Sample
 from ..errors import PluginError
 
 
 class StepRenderer:
-    """What components call as `step.render`: another camera, the same Gaussians."""
+    """What components call as `step.render`; see `registry.contract.step.Render`.
 
-    def __init__(self, model: GaussianModel, scene: Scene, sh_degree: int) -> None:
-        self._model, self._scene, self._sh_degree = model, scene, sh_degree
+    Args:
+        sample: the iteration's, whose background and bands are taken unless a call says others.
+        gradients: False for what may be looked at only.
+    """
 
-    def __call__(self, camera: Camera, *, gradient: bool = True) -> Rendering:
-        """Render `camera` on the scene's background, with the bands in use; modifiers do not apply.
+    def __init__(self, model: GaussianModel, sample: Sample, *, gradients: bool = True) -> None:
+        self._model, self._sample, self._gradients = model, sample, gradients
 
-        Args:
-            gradient: let gradients flow to the Gaussians.
-        """
-        with torch.set_grad_enabled(gradient and torch.is_grad_enabled()):
+    def __call__(
+        self,
+        camera: Camera,
+        *,
+        gradient: bool = True,
+        background: Sequence[float] | None = None,
+        opacity_scale: Tensor | None = None,
+        detach: Collection[str] = (),
+        sh_degree: float | None = None,
+    ) -> Rendering:
+        """Render `camera`."""
+        wanted = gradient and self._gradients and torch.is_grad_enabled()
+        with torch.set_grad_enabled(wanted):
             return self._model.render(
-                camera, background=self._scene.background, sh_degree=self._sh_degree
+                camera,
+                background=self._sample.background if background is None else background,
+                sh_degree=int(self._sample.sh_degree if sh_degree is None else sh_degree),
+                opacity_scale=opacity_scale,
+                detach=detach,
             )
 
 

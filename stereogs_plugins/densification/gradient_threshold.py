@@ -11,9 +11,6 @@ from pydantic import Field
 from core_rasterizer import Edit
 from registry import Densification, Register, Settings, Step, hookimpl
 
-SPLIT_SHRINK = 1.6
-"""A split makes children that are smaller by this factor (3DGS); the engine does the same."""
-
 
 class GradientThresholdSettings(Settings):
     gradient_threshold: float = Field(2e-4, gt=0)
@@ -45,7 +42,7 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
         clone, split = pulled & ~large, pulled & large
         prune = model.opacities() < settings.min_opacity
         if settings.size_prune_from is not None and step.iteration > settings.size_prune_from:
-            size_after = size.where(~split, size / SPLIT_SHRINK)
+            size_after = size.where(~split, size / Edit.shrink)
             prune = prune | (size_after > settings.max_size * step.extent)
         survivors = ~prune
         added = int((survivors & (clone | split)).sum())

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from core_rasterizer import load_points
-from registry import Initializer, PointCloud, Prior, Register, Scene, SceneError, Settings, hookimpl
+from registry import (
+    Initializer,
+    PointCloud,
+    Prior,
+    Register,
+    SceneError,
+    Settings,
+    TrainingScene,
+    hookimpl,
+)
 
 
 class PlySettings(Settings):
@@ -24,7 +33,7 @@ class PlyInitializer(Initializer[PlySettings]):
     Settings = PlySettings
     ablation_baseline = "sfm"
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return the file's points.
 
         Raises:

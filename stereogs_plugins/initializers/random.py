@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from pydantic import Field
 
-from registry import Initializer, PointCloud, Prior, Register, Scene, Settings, hookimpl
+from registry import Initializer, PointCloud, Prior, Register, Settings, TrainingScene, hookimpl
 
 
 class RandomSettings(Settings):
@@ -26,7 +26,7 @@ class RandomInitializer(Initializer[RandomSettings]):
     Settings = RandomSettings
     ablation_baseline = "sfm"
 
-    def initialize(self, scene: Scene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return `count` points; the component's generator decides where."""
         count = self.settings.count
         choice = torch.randint(len(scene.train), (count,), generator=self.generator)
@@ -38,12 +38,8 @@ class RandomInitializer(Initializer[RandomSettings]):
         for index, view in enumerate(scene.train):
             mine = choice == index
             camera = view.camera
-            x, y, z = u[mine] * camera.width, v[mine] * camera.height, depth[mine]
-            local = torch.stack(
-                [(x - camera.cx) / camera.fx * z, (y - camera.cy) / camera.fy * z, z], dim=1
-            )
-            pose = camera.camera_to_world
-            positions[mine] = (local @ pose[:3, :3].T + pose[:3, 3]).float()
+            x, y = u[mine] * camera.width, v[mine] * camera.height
+            positions[mine] = camera.unproject(x, y, depth[mine]).float()
             colors[mine] = view.image[y.long(), x.long()]
         return PointCloud(positions=positions, colors=colors)
 

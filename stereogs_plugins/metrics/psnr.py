@@ -6,18 +6,16 @@ import math
 
 from torch import Tensor
 
-from registry import Metric, Register, SceneError, hookimpl
-
-from ._images import ImageSettings
+from registry import ImageMetricSettings, Metric, Register, SceneError, hookimpl
 
 MIN_ERROR = 1e-10
 """Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""
 
 
-class PSNR(Metric[ImageSettings]):
+class PSNR(Metric[ImageMetricSettings]):
     """Over all pixels and channels; with a mask, over the pixels inside it."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
     unit = "dB"
     average_error_role = "peak_signal_to_noise_ratio"
 

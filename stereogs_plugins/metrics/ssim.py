@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
 from torch import Tensor
 
-from registry import Metric, Register, hookimpl
-
-from ._images import ImageSettings, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
 
 OFFSETS = np.arange(-5, 6)
 SIGMA = 1.5
@@ -23,10 +20,10 @@ C1, C2 = 0.01**2, 0.03**2
 Image = np.ndarray[Any, Any]
 
 
-class SSIM(Metric[ImageSettings]):
+class SSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
     average_error_role = "structural_similarity"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
@@ -46,6 +43,8 @@ class SSIM(Metric[ImageSettings]):
 
 
 def _blur(image: Image) -> Image:
+    from scipy.ndimage import correlate1d  # type: ignore[attr-defined]
+
     window = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))
     rows = correlate1d(image, window / window.sum(), axis=0, mode="constant")
     blurred: Image = correlate1d(rows, window / window.sum(), axis=1, mode="constant")

@@ -5,22 +5,21 @@ A uniform 7x7 window, sample covariance, mean over the image without a border of
 
 from __future__ import annotations
 
-from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from registry import Metric, Register, hookimpl
-
-from ._images import ImageSettings, white_outside
+from registry import ImageMetricSettings, Metric, Register, hookimpl, white_outside
 
 
-class ScikitImageSSIM(Metric[ImageSettings]):
+class ScikitImageSSIM(Metric[ImageMetricSettings]):
     """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
 
-    Settings = ImageSettings
+    Settings = ImageMetricSettings
     average_error_role = "structural_similarity"
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1. The images must be at least 7x7."""
+        from skimage.metrics import structural_similarity
+
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)

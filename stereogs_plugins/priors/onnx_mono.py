@@ -9,11 +9,15 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from registry import Context, MonocularDepthPrior, PluginError, Register, hookimpl
-
-from ._fitting import stretched
-from ._model_settings import ModelSettings
-from ._value_ranges import ValueRange, in_range
+from registry import (
+    Context,
+    MonocularDepthPrior,
+    OnnxModelSettings,
+    PluginError,
+    Register,
+    hookimpl,
+)
+from registry.image_fitting import ValueRange, in_range, stretched
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
 
@@ -33,7 +37,7 @@ FAMILIES: dict[FamilyName, MonoFamily] = {
 }
 
 
-class OnnxMonoSettings(ModelSettings):
+class OnnxMonoSettings(OnnxModelSettings):
     family: FamilyName = "depth_anything_v2"
     """What the network is: how its image is resized and normalized (docs/prior_models.md)."""
     input: str | None = None

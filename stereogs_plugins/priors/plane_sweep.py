@@ -29,17 +29,16 @@ from core_rasterizer.matching import (
 from registry import (
     Context,
     DepthMap,
+    LearnedFeatures,
     MultiViewDepthPrior,
     PluginError,
     Register,
     Settings,
     Sha256,
-    View,
+    TrainingView,
     grey,
     hookimpl,
 )
-
-from ._learned_features import LearnedFeatures
 
 _SMALLEST_BASELINE = 1e-4
 """Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
@@ -99,7 +98,9 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         model = self._features.fingerprint if self._features else ""
         return f"{device.platform} {device.name} {device.driver} {device.variant} {model}"
 
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         """Return one depth map for each view.
 
         A depth is valid where the point projects into another view that it was compared with. No view
@@ -129,7 +130,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         return maps
 
     def _sweep(
-        self, views: Sequence[View], greys: Sequence[Tensor], inverse_depths: Tensor
+        self, views: Sequence[TrainingView], greys: Sequence[Tensor], inverse_depths: Tensor
     ) -> ZnccSweep | FeatureSweep:
         device, share = self.context.device, self.settings.second_share
         cameras = [view.camera for view in views]

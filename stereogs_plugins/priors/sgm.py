@@ -27,6 +27,7 @@ from core_rasterizer.matching import (
 )
 from registry import (
     Context,
+    LearnedFeatures,
     OnnxProvider,
     PluginError,
     Register,
@@ -36,8 +37,6 @@ from registry import (
     grey,
     hookimpl,
 )
-
-from ._learned_features import LearnedFeatures
 
 
 class SgmSettings(Settings):

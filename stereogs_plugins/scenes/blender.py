@@ -15,13 +15,22 @@ import pydantic
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, hookimpl
-
-from ._images import BACKGROUNDS, Decoder, ResizeFilter, at_most, find_image, stored_size
-from ._lens import Lens
-from ._loaded_photos import LoadedPhotos
-from ._opengl import world_to_camera
-from ._posed_photos import PosedPhoto
-from ._reading import Finite, Matrix, inside, read_document
+from registry.photos import (
+    BACKGROUNDS,
+    Decoder,
+    Finite,
+    Lens,
+    LoadedPhotos,
+    Matrix4x4,
+    PosedPhoto,
+    ResizeFilter,
+    at_most,
+    find_image,
+    inside,
+    pose_from_opengl,
+    read_document,
+    stored_size,
+)
 
 STANDARD_VIEWS = (2, 16, 26, 55, 73, 76, 86, 93)
 """The eight training views of sparse-view Gaussian splatting; DietNeRF's list has 75 for 76."""
@@ -93,7 +102,7 @@ class BlenderScene(SceneLoader[BlenderSettings]):
 
 class _Frame(pydantic.BaseModel):
     file_path: str
-    transform_matrix: Matrix
+    transform_matrix: Matrix4x4
 
 
 class _Transforms(pydantic.BaseModel):
@@ -121,7 +130,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
         photos[int(number[1])] = PosedPhoto(
             name=f"{split}_{image.stem}",
             path=image,
-            world_to_camera=world_to_camera(frame.transform_matrix, where),
+            world_to_camera=pose_from_opengl(frame.transform_matrix, where),
             lens=lens,
             where=where,
         )

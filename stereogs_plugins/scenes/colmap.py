@@ -8,14 +8,20 @@ from typing import ClassVar
 from pydantic import Field
 
 from registry import Register, Scene, SceneLoader, hookimpl
-
-from ._bounds import estimate_bounds
-from ._colmap_model import ColmapModel, has_model, pose, read_model
-from ._image_source import ImageSourceSettings
-from ._loaded_photos import LoadedPhotos
-from ._posed_photos import PosedPhoto
-from ._reading import inside, view_names
-from ._splits import SplitSettings, split, split_rule
+from registry.photos import (
+    ColmapModel,
+    ImageSourceSettings,
+    LoadedPhotos,
+    PosedPhoto,
+    SplitSettings,
+    estimate_bounds,
+    has_colmap_model,
+    inside,
+    read_colmap_model,
+    split,
+    split_rule,
+    view_names,
+)
 
 _FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
 
@@ -40,7 +46,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether the folder holds a COLMAP model in sparse/0."""
-        return has_model(folder / "sparse" / "0")
+        return has_colmap_model(folder / "sparse" / "0")
 
     def load(self) -> Scene:
         """Return the scene.
@@ -51,7 +57,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         """
         settings = self.settings
         folder = settings.path.expanduser()
-        model = read_model(inside(folder, settings.model, "the setting `model`"), _FIX)
+        model = read_colmap_model(inside(folder, settings.model, "the setting `model`"), _FIX)
         train, test = split(
             len(model.images), settings.test_every, settings.train_views, str(folder)
         )
@@ -75,7 +81,7 @@ def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
         PosedPhoto(
             name=name,
             path=inside(images, image.name, where),
-            world_to_camera=pose(image),
+            world_to_camera=image.world_to_camera,
             lens=model.lens(image),
             where=where,
         )

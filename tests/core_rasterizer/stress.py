@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, Rendering, rasterize, reference
-from core_rasterizer.frames import NEAR_PLANE
+from core_rasterizer.raster import NEAR_PLANE
 from tests.core_rasterizer.scenes import Scene, random_scene
 from tests.core_rasterizer.test_rasterize import NAMES, relative_error, weighted_loss
 

@@ -53,6 +53,28 @@ def test_points_appear_where_the_calibration_says() -> None:
     assert torch.allclose(z, torch.tensor(3.0).double())
 
 
+def test_what_is_unprojected_appears_where_it_came_from() -> None:
+    view = camera(world_to_camera=turned(), cx=17.5)
+    u, v = view.pixel_centers()
+    depth = torch.rand(30, 40, generator=torch.Generator().manual_seed(0)) + 0.5
+    points = view.unproject(u, v, depth)
+    assert points.shape == (30, 40, 3)
+    assert points.dtype == torch.float64
+    for found, expected in zip(view.project(points), (u, v, depth.double()), strict=True):
+        assert torch.allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_a_depth_for_all_pixels_is_broadcast() -> None:
+    points = camera().unproject(torch.tensor([20.0, 45.0]), torch.tensor(9.0), torch.tensor(2.0))
+    assert torch.allclose(points, torch.tensor([[0.0, -0.2, 2.0], [1.0, -0.2, 2.0]]).double())
+
+
+def test_pixel_centers_are_half_integers_in_rows_and_columns() -> None:
+    u, v = camera(width=3, height=2).pixel_centers()
+    assert u.tolist() == [[0.5, 1.5, 2.5]] * 2
+    assert v.tolist() == [[0.5] * 3, [1.5] * 3]
+
+
 def test_the_right_eye_sees_points_shifted_to_the_left() -> None:
     left = camera(world_to_camera=turned())
     right = left.shifted_right(0.3)
@@ -64,6 +86,30 @@ def test_resizing_keeps_the_field_of_view() -> None:
     small = camera().resized(20, 15)
     assert (small.fx, small.fy, small.cx, small.cy) == (25.0, 30.0, 10.0, 7.5)
     assert (small.width, small.height) == (20, 15)
+
+
+def test_a_pose_stays_in_the_graph_of_autograd() -> None:
+    """Through every helper, and as often as `backward` is called; in the pose's own type."""
+    pose = turned().float().requires_grad_()
+    left = camera(world_to_camera=pose)
+    right = left.shifted_right(0.3).resized(20, 15)
+    u, _, z = right.project(torch.tensor([[0.2, -0.1, 2.0]]))
+    for values in (u.sum() + z.sum(), left.center.sum() + left.camera_to_world.sum()):
+        for _ in range(2):
+            pose.grad = None
+            values.backward(retain_graph=True)
+            assert pose.grad is not None
+            assert pose.grad[:3].any()
+            assert not pose.grad[3].any()
+    with torch.no_grad():
+        assert not camera(world_to_camera=pose).world_to_camera.requires_grad
+
+
+def test_a_camera_keeps_the_pose_that_it_was_given() -> None:
+    pose = turned()
+    view = camera(world_to_camera=pose)
+    pose[0, 3] = 9.0
+    assert view.world_to_camera[0, 3] == 0.5
 
 
 @pytest.mark.parametrize(

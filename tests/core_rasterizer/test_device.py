@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pyopencl as cl
 import pytest
 import torch
 
-from core_rasterizer import Device, DeviceError, list_devices, open_device
-from core_rasterizer.device import DeviceArray
+from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
+from core_rasterizer.device import DeviceArray, choice
+from tests.core_rasterizer.test_model import parameters
+
+
+@pytest.fixture
+def no_device_opens(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A driver that lists its devices, but refuses to open any."""
+
+    def refuse(*_: object) -> None:
+        raise cl.RuntimeError("clCreateContext failed: DEVICE_NOT_AVAILABLE")
+
+    monkeypatch.setattr(cl, "Context", refuse)
+    choice._devices.cache_clear()
+    yield
+    choice._devices.cache_clear()
 
 
 def test_a_device_is_chosen_by_part_of_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,4 +62,45 @@ def test_an_empty_array_is_allowed(device: Device) -> None:
 
 def test_a_kernel_that_does_not_build_is_explained(device: Device) -> None:
     with pytest.raises(DeviceError, match="refused the kernels"):
-        device.program("scan", dtype=torch.float32)  # its macros are missing
+        device.program("raster/scan", dtype=torch.float32)  # its macros are missing
+
+
+def test_a_device_that_cannot_be_opened_is_listed_and_chosen(no_device_opens: None) -> None:
+    """Only who uses it is told, so that others can be used."""
+    first = list_devices()[0]
+    assert open_device(first.platform).name == first.name
+    with pytest.raises(DeviceError, match="could not be opened") as error:
+        GaussianModel(parameters(16), first)
+    assert "DEVICE_NOT_AVAILABLE" in error.value.what
+
+
+def test_what_the_driver_refuses_to_run_is_explained(device: Device) -> None:
+    program = device.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
+    array = DeviceArray(device, (16,), torch.int32)
+    with pytest.raises(DeviceError, match="did not run the kernel scan_chunks"):
+        program.run("scan_chunks", (16,), (3,), array, array, np.uint32(15), np.uint32(1))
+
+
+def test_memory_of_an_array_lives_until_kernels_have_run(device: Device) -> None:
+    if not device.shares_memory:
+        pytest.skip("arrays of this device are not torch's memory")
+    alone = device.as_variant(device.variant)  # nobody else's arrays die on it meanwhile
+    program = alone.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
+    array = DeviceArray(alone, (16,), torch.int32)
+    totals = DeviceArray(alone, (17,), torch.int32)
+    program.run("scan_chunks", (16,), (16,), array, totals, np.uint32(15), np.uint32(1))
+    del array
+    assert len(alone.retired) == 1
+    totals.read()
+    assert len(alone.retired) == 0
+    del totals  # every kernel has run
+    assert len(alone.retired) == 0
+
+
+def test_the_engine_alone_loads_nothing_that_it_does_not_use() -> None:
+    heavy = {"kornia", "onnxruntime", "plyfile", "pycolmap", "scipy", "skimage"}
+    code = f"import sys, core_rasterizer; print(*(set(sys.modules) & {heavy!r}))"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split() == []

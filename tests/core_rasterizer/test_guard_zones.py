@@ -17,14 +17,15 @@ from core_rasterizer import (
     Edit,
     GaussianModel,
     Gaussians,
+    Relocation,
     apply_edit,
     photometric_loss,
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.frames import View
-from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import PAIRS_AT_FIRST, Rasterizer
+from core_rasterizer.layout import PARAMETER_GROUPS
+from core_rasterizer.raster import Renderer, RenderRequest
+from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.scenes import random_camera, random_scene
 from tests.core_rasterizer.test_model import parameters
@@ -65,7 +66,7 @@ def test_the_zones_catch_a_kernel_that_strays(device: Device, pattern: int) -> N
     inside = GuardedDevice(device, pattern)
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
-    program = inside.program("scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
+    program = inside.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     arguments = (np.uint32(15), np.uint32(1))
     program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
     assert inside.check() == 2
@@ -107,7 +108,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
     """More pairs than there is room for at first; then a small render in the large buffers."""
     generator = torch.Generator().manual_seed(1)
     width, height = 300, 200
-    tile_width, tile_height = Rasterizer(device).tile
+    tile_width, tile_height = Renderer(device).tile
     count = int(1.3 * PAIRS_AT_FIRST / (-(-width // tile_width) * -(-height // tile_height)))
     large, small = random_scene(generator, count, sh_degree=0), random_scene(generator, 5)
     large.scales[:] = 40.0
@@ -117,7 +118,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
         large.means, large.scales.log(), large.quaternions, torch.logit(large.opacities), large.sh
     )
     model = GaussianModel(gaussians, device)
-    lease = model.rasterizer.forward(model.block, View(wide, (0.0, 0.0, 0.0), 0))[-1]
+    lease = model.renderer.forward(model.block, RenderRequest(wide, (0.0, 0.0, 0.0), 0))[-1]
     assert lease.frame.pairs > PAIRS_AT_FIRST
     tensors = large.tensors(torch.float32), small.tensors(torch.float32)
 
@@ -149,7 +150,7 @@ def test_the_photometric_loss(device: Device, size: tuple[int, int], dtype: torc
 
 @pytest.mark.parametrize(("count", "degree"), [(1, 3), (16, 0), (17, 3), (4097, 0)])
 def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
-    """Steps of the optimizer at lower bands too, moments reset, clones, splits and prunes."""
+    """Steps at lower bands too, moments reset; clones, splits, prunes, relocated and added ones."""
     gaussians = parameters(count, sh_degree=degree)
     camera = random_camera(torch.Generator().manual_seed(4), 15, 11)
 
@@ -167,10 +168,28 @@ def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
         masks = torch.rand(3, count, generator=generator) < torch.tensor([[0.5], [0.5], [0.3]])
         masks[2, 0] = False
         apply_edit(model, optimizer, Edit(*masks), generator)
-        model.render(camera, opacity_scale=torch.ones(model.count)).depth.sum().backward()
-        optimizer.step(RATES, active_sh_degree=degree)
+        first = torch.zeros(model.count // 3, dtype=torch.int64)
+        edit = Edit(
+            split=torch.arange(model.count) == model.count - 1,
+            split_into=3,
+            add=gaussians,
+            parents=torch.zeros(count, dtype=torch.int64),
+            relocate=Relocation(first, 1 + torch.arange(len(first))),
+        )
+        apply_edit(model, optimizer, edit, generator)
+        rendering = model.render(
+            camera, opacity_scale=torch.ones(model.count), detach=("means", "sh")
+        )
+        (rendering.depth.sum() + model.parameter("scales").sum()).backward()
+        optimizer.step(RATES, active_sh_degree=degree, skip=("sh_rest",))
         state = optimizer.state()
         after = [model.read(name).clone() for name in ("means", "log_scales", "sh")]
-        return [*after, statistics, state["first_moments"], state["second_moments"]]
+        return [
+            *after,
+            rendering.visible,
+            statistics,
+            state["first_moments"],
+            state["second_moments"],
+        ]
 
     same_inside_zones(device, work)

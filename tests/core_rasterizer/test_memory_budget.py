@@ -10,9 +10,8 @@ import torch
 
 from core_rasterizer import Camera, CameraError, Device, MemoryBudgetError
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.frames import Block, View, padded
-from core_rasterizer.model import rows_from
-from core_rasterizer.rasterizer import Rasterizer
+from core_rasterizer.layout import padded
+from core_rasterizer.raster import Block, Renderer, RenderRequest, pack
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 
@@ -22,83 +21,83 @@ BLACK = (0.0, 0.0, 0.0)
 def block_of(device: Device, count: int, log_scale: float = -1.0) -> Block:
     gaussians = parameters(count, sh_degree=0)
     gaussians.log_scales[:] = log_scale
-    rows = rows_from(gaussians, torch.float32, padded(count))
+    rows = pack(gaussians, torch.float32, padded(count))
     array = DeviceArray(device, tuple(rows.shape))
     array.write(rows)
     return Block(array, count, activated=False)
 
 
-def view_of(width: int, height: int) -> View:
-    return View(random_camera(torch.Generator().manual_seed(0), width, height), BLACK, 0)
+def view_of(width: int, height: int) -> RenderRequest:
+    return RenderRequest(random_camera(torch.Generator().manual_seed(0), width, height), BLACK, 0)
 
 
 def test_an_image_beyond_the_budget_is_refused_before_anything_is_allocated(device: Device) -> None:
-    rasterizer = Rasterizer(device, memory_budget=64 * 2**20)
+    renderer = Renderer(device, memory_budget=64 * 2**20)
     block = block_of(device, 16)
     with pytest.raises(MemoryBudgetError) as error:
-        rasterizer.forward(block, view_of(8000, 8000))
+        renderer.forward(block, view_of(8000, 8000))
     assert "the budget is 64 MB" in error.value.what
     stated = re.search(r"needs ([\d,]+) MB", error.value.what)
     assert stated
     assert int(stated[1].replace(",", "")) > 8000 * 8000 * 11 * 4 / 2**20
     assert "16 Gaussians in 8000x8000 pixels" in error.value.where
     assert "raise the memory budget" in error.value.fix
-    rasterizer.forward(block, view_of(100, 80))
+    renderer.forward(block, view_of(100, 80))
 
 
 def test_too_many_pairs_are_refused_and_the_next_render_is_whole(device: Device) -> None:
     """Case 5 in small: each Gaussian fills the image, the lists outgrow a small budget."""
     large, view = block_of(device, 3000, log_scale=6.0), view_of(500, 400)
-    rasterizer = Rasterizer(device, memory_budget=12 * 2**20)
+    renderer = Renderer(device, memory_budget=12 * 2**20)
     small = block_of(device, 50)
-    before = rasterizer.forward(small, view)[0].clone()
+    before = renderer.forward(small, view)[0].clone()
     for _ in range(2):
         with pytest.raises(MemoryBudgetError, match=r"more than .* pairs"):
-            rasterizer.forward(large, view)
-        assert torch.equal(rasterizer.forward(small, view)[0], before)
+            renderer.forward(large, view)
+        assert torch.equal(renderer.forward(small, view)[0], before)
 
 
 def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(device: Device) -> None:
     """The larger image leaves room for fewer pairs than there is capacity for already."""
-    rasterizer = Rasterizer(device, memory_budget=40 * 2**20)
+    renderer = Renderer(device, memory_budget=40 * 2**20)
     small, wide = view_of(300, 200), view_of(900, 800)
-    fills = block_of(device, 60 if rasterizer.on_cpu else 12, log_scale=6.0)
-    many = block_of(device, 4000 if rasterizer.on_cpu else 900, log_scale=6.0)
-    *_, lease = rasterizer.forward(many, small)
+    fills = block_of(device, 60 if renderer.on_cpu else 12, log_scale=6.0)
+    many = block_of(device, 4000 if renderer.on_cpu else 900, log_scale=6.0)
+    *_, lease = renderer.forward(many, small)
     capacity, limit = lease.frame.arrays["pairs"].shape[0] // 2, lease.frame.pair_limit
     del lease
-    *_, lease = rasterizer.forward(fills, wide)
+    *_, lease = renderer.forward(fills, wide)
     assert lease.frame.pair_limit < capacity <= limit * 9 // 8
     with pytest.raises(MemoryBudgetError, match="more than"):
-        rasterizer.forward(many, wide)
+        renderer.forward(many, wide)
 
 
 def test_more_than_four_thousand_million_pairs_are_refused_soon(device: Device) -> None:
     """Case 5: the count would not fit in 32 bits. Neither a wraparound nor minutes of counting."""
-    rasterizer = Rasterizer(device)
-    width, height = rasterizer.tile
+    renderer = Renderer(device)
+    width, height = renderer.tile
     tiles = 4096 // width * 4096 // height
     count = int(1.1 * 2**32 / tiles)
     block = block_of(device, count, log_scale=12.0)
     started = time.perf_counter()
     with pytest.raises(MemoryBudgetError, match=r"more than .* pairs") as error:
-        rasterizer.forward(block, view_of(4096, 4096))
+        renderer.forward(block, view_of(4096, 4096))
     assert time.perf_counter() - started < 20
     assert f"{count:,} Gaussians" in error.value.where
 
 
 def test_an_image_beyond_any_index_is_refused(device: Device) -> None:
-    rasterizer, block = Rasterizer(device), block_of(device, 16)
+    renderer, block = Renderer(device), block_of(device, 16)
     for width, height in ((65536, 1), (1, 70000), (20000, 20000)):
         with pytest.raises(CameraError, match="too large"):
-            rasterizer.forward(block, view_of(width, height))
+            renderer.forward(block, view_of(width, height))
 
 
 def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     """Case 23: on a GPU more than 65,536 tiles; a CPU's are larger, so there a very wide image."""
-    rasterizer = Rasterizer(device)
-    tile_width, tile_height = rasterizer.tile
-    columns, rows = (900, 2) if rasterizer.on_cpu else (300, 220)
+    renderer = Renderer(device)
+    tile_width, tile_height = renderer.tile
+    columns, rows = (900, 2) if renderer.on_cpu else (300, 220)
     width, height = tile_width * columns + 1, tile_height * rows + 1
     camera = Camera(torch.eye(4), 1e5, 1e5, 0.0, 0.0, width, height)
     block = block_of(device, 1)
@@ -106,7 +105,7 @@ def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     values[:3, 0] = torch.tensor([(width - 0.5) / 1e5, (height - 0.5) / 1e5, 1.0])
     values[3:6, 0], values[10, 0] = -20.0, 4.0
     block.parameters.write(values)
-    _, _, alpha, _ = rasterizer.forward(block, View(camera, BLACK, 0))
+    _, _, alpha, _ = renderer.forward(block, RenderRequest(camera, BLACK, 0))
     assert alpha[-1, -1] > 0.9
     assert alpha.count_nonzero() == 4
 

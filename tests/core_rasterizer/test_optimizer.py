@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError, Gaussians
-from core_rasterizer.model import GaussianModel
-from core_rasterizer.optimizer import PARAMETER_GROUPS, Adam
+from core_rasterizer import Adam, Device, ExplainedError, GaussianModel, Gaussians
+from core_rasterizer.layout import PARAMETER_GROUPS
 
 RATES = {
     "means": 1e-3,
@@ -85,6 +84,38 @@ def test_bands_above_the_active_degree_stay(device: Device) -> None:
     assert (optimizer.state()["second_moments"][11 + 3 * 4 :] == 0).all()
 
 
+@pytest.mark.parametrize(
+    ("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 3e-6)], ids=["double", "float"]
+)
+def test_skipped_groups_are_parameters_without_gradient(
+    device: Device, dtype: torch.dtype, tolerance: float
+) -> None:
+    """torch leaves parameters, moments and step count alone where `grad` is None; so does `skip`."""
+    model = make_model(device, dtype)
+    optimizer = Adam(model)
+    leaves, twin = twin_of(model)
+    plan = [("means",), (), ("sh", "quaternions"), tuple(PARAMETER_GROUPS), ("sh_rest", "means")]
+    for step in range(30):
+        gradients, skip = gradients_for(model, step), plan[step % 5]
+        model.gradients.write(gradients)
+        before, moments = model.parameters.read().clone(), optimizer.state()
+        optimizer.step(RATES, active_sh_degree=3, skip=skip)
+        for leaf, (name, span) in zip(leaves, PARAMETER_GROUPS.items(), strict=True):
+            skipped = name in skip or (name.startswith("sh") and "sh" in skip)
+            leaf.grad = None if skipped else gradients[slice(*span)].clone()
+            rows = slice(*span)
+            assert torch.equal(model.parameters.read()[rows], before[rows]) == skipped, name
+            for kind in ("first_moments", "second_moments"):
+                same = torch.equal(optimizer.state()[kind][rows], moments[kind][rows])
+                assert same == skipped, (name, kind)
+        twin.step()
+    torch.testing.assert_close(
+        model.parameters.read(), torch.cat(leaves).detach(), rtol=tolerance, atol=tolerance
+    )
+    assert optimizer.state()["steps"].tolist() == [12, 24, 18, 24, 18, 12]
+    assert optimizer.steps == 24
+
+
 def test_more_gaussians_than_one_work_item_takes(device: Device) -> None:
     model = make_model(device, torch.float32, count=4096 + 21, degree=0)
     before = model.parameters.read().clone()
@@ -123,7 +154,7 @@ def test_a_restored_optimizer_continues_with_the_same_bits(device: Device) -> No
                 optimizer = Adam(model)
                 optimizer.restore(state)
             model.gradients.write(gradients_for(model, step))
-            optimizer.step(RATES, active_sh_degree=3)
+            optimizer.step(RATES, active_sh_degree=3, skip=("means",) if step == 1 else ())
         return model.parameters.read().clone()
 
     assert torch.equal(run(interrupted=True), run(interrupted=False))
@@ -136,6 +167,9 @@ def test_wrong_names_and_states_are_refused(device: Device) -> None:
         optimizer.step({k: v for k, v in RATES.items() if k != "sh_rest"}, 3)
     with pytest.raises(ExplainedError, match="'sh'"):
         optimizer.reset_moments("sh")
+    with pytest.raises(ExplainedError, match="'scales'"):
+        optimizer.step(RATES, 3, skip={"scales"})
+    assert optimizer.steps == 0
     other = Adam(make_model(device, torch.float32, count=5)).state()
     with pytest.raises(ExplainedError, match="first_moments"):
         optimizer.restore(other)

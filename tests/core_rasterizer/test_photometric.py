@@ -7,11 +7,10 @@ import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError
-from core_rasterizer.photometric import photometric_loss
+from core_rasterizer import Device, ExplainedError, photometric_loss
 
 
-def twin(rgb: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+def twin(rgb: Tensor, target: Tensor, ssim_weight: float, l1_weight: float | None = None) -> Tensor:
     """L1 + D-SSIM in float64 with torch's conv2d, as 3DGS writes it."""
     offsets = torch.arange(-5, 6, dtype=torch.float64)
     window = torch.exp(-(offsets**2) / (2 * 1.5**2))
@@ -28,7 +27,8 @@ def twin(rgb: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
     numerator = (2 * mean_x * mean_y + 0.01**2) * (2 * covariance + 0.03**2)
     denominator = (mean_x**2 + mean_y**2 + 0.01**2) * (variance_x + variance_y + 0.03**2)
     l1 = (x - y).abs().mean()
-    return (1 - ssim_weight) * l1 + ssim_weight * (1 - (numerator / denominator).mean())
+    l1_weight = 1 - ssim_weight if l1_weight is None else l1_weight
+    return l1_weight * l1 + ssim_weight * (1 - (numerator / denominator).mean())
 
 
 def images(height: int, width: int, noise: float = 0.1) -> tuple[Tensor, Tensor]:
@@ -76,6 +76,34 @@ def test_value_and_gradient_agree_with_convolutions(
     assert plain.grad is not None
     error = (fused.grad.double() - plain.grad).abs().max() / plain.grad.abs().max()
     assert error <= gradient_tolerance
+
+
+@pytest.mark.parametrize("weights", [(1.0, 0.2), (0.0, 0.0), (3.0, 0.0), (0.0, 2.5)])
+def test_weights_that_do_not_add_up_to_one(device: Device, weights: tuple[float, float]) -> None:
+    """As in methods that add D-SSIM to a whole L1."""
+    l1_weight, ssim_weight = weights
+    rgb, target = images(20, 31)
+    fused, plain = rgb.clone().requires_grad_(), rgb.clone().requires_grad_()
+    loss = photometric_loss(fused, target, ssim_weight, l1_weight=l1_weight, device=device)
+    expected = twin(plain, target, ssim_weight, l1_weight)
+    loss.backward()
+    expected.backward()
+    torch.testing.assert_close(loss, expected, rtol=1e-12, atol=0)
+    torch.testing.assert_close(fused.grad, plain.grad, rtol=1e-9, atol=1e-15)
+
+
+def test_the_weight_left_out_is_what_is_left_of_one(device: Device) -> None:
+    rgb, target = (image.float() for image in images(20, 31))
+    outcomes = []
+    for weights in ({}, {"l1_weight": 1 - 0.2}):
+        leaf = rgb.clone().requires_grad_()
+        loss = photometric_loss(leaf, target, 0.2, **weights, device=device)
+        loss.backward()
+        outcomes.append((loss.detach(), leaf.grad))
+    for one, other in zip(*outcomes, strict=True):
+        assert one is not None
+        assert other is not None
+        assert torch.equal(one, other)
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
@@ -192,3 +220,9 @@ def test_wrong_arguments_are_refused(device: Device) -> None:
         photometric_loss(image.int(), image, device=device)
     with pytest.raises(ExplainedError, match="ssim_weight"):
         photometric_loss(image, image, 1.5, device=device)
+    for weights in ({"ssim_weight": -0.1}, {"ssim_weight": float("nan")}):
+        with pytest.raises(ExplainedError, match="ssim_weight"):
+            photometric_loss(image, image, **weights, device=device)
+    for weight in (-1.0, float("inf"), float("nan")):
+        with pytest.raises(ExplainedError, match="l1_weight"):
+            photometric_loss(image, image, l1_weight=weight, device=device)

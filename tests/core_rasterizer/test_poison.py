@@ -28,9 +28,8 @@ from core_rasterizer import (
     photometric_loss,
     rasterize,
 )
-from core_rasterizer.frames import NEAR_PLANE, padded
-from core_rasterizer.model import PARAMETERS, rows_from
-from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, padded
+from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.scenes import Scene, random_scene
 from tests.core_rasterizer.test_rasterize import NAMES, weighted_loss
 
@@ -180,7 +179,7 @@ def test_the_model_and_a_step_of_training(
             )
         }
     )
-    rows = rows_from(given, torch.float32, padded(len(given)))
+    rows = pack(given, torch.float32, padded(len(given)))
     finite = torch.isfinite(rows)
     if not finite.all():
         with pytest.raises(GaussianError) as error:

@@ -16,8 +16,7 @@ from core_rasterizer import (
     GaussianModel,
     apply_edit,
 )
-from core_rasterizer.model import PARAMETERS
-from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 from tests.core_rasterizer.test_model import parameters, view
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)

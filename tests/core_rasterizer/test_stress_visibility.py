@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, Gaussians
-from core_rasterizer.frames import NEAR_PLANE, padded
-from core_rasterizer.model import rows_from
-from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.layout import PARAMETER_GROUPS, padded
+from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,
@@ -94,7 +93,7 @@ def test_undefined_logarithms_and_logits_hide_their_gaussian(device: Device) -> 
     healthy = GaussianModel(
         Gaussians(**{name: getattr(gaussians, name)[11:] for name in vars(gaussians)}), device
     )
-    rows = rows_from(gaussians, torch.float32, padded(24))
+    rows = pack(gaussians, torch.float32, padded(24))
     for row in range(11):
         rows[row, row] = math.nan
     model = GaussianModel(gaussians, device)

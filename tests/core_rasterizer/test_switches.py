@@ -17,10 +17,8 @@ from core_rasterizer import (
     Gaussians,
     reference,
 )
-from core_rasterizer.frames import View
-from core_rasterizer.model import PARAMETERS
-from core_rasterizer.optimizer import PARAMETER_GROUPS
-from core_rasterizer.rasterizer import Rasterizer
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.raster import Renderer, RenderRequest
 from tests.core_rasterizer.test_model import parameters, view
 
 Overrides = Mapping[str, float]
@@ -35,7 +33,7 @@ def outcome(
 ) -> dict[str, Tensor]:
     """The images, and the gradients of a loss that looks at all three."""
     model = GaussianModel(gaussians or parameters(), device, dtype=dtype)
-    model.rasterizer = Rasterizer(device, dtype, overrides=overrides)
+    model.renderer = Renderer(device, dtype, overrides=overrides)
     model.zero_gradients()
     rendering = model.render(view())
     images = {"rgb": rendering.rgb, "depth": rendering.depth, "alpha": rendering.alpha}
@@ -47,8 +45,8 @@ def outcome(
 def pairs(device: Device, overrides: Overrides) -> int:
     """How many (tile, Gaussian) pairs a render has."""
     model = GaussianModel(parameters(), device)
-    rasterizer = Rasterizer(device, overrides=overrides)
-    lease = rasterizer.forward(model.block, View(view(), (0.0, 0.0, 0.0), 3))[3]
+    renderer = Renderer(device, overrides=overrides)
+    lease = renderer.forward(model.block, RenderRequest(view(), (0.0, 0.0, 0.0), 3))[3]
     return lease.frame.pairs
 
 
@@ -70,7 +68,7 @@ def oracle(gaussians: Gaussians) -> Tensor:
 
 def test_a_setting_that_no_kernel_knows_is_refused(device: Device) -> None:
     with pytest.raises(ExplainedError, match="ALPHA_CUT_INVERS"):
-        Rasterizer(device, overrides={"ALPHA_CUT_INVERS": 255})
+        Renderer(device, overrides={"ALPHA_CUT_INVERS": 255})
 
 
 def test_the_defaults_written_out_give_the_same_bits(device: Device) -> None:
@@ -128,7 +126,7 @@ def test_each_degree_of_the_exponential_has_its_error(device: Device) -> None:
 
     def alpha(overrides: Overrides, dtype: torch.dtype = torch.float32) -> Tensor:
         model = GaussianModel(gaussians, device, dtype=dtype)
-        model.rasterizer = Rasterizer(device, dtype, overrides=overrides)
+        model.renderer = Renderer(device, dtype, overrides=overrides)
         return model.render(camera).alpha.detach().double()
 
     truth = alpha({}, torch.float64)
@@ -174,7 +172,7 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
     """Two steps of which the second sees only half: dense Adam carries the others on."""
     model, other = (GaussianModel(parameters(), device) for _ in range(2))
     dense, sparse = Adam(model), Adam(other)
-    sparse.program = device.program("adam", dtype=torch.float32, VISIBLE_ONLY=1)
+    sparse.program = device.program("optimization/adam", dtype=torch.float32, VISIBLE_ONLY=1)
     gradients = torch.ones(model.rows, model.capacity)
     for each in (model, other):
         each.gradients.write(gradients)

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from core_rasterizer import Device, GaussianModel
-from core_rasterizer.budget import RECORD
-from core_rasterizer.frames import View
+from core_rasterizer.raster import RenderRequest
+from core_rasterizer.raster.budget import RECORD
 from tests.core_rasterizer.test_model import parameters, view
 
 CUT = 1 / 255
@@ -20,7 +20,7 @@ class Lists(NamedTuple):
     """What a render leaves behind, on the host."""
 
     records: NDArray[np.float32]
-    """`[N, 16]`, see `kernels/scene.cl`."""
+    """`[N, 16]`, see `scene.cl`."""
     pairs: NDArray[np.int32]
     """`[P, 2]`: Gaussian, slot."""
     starts: NDArray[np.int32]
@@ -29,10 +29,10 @@ class Lists(NamedTuple):
     tiles_across: int
 
 
-def lists_of(device: Device) -> Lists:
-    model, camera = GaussianModel(parameters(300), device), view()
-    rasterizer = model.rasterizer
-    frame = rasterizer.forward(model.block, View(camera, (0.0, 0.0, 0.0), 3))[3].frame
+def lists_of(device: Device, model: GaussianModel | None = None) -> Lists:
+    model, camera = model or GaussianModel(parameters(300), device), view()
+    renderer = model.renderer
+    frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[3].frame
     tiles = frame.tiles[0] * frame.tiles[1]
     arrays = {
         name: frame.arrays[name].read().numpy() for name in ("records", "pairs", "tile_starts")
@@ -41,7 +41,7 @@ def lists_of(device: Device) -> Lists:
         arrays["records"].reshape(-1, RECORD).copy(),
         arrays["pairs"][: 2 * frame.pairs].reshape(-1, 2).copy(),
         arrays["tile_starts"][: tiles + 1].copy(),
-        rasterizer.tile,
+        renderer.tile,
         frame.tiles[0],
     )
 
@@ -80,13 +80,27 @@ def test_slots_of_a_gaussian_are_neighbours_and_no_two_pairs_share_one(device: D
         assert (np.diff(slots) == 1).all()
 
 
+def test_one_launch_for_few_gives_the_lists_of_many(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After each other in the same scratch memory, too: neither leaves anything that the other reads."""
+    expected = lists_of(device)
+    model = GaussianModel(parameters(300), device)
+    for few in (0, 300, 0, 300):
+        monkeypatch.setattr(model.renderer._lists, "_few", few)
+        lists = lists_of(device, model)
+        assert np.array_equal(lists.pairs, expected.pairs)
+        assert np.array_equal(lists.starts, expected.starts)
+
+
 @pytest.mark.parametrize("chunks", [1, 7, 500])
 def test_the_number_of_chunks_changes_nothing(
     device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = lists_of(device)
-    for module in ("tile_lists", "rasterizer"):
-        monkeypatch.setattr(f"core_rasterizer.{module}.chunks_of", lambda device: chunks)
+    monkeypatch.setattr("core_rasterizer.raster.tile_lists.FEW", 0)
+    for module in ("tile_lists", "renderer"):
+        monkeypatch.setattr(f"core_rasterizer.raster.{module}.chunks_of", lambda device: chunks)
     lists = lists_of(device)
     assert np.array_equal(lists.pairs, expected.pairs)
     assert np.array_equal(lists.starts, expected.starts)

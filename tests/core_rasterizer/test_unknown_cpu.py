@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from core_rasterizer.unknown_cpu import better_name, names_reachable_from
+from core_rasterizer.device import unknown_cpu
+from core_rasterizer.device.unknown_cpu import (
+    better_name,
+    correct_cpu_name,
+    names_reachable_from,
+)
 
 MEMORY = Path("/proc/self/mem")
 pytestmark = pytest.mark.skipif(not MEMORY.exists(), reason="the system has no /proc/self/mem")
@@ -56,3 +65,63 @@ def test_a_better_name_says_more_and_fits() -> None:
     assert better_name(b"generic\0", frozenset(("sse2",))) is None
     assert better_name(b"znver3\0", AVX512) == b"skx\0"
     assert better_name(b"znver3\0", AVX2) is None
+
+
+UNKNOWN_PROCESSOR = """
+from io import FileIO
+from core_rasterizer import list_devices
+from core_rasterizer.device import unknown_cpu
+from registry.self_test import self_test
+
+device = list_devices()[0]
+flags = unknown_cpu._processor_flags()
+with FileIO("/proc/self/mem", "r+b") as memory:
+    found = unknown_cpu.names_reachable_from(memory, device._handle.int_ptr)
+    if len(found) != 1 or unknown_cpu.better_name(b"generic\\0", flags) is None:
+        print("elsewhere")
+        raise SystemExit
+    before = found[0][1]
+    memory.seek(found[0][0])
+    memory.write({name!r} or before)
+    print(self_test(device).passed)
+    memory.seek(found[0][0])
+    print(memory.read(16).split(b"\\0")[0] + b"\\0" == before)
+"""
+
+
+def outcome_for_a_processor_named(name: bytes, **environment: str) -> list[str]:
+    """Whether a new process computes correctly, and whether it left the driver's name as it was."""
+    result = subprocess.run(
+        [sys.executable, "-c", UNKNOWN_PROCESSOR.format(name=name)],
+        env={**os.environ, "STEREOGS_CORRECT_CPU_NAME": "", **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    answers = result.stdout.split()
+    if answers == ["elsewhere"]:
+        pytest.skip("the driver keeps no name here")
+    return answers
+
+
+def test_a_name_that_the_compiler_refuses_is_replaced_after_the_first_build(tmp_path: Path) -> None:
+    answers = outcome_for_a_processor_named(b"generic\0", POCL_CACHE_DIR=str(tmp_path))
+    assert answers == ["True", "False"]
+
+
+def test_a_name_that_builds_is_left_alone() -> None:
+    assert outcome_for_a_processor_named(b"") == ["True", "True"]
+
+
+def test_a_name_that_says_too_little_is_replaced_only_when_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(unknown_cpu, "_processor_flags", lambda: AVX512)
+    name = ctypes.create_string_buffer(b"znver3\0")
+    handle = structure(ctypes.addressof(name))
+    platform = SimpleNamespace(name="Portable Computing Language")
+    device = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
+    assert not correct_cpu_name(device, only_unknown=True)
+    assert name.value == b"znver3"
+    assert correct_cpu_name(device)
+    assert name.value == b"skx"

@@ -15,7 +15,7 @@ from core_rasterizer import (
     list_devices,
     photometric_loss,
 )
-from core_rasterizer.optimizer import PARAMETER_GROUPS
+from core_rasterizer.layout import PARAMETER_GROUPS
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 

@@ -18,6 +18,11 @@ TOY_NAMES = (
 )
 TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
 TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]
+DOOR_NAMES = (
+    *("toy_guided", "toy_target", "toy_exposure", "toy_noise", "toy_peek", "toy_move"),
+    *("toy_shape", "toy_picture", "toy_twin", "toy_guide"),
+)
+DOORS = [EntryPoint(name, "tests.registry.toy_doors", GROUP) for name in DOOR_NAMES]
 
 Install = Callable[..., Path]
 
@@ -31,6 +36,12 @@ def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def toys() -> Plugins:
     """The toy components alone."""
     return Plugins(TOYS)
+
+
+@pytest.fixture
+def doors() -> Plugins:
+    """The toy components, and those that go through every door of the host."""
+    return Plugins([*TOYS, *DOORS])
 
 
 @pytest.fixture(scope="session")

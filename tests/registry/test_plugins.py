@@ -9,7 +9,7 @@ from registry import API_VERSION, PluginError
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
 from registry.plugins import GROUP, SELECTION, Plugins
 
-from .conftest import TOYS, Install
+from .conftest import DOORS, TOYS, Install
 
 POINTS = {point.section: point for point in HOOK_POINTS}
 METRICS = POINTS["metrics"]
@@ -35,7 +35,8 @@ def refusal(plugins: Plugins, name: str, point: HookPoint = METRICS) -> PluginEr
     return caught.value
 
 
-def test_every_hook_point_collects(toys: Plugins) -> None:
+def test_every_hook_point_collects() -> None:
+    toys = Plugins([*TOYS, *DOORS])
     offers = toys.all()
     assert {offer.point.section for offer in offers} == set(POINTS)
     assert not toys.broken
@@ -86,7 +87,7 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install) -> None:
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99, this is API {API_VERSION}"),
+        ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99; this is API {API_VERSION}"),
         (metric("x").replace("_metrics", "_metrix"), "stereogs_register_metrix"),
         (metric("x").replace("(register)", "(register, more)"), "more"),
         (metric("x").replace("measure", "meazure"), "does not define measure"),

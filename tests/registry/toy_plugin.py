@@ -46,7 +46,7 @@ class ToyPointsSettings(r.Settings):
 class ToyPoints(r.Initializer[ToyPointsSettings]):
     Settings = ToyPointsSettings
 
-    def initialize(self, scene: r.Scene, priors: Mapping[str, Any]) -> r.PointCloud:
+    def initialize(self, scene: r.TrainingScene, priors: Mapping[str, Any]) -> r.PointCloud:
         points = scene.points
         assert points is not None
         end = self.settings.count
@@ -82,7 +82,6 @@ class ToyTerm(r.Regularizer[ToyTermSettings]):
         self.calls = torch.zeros(0)
 
     def loss(self, step: r.Step) -> Tensor:
-        assert step.rendering is not None
         if not len(self.calls):
             self.calls = torch.zeros(step.model.count)
         self.calls += 1
@@ -116,7 +115,6 @@ class ToyTerm(r.Regularizer[ToyTermSettings]):
 
 class ToyDropout(r.Modifier[r.Settings]):
     def opacity_scale(self, step: r.Step) -> Tensor:
-        assert step.rendering is None
         return (torch.rand(step.model.count, generator=self.generator) > 0.1).float()
 
 

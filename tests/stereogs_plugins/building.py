@@ -9,6 +9,7 @@ import torch
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Component, Context, Scene, Step, View
+from registry.testing import step_of
 
 ComponentType = TypeVar("ComponentType", bound=Component[Any])
 
@@ -36,23 +37,22 @@ def some_gaussians(scales: list[float], opacities: list[float]) -> Gaussians:
     )
 
 
-def step_with(gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0) -> Step:
+def moment_with(
+    gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0
+) -> tuple[Step, GaussianModel]:
     """A step after a real render of the Gaussians and a real backward pass against a striped image."""
     model = GaussianModel(gaussians, open_device())
     camera = Camera(torch.eye(4), 64, 64, 32, 24, 64, 48)
     image = (torch.arange(64) % 8 < 4).float()[None, :, None].expand(48, 64, 3).contiguous()
-    view = View("stripes", camera, image)
+    scene = Scene("stripes", (View("stripes", camera, image),), (), (1.0, 10.0))
     rendering = model.render(camera, collect_statistics=True)
     ((rendering.rgb - image) ** 2).mean().backward()
-    return Step(
-        iteration=iteration,
-        iterations=1000,
-        scene=Scene("stripes", (view,), (), (1.0, 10.0)),
-        view=view,
-        rendering=rendering,
-        model=model,
-        extent=extent,
-        priors={},
-        render=model.render,
-        log=lambda name, value: None,
+    step = step_of(
+        model, scene, rendering=rendering, iteration=iteration, iterations=1000, extent=extent
     )
+    return step, model
+
+
+def step_with(gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0) -> Step:
+    """The step of `moment_with`."""
+    return moment_with(gaussians, iteration=iteration, extent=extent)[0]

@@ -29,7 +29,7 @@ class FlatInitializer(registry.Initializer[FlatSettings]):
     Settings = FlatSettings
 
     def initialize(
-        self, scene: registry.Scene, priors: Mapping[str, registry.Prior[Any]]
+        self, scene: registry.TrainingScene, priors: Mapping[str, registry.Prior[Any]]
     ) -> registry.PointCloud:
         """Return `points_per_view` points for each training view."""
         near, far = scene.bounds

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from core_rasterizer import Device, open_device
 from registry.cli import build_parser, main
+from registry.inspection.self_test import Verdict
 
 from ..conftest import TOY_ENTRIES, Install
 
@@ -173,6 +175,23 @@ def test_doctor(capsys: Capture) -> None:
     output = capsys.readouterr().out
     assert output.count("<- chosen") == 1
     assert "self-test: passed" in output
+
+
+def test_doctor_tells_of_a_device_that_fails_and_goes_on(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails_first(device: Device) -> Verdict:
+        if device is devices[0]:
+            raise RuntimeError("the driver is gone")
+        return Verdict(0.0, 0.0)
+
+    devices = [open_device(), open_device().as_variant("gpu")]
+    monkeypatch.setattr("registry.commands.doctor.list_devices", lambda: devices)
+    monkeypatch.setattr("registry.commands.doctor.self_test", fails_first)
+    assert main(["doctor"]) == 1
+    output = capsys.readouterr().out
+    assert "FAILED: RuntimeError: the driver is gone" in output
+    assert "passed" in output
 
 
 @pytest.mark.parametrize("verb", ["train", "eval", "render", "plugins", "doctor", "demo"])

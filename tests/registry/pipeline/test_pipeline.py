@@ -118,7 +118,7 @@ def test_a_resolved_path_may_contain_a_dollar_sign(
         ("metrics: [psnr]", "metrics: psnr", "a.yaml:18", "metrics must be a list"),
         ("metrics: [psnr]", "metric: [psnr]", "a.yaml:18", "did you mean 'metrics'"),
         ("metrics: [psnr]", "metrics: [[psnr]]", "a.yaml:18", "a name or a mapping"),
-        ("  use: toy_fade", "  - toy_fade", "a.yaml:16", "a single opacity policy"),
+        ("initializer: toy_points", "initializer: [toy_points]", "a.yaml:6", "single initializer"),
         ("initializer: toy_points", "initializer:", "a.yaml:6", "has no initializer"),
         ("name: full", "name: 3", "a.yaml:1", "needs a name"),
         ("name: full\n", "", "a.yaml:1", "needs a name"),

@@ -123,7 +123,11 @@ def test_the_average_error_takes_the_first_of_each_kind() -> None:
     uses = ("ssim_skimage", "psnr", "ssim", "lpips")
     items = [
         Item(
-            use, r.Settings(), HostSettings(use=use), Offer(METRICS, use, in_role(use), "", "", ""), PLACE
+            use,
+            r.Settings(),
+            HostSettings(use=use),
+            Offer(METRICS, use, in_role(use), "", "", ""),
+            PLACE,
         )
         for use in uses
     ]

@@ -172,9 +172,7 @@ def test_changed_inputs_are_refused_unless_accepted(
     assert open_run(folder.path, plugins=toys, device=device).changed == ()
 
 
-def test_a_run_that_kept_no_digests_goes_on(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
+def test_a_run_that_kept_no_digests_goes_on(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     (folder.path / "inputs.json").unlink()
     assert open_run(folder.path, plugins=toys, device=device).changed == ()

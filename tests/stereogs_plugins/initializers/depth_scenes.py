@@ -10,8 +10,8 @@ from torch import Tensor
 
 from core_rasterizer import Camera, open_device
 from registry import Context, DepthMap, MultiViewDepthPrior, PointCloud, Scene, Settings, View
-from stereogs_plugins.initializers._projection import DepthImage
-from stereogs_plugins.initializers._view_depth import ViewDepth
+from stereogs_plugins.initializers.consistency_dense.projection import DepthImage
+from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
 
 
 def camera_at(

@@ -1,16 +1,13 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 
 from registry import PointCloud, Scene, SceneError, View
-from stereogs_plugins.initializers._triangulation import triangulate
 from stereogs_plugins.initializers.sfm import SfmInitializer, stereogs_register_initializers
+from stereogs_plugins.initializers.sfm.triangulation import triangulate
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
@@ -115,19 +112,3 @@ def test_three_real_photographs_give_points(name: str, least: int) -> None:
     assert scene.points is not None  # the data set's own points, from all photographs
     distance = torch.cdist(found.positions, scene.points.positions).amin(dim=1)
     assert distance.median() < 0.02 * scene.bounds[1]
-
-
-def test_png_files_can_still_be_written_after_pycolmap_is_loaded(tmp_path: Path) -> None:
-    """pycolmap before Pillow corrupts memory (two zlibs in one process), so the order matters."""
-    code = f"""
-import torch
-from stereogs_plugins.initializers._triangulation import _pycolmap
-_pycolmap()
-from PIL import Image
-import numpy as np
-pixels = np.random.default_rng(0).integers(0, 255, (378, 504, 3), dtype=np.uint8)
-Image.fromarray(pixels).save({str(tmp_path / "noise.png")!r})
-assert (np.asarray(Image.open({str(tmp_path / "noise.png")!r})) == pixels).all()
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

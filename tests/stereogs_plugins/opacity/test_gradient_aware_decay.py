@@ -5,15 +5,15 @@ import math
 import pytest
 import torch
 
-from core_rasterizer import Gaussians
+from core_rasterizer import GaussianModel, Gaussians
 from registry import OpacityUpdate, Step
 from registry.testing import check
-from registry.training.trainer import OPACITY_MARGIN
+from registry.training.field import OPACITY_MARGIN
 from stereogs_plugins.opacity.gradient_aware_decay import (
     GradientAwareDecay,
     stereogs_register_opacity_policies,
 )
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from tests.stereogs_plugins.building import build, moment_with, offered, some_gaussians, step_with
 
 
 def gaussians() -> Gaussians:
@@ -60,7 +60,6 @@ def test_the_activated_gradient_is_that_of_the_opacity_itself() -> None:
         changed = gaussians()
         changed.opacity_logits[1] = math.log(opacity / (1 - opacity))
         other = step_with(changed)
-        assert other.rendering is not None
         return float(((other.rendering.rgb.detach() - other.view.image).double() ** 2).mean())
 
     slope = (loss(0.81) - loss(0.79)) / 0.02
@@ -120,13 +119,13 @@ def test_decay_curves(function: str, slopes: list[float]) -> None:
 def test_a_thousand_decays_without_gradient_are_monotone_and_end_at_the_hosts_margin() -> None:
     hidden = gaussians()
     hidden.means[:, 2] = -5
-    step = step_with(hidden)
+    step, model = moment_with(hidden)
     decay = build(GradientAwareDecay, base=0.98)
     before = step.model.opacities()
     for _ in range(1000):
         update = updated(decay, step)
         kept = update.opacities.clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
-        step.model.write("opacity_logits", torch.logit(kept))
+        model.write("opacity_logits", torch.logit(kept))
         after = step.model.opacities()
         assert (after <= before * 1.0001).all()
         before = after
@@ -134,30 +133,30 @@ def test_a_thousand_decays_without_gradient_are_monotone_and_end_at_the_hosts_ma
     torch.testing.assert_close(before, torch.full((3,), OPACITY_MARGIN))
 
 
-def poison(step: Step, value: float) -> None:
+def poison(model: GaussianModel, value: float) -> None:
     """Put a value into the gradient of the first opacity."""
-    gradients = step.model.gradients.read().clone()
+    gradients = model.gradients.read().clone()
     gradients[10, 0] = value
-    step.model.gradients.write(gradients)
+    model.gradients.write(gradients)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("function", ["exp_beta", "exp_g", "step", "linear", "constant"])
 def test_a_gradient_that_is_not_finite_stops_the_decay(function: str, value: float) -> None:
-    step = step_with(gaussians())
+    step, model = moment_with(gaussians())
     logged: dict[str, float] = {}
     step.log = logged.__setitem__
     decay = build(GradientAwareDecay, function=function)
     assert decay.update(step) is not None
     assert logged["opacity_gradient_undefined"] == 0
-    poison(step, value)
+    poison(model, value)
     assert decay.update(step) is None
     assert logged["opacity_gradient_undefined"] == 1
 
 
 def test_visible_spares_what_touched_no_pixel() -> None:
-    step = step_with(gaussians())
-    poison(step, 0.0)  # touched, though the loss does not depend on its opacity
+    step, model = moment_with(gaussians())
+    poison(model, 0.0)  # touched, though the loss does not depend on its opacity
     for scope, first in (("visible", 0.99 * 0.3), ("contributing", 0.3)):
         update = updated(build(GradientAwareDecay, scope=scope), step)
         assert update.opacities[0] == pytest.approx(first)

@@ -9,7 +9,9 @@ import pytest
 
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins import Plugins
-from stereogs_plugins.priors import _mvs_families, _stereo_families, onnx_mono
+from stereogs_plugins.priors import onnx_mono
+from stereogs_plugins.priors.onnx_mvs import families as mvs_families
+from stereogs_plugins.priors.onnx_stereo import families as stereo_families
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
@@ -41,9 +43,9 @@ def row(name: str) -> str:
     return str(found)
 
 
-@pytest.mark.parametrize("name", list(_stereo_families.FAMILIES))
-def test_stereo_families_are_described_as_they_are(name: _stereo_families.FamilyName) -> None:
-    family, text = _stereo_families.FAMILIES[name], row(name)
+@pytest.mark.parametrize("name", list(stereo_families.FAMILIES))
+def test_stereo_families_are_described_as_they_are(name: stereo_families.FamilyName) -> None:
+    family, text = stereo_families.FAMILIES[name], row(name)
     assert family.value_range in text
     assert f"`{family.output}`" in text or family.output is None
     assert ("negated" in text) == family.negated
@@ -54,7 +56,7 @@ def test_stereo_families_are_described_as_they_are(name: _stereo_families.Family
 
 
 def test_other_families_are_described_as_they_are() -> None:
-    for name, mvs in _mvs_families.FAMILIES.items():
+    for name, mvs in mvs_families.FAMILIES.items():
         assert f"`{mvs.images}`" in row(name)
         assert f"multiples of {mvs.multiple} " in row(name)
         assert f"| `{name}` | `{mvs.depth}` | `{mvs.confidence}` |" in TEXT

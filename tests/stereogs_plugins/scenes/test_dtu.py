@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from registry import Scene, SceneError
-from stereogs_plugins.scenes._dark_background import blacken
-from stereogs_plugins.scenes._dtu_cameras import view_number
 from stereogs_plugins.scenes.dtu import DTUScene, stereogs_register_scenes
+from stereogs_plugins.scenes.dtu.cameras import view_number
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.scenes.small_scenes import (
@@ -100,17 +98,6 @@ def test_dark_background_becomes_black_in_training_views_alone(folder: Path) -> 
     assert scene.train[0].image[0, 0].tolist() == [0, 0, 0]
     assert scene.test[0].image[0, 0].tolist() == pytest.approx([60 / 255] * 3)
     assert "70" in str(scene.fact("dark_background"))
-
-
-def test_dark_pixels_near_bright_ones_on_their_left_stay() -> None:
-    image = torch.full((2, 120, 3), 0.05)
-    image[0, 10] = torch.tensor([0.0, 0.9, 0.0])
-    result = blacken(image, 30)
-    assert (result[1] == 0).all()
-    assert (result[0, :10] == 0).all()
-    assert torch.equal(result[0, 10:61], image[0, 10:61])  # pixel 60 is 50 to the right of pixel 10
-    assert (result[0, 61:] == 0).all()
-    assert torch.equal(blacken(image, 5), image)
 
 
 def test_cameras_of_a_colmap_model(tmp_path: Path) -> None:

@@ -15,12 +15,12 @@ from core_rasterizer import Camera
 from registry import Scene, SceneError
 from registry.drawing.pictures import to_bytes
 from registry.testing import check
-from stereogs_plugins.scenes._disconnected import refuse_disconnected
-from stereogs_plugins.scenes._found_cameras import remembered_model
-from stereogs_plugins.scenes._structure_from_motion import Reconstruction
-from stereogs_plugins.scenes._unposed_photos import read_folder
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.photos import PhotosScene, stereogs_register_scenes
+from stereogs_plugins.scenes.photos.disconnected import refuse_disconnected
+from stereogs_plugins.scenes.photos.found_cameras import remembered_model
+from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
+from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered

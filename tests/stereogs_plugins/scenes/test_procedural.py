@@ -8,8 +8,8 @@ from torch.nn.functional import grid_sample
 
 from core_rasterizer import Camera
 from registry import Scene, View
-from stereogs_plugins.scenes._ray_casting import Rectangle, Sphere, Texture, cast
 from stereogs_plugins.scenes.procedural import ProceduralScene, stereogs_register_scenes
+from stereogs_plugins.scenes.procedural.ray_casting import Rectangle, Sphere, Texture, cast
 from tests.stereogs_plugins.building import build, offered
 
 WHITE = Texture(np.ones((2, 2, 3)))
@@ -28,27 +28,19 @@ def test_is_offered_as_procedural() -> None:
 def unproject(view: View) -> Tensor:
     """`[H, W, 3]` world points behind the pixel centres."""
     assert view.depth is not None
-    camera = view.camera
-    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    depth = view.depth.double()
-    local = torch.stack([x * depth, y[:, None] * depth, depth], dim=-1)
-    pose = camera.camera_to_world
-    return local @ pose[:3, :3].T + pose[:3, 3]
+    return view.camera.unproject(*view.camera.pixel_centers(), view.depth)
 
 
 def warp(source: View, target: View) -> tuple[Tensor, Tensor]:
     """The source's colours at the target's pixels `[H, W, 3]`, and where they are to be trusted."""
     assert source.depth is not None
-    pose, camera = source.camera.world_to_camera, source.camera
-    local = unproject(target) @ pose[:3, :3].T + pose[:3, 3]
-    x = (local[..., 0] / local[..., 2] * camera.fx + camera.cx) / camera.width * 2 - 1
-    y = (local[..., 1] / local[..., 2] * camera.fy + camera.cy) / camera.height * 2 - 1
+    u, v, z = source.camera.project(unproject(target))
+    x, y = u / source.camera.width * 2 - 1, v / source.camera.height * 2 - 1
     grid = torch.stack([x, y], dim=-1).float()[None]
     colors = grid_sample(source.image.permute(2, 0, 1)[None], grid, align_corners=False)
     depth = grid_sample(source.depth[None, None], grid, mode="nearest", align_corners=False)[0, 0]
     inside = (x.abs() < 1) & (y.abs() < 1)
-    return colors[0].permute(1, 2, 0), inside & ((depth / local[..., 2] - 1).abs() < 0.01)
+    return colors[0].permute(1, 2, 0), inside & ((depth / z - 1).abs() < 0.01)
 
 
 def score(first: Tensor, second: Tensor, mask: Tensor) -> float:

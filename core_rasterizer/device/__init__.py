@@ -1,0 +1,19 @@
+"""OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
+
+from .array import DeviceArray, read_together
+from .choice import list_devices, open_device
+from .device import Device, Kind, Variant
+from .program import Program
+from .scratch import Scratch
+
+__all__ = [
+    "Device",
+    "DeviceArray",
+    "Kind",
+    "Program",
+    "Scratch",
+    "Variant",
+    "list_devices",
+    "open_device",
+    "read_together",
+]

@@ -1,0 +1,61 @@
+"""Where each parameter of a Gaussian stands: the one place that says so, for Python and for the kernels.
+
+Parameters are an array `[rows, capacity]`: a row is one scalar parameter of all Gaussians, a column one
+Gaussian. SH rows come last, coefficient by coefficient, three channels each.
+"""
+
+from __future__ import annotations
+
+from .gaussians import sh_coefficients
+
+_WIDTHS = {"means": 3, "log_scales": 3, "quaternions": 4, "opacity_logits": 1}
+"""Rows of each parameter in front of the SH coefficients, in their order."""
+
+PARAMETERS = (*_WIDTHS, "sh")
+"""The names of the parameters, in the order of their rows."""
+
+ROWS_BEFORE_SH = sum(_WIDTHS.values())
+"""Parameter rows in front of the SH coefficients."""
+
+_ENDS = [sum(list(_WIDTHS.values())[: number + 1]) for number in range(len(_WIDTHS))]
+_ROWS = {
+    name: (end - width, end) for (name, width), end in zip(_WIDTHS.items(), _ENDS, strict=True)
+}
+
+PARAMETER_GROUPS: dict[str, tuple[int, int | None]] = {
+    **_ROWS,
+    "sh_constant": (ROWS_BEFORE_SH, ROWS_BEFORE_SH + 3),
+    "sh_rest": (ROWS_BEFORE_SH + 3, None),
+}
+"""Rows that share a learning rate; the last group takes what is left."""
+
+PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
+"""A bit for each parameter, by which kernels are told of several at once."""
+
+KERNEL_MACROS = {
+    "ROW_MEAN": _ROWS["means"][0],
+    "ROW_SCALE": _ROWS["log_scales"][0],
+    "ROW_QUATERNION": _ROWS["quaternions"][0],
+    "ROW_OPACITY": _ROWS["opacity_logits"][0],
+    "ROW_SH": ROWS_BEFORE_SH,
+    **{f"BIT_{name.upper()}": bit for name, bit in PARAMETER_BITS.items()},
+}
+"""What every kernel is built with: the first row of each parameter, and its bit."""
+
+CAPACITY_STEP = 16
+"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
+
+
+def row_count(sh_degree: int) -> int:
+    """Scalar parameters of a Gaussian with SH bands up to `sh_degree` (0 to 3)."""
+    return ROWS_BEFORE_SH + 3 * sh_coefficients(sh_degree)
+
+
+def rows_of(name: str, sh_degree: int) -> tuple[int, int]:
+    """The rows `[first, last)` of one of `PARAMETERS` in an array with bands up to `sh_degree`."""
+    return (ROWS_BEFORE_SH, row_count(sh_degree)) if name == "sh" else _ROWS[name]
+
+
+def padded(count: int) -> int:
+    """The capacity of parameter arrays that hold `count` Gaussians."""
+    return max(CAPACITY_STEP, -(-count // CAPACITY_STEP) * CAPACITY_STEP)

@@ -1,0 +1,107 @@
+"""The gradient of every parameter: what renders wrote on the device, and what losses on parameters add."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..device import Device, DeviceArray
+from ..errors import GaussianError
+from ..finite import undefined_places
+from ..layout import ROWS_BEFORE_SH
+
+_ALL_BANDS = 3
+
+
+class Gradients:
+    """Gradient rows `[rows, capacity]` that are zeroed for nothing.
+
+    Renders write their gradients on the device. Those of losses on parameters come from the host and
+    wait there until an optimizer wants the sum, so that the rows tell until then which Gaussians the
+    renders touched. Sums have a fixed order: renders first, as autograd runs them, then the others.
+
+    Attributes:
+        rows: `[rows, capacity]` on the device.
+    """
+
+    def __init__(self, device: Device, shape: tuple[int, ...], dtype: torch.dtype) -> None:
+        self.rows = DeviceArray(device, shape, dtype)
+        self._forgotten = False
+        self._written_degree = 0
+        self._waiting: dict[tuple[int, int], Tensor] = {}
+
+    def forget(self) -> None:
+        """Make all zero. Costs nothing: the next backward pass overwrites them."""
+        self._forgotten = True
+        self._waiting.clear()
+
+    def make_ready(self, sh_degree: int) -> bool:
+        """Prepare for a backward pass that writes SH bands up to a degree; `written` must follow it.
+
+        Returns:
+            Whether the pass is to add to the rows, instead of replacing them.
+        """
+        if self._forgotten and sh_degree < self._written_degree:
+            self.rows.fill(0)  # bands that this pass will not overwrite hold older values
+        # Adding needs every row to hold something; a higher band than before holds zeros already.
+        return not self._forgotten
+
+    def written(self, sh_degree: int) -> None:
+        """Note that a backward pass has written SH bands up to a degree."""
+        before = 0 if self._forgotten else self._written_degree
+        self._written_degree = max(sh_degree, before)
+        self._forgotten = False
+
+    def of_renders(self, first: int, last: int | None) -> Tensor:
+        """Rows `[first, last)` of what the renders wrote."""
+        self._write_promised_zeros()
+        return self.rows.read(first, last)
+
+    def total(self, first: int, last: int) -> Tensor:
+        """Rows `[first, last)` of the sum."""
+        values = self.of_renders(first, last)
+        waiting = self._waiting.get((first, last))
+        return values if waiting is None else values + waiting
+
+    def add(self, name: str, first: int, values: Tensor) -> None:
+        """Add the gradient of a loss on a parameter.
+
+        Args:
+            name: of the parameter, for the error.
+            first: its first row.
+            values: `[width, N]`.
+
+        Raises:
+            GaussianError: a value is not finite; nothing is added then.
+        """
+        undefined = undefined_places(values)
+        if len(undefined):
+            raise GaussianError(
+                f"the loss has an undefined gradient in {len(undefined)} values of the parameter "
+                f"{name!r}",
+                field=name,
+                index=int(undefined[:, 1].min()),
+                where="backward of a loss on parameters",
+                fix="look for a division by zero or a square root of zero in the loss",
+            )
+        rows = (first, first + values.shape[0])
+        if rows not in self._waiting:
+            self._waiting[rows] = torch.zeros(
+                values.shape[0], self.rows.shape[1], dtype=self.rows.dtype
+            )
+        self._waiting[rows][:, : values.shape[1]] += values
+
+    def settle(self) -> None:
+        """Bring the rows on the device up to date, for an optimizer that reads them there."""
+        self._write_promised_zeros()
+        for rows, values in self._waiting.items():
+            self.rows.write(self.rows.read(*rows) + values, *rows)
+            if rows[0] == ROWS_BEFORE_SH:
+                self._written_degree = _ALL_BANDS
+        self._waiting.clear()
+
+    def _write_promised_zeros(self) -> None:
+        if self._forgotten:
+            self.rows.fill(0)
+            self._written_degree = 0
+            self._forgotten = False

@@ -1,0 +1,86 @@
+/* One step of Adam (Kingma & Ba 2015), over `[rows][capacity]` arrays. Twin: torch.optim.Adam.
+ *
+ * Work-items of dimension 1 take a row each, a row being one scalar parameter of all Gaussians; those
+ * of dimension 0 share its columns, `span` neighbouring ones each. It is bound by memory: one pass
+ * reads four arrays and writes three.
+ *
+ * Six groups of rows have a learning rate, over the first bias correction, and 1 / sqrt of the second
+ * each; a group that is not among the bits of `moving` is left alone.
+ */
+
+#define BETA1 ((real)0.9)
+#define BETA2 ((real)0.999)
+/* 1 - beta, written out: in float, 1 - 0.999f is wrong in the fifth digit. */
+#define SHARE1 ((real)0.1)
+#define SHARE2 ((real)0.001)
+#define EPSILON ((real)1e-15)
+/* The square of a gradient beyond this is no number; such a gradient, or an undefined one, counts as 0. */
+#define LARGEST_GRADIENT ((real)1e18)
+
+/* A build may leave alone what has no gradient: the unseen, whose moments then do not decay. Benchmarks
+ * measure what that saves and changes. Whole blocks without a gradient cost a read instead of seven
+ * accesses. */
+#ifndef VISIBLE_ONLY
+#define VISIBLE_ONLY 0
+#endif
+#define BLOCK (LANES == 1 ? 1 : 16)
+
+/* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. */
+static inline void step_values(
+    __global real *restrict parameters, __global const real *restrict gradients,
+    __global real *restrict first_moments, __global real *restrict second_moments, size_t begin,
+    size_t end, real rate, real correction)
+{
+    for (size_t at = begin; at < end; at++) {
+        const real given = gradients[at];
+        const int defined = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT);
+        const real gradient = defined ? given : 0;
+        const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
+        const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
+        const int still = VISIBLE_ONLY & (given == 0);
+        first_moments[at] = still ? first_moments[at] : m;
+        second_moments[at] = still ? second_moments[at] : v;
+        const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
+        parameters[at] -= still ? 0 : change;
+    }
+}
+
+static inline int any_gradient(__global const real *gradients)
+{
+    int any = 0;
+    for (int l = 0; l < BLOCK; l++)
+        any |= gradients[l] != 0;
+    return any;
+}
+
+__kernel void adam(
+    __global real *restrict parameters, __global const real *restrict gradients,
+    __global real *restrict first_moments, __global real *restrict second_moments,
+    real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,
+    real sh_rest, real correct_means, real correct_log_scales, real correct_quaternions,
+    real correct_opacity_logits, real correct_sh_constant, real correct_sh_rest, int moving, int columns,
+    int capacity, int span)
+{
+    const size_t row = get_global_id(1);
+    const int begin = get_global_id(0) * span;
+    const int end = begin + span < columns ? begin + span : columns;
+    const int group = (row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY)
+        + (row >= ROW_SH) + (row >= ROW_SH + 3);
+    if ((moving >> group & 1) == 0)
+        return;
+    /* Arrays keep the choice out of the loop, where a chain of ?: cost a tenth of the time. */
+    const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};
+    const real corrections[] = {correct_means, correct_log_scales, correct_quaternions,
+        correct_opacity_logits, correct_sh_constant, correct_sh_rest};
+    const real rate = rates[group], correction = corrections[group];
+    const size_t first = row * capacity;
+#if VISIBLE_ONLY
+    for (size_t at = first + begin; at < first + end; at += BLOCK)
+        if (any_gradient(gradients + at))
+            step_values(parameters, gradients, first_moments, second_moments, at, at + BLOCK, rate,
+                correction);
+#else
+    step_values(parameters, gradients, first_moments, second_moments, first + begin, first + end, rate,
+        correction);
+#endif
+}

@@ -1,0 +1,205 @@
+"""The photometric loss of 3D Gaussian Splatting, L1 + D-SSIM, fused: value and gradient at once."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from ..device import Device, DeviceArray, open_device, read_together
+from ..errors import ExplainedError
+from ..finite import undefined_places
+
+SSIM_WEIGHT = 0.2
+"""The share of D-SSIM in the loss of 3DGS."""
+
+_CHANNELS = 3
+_BORDER = 5 * _CHANNELS
+"""Zeros before and after each row of a filtered map, as in the kernels."""
+_SCRATCH_ROWS = 2 * 4 + 12 * 3
+"""Rows of scratch memory a band: lines and ring, as in the kernel."""
+_GPU_GROUP = 64
+"""Work-items that share an image row on a GPU."""
+_GPU_BAND = 16
+"""Image rows a band on a GPU: enough bands for every unit, at the price of computing 26 rows for 16."""
+_BANDS_A_CORE = 2
+"""On a CPU: few, because each computes ten rows of its neighbours too; two even out a late start."""
+_WORKSPACES = 4
+"""Image sizes whose scratch memory is kept."""
+
+
+def photometric_loss(
+    rgb: Tensor,
+    target: Tensor,
+    ssim_weight: float = SSIM_WEIGHT,
+    *,
+    l1_weight: float | None = None,
+    device: Device | None = None,
+) -> Tensor:
+    """l1_weight * mean |rgb - target| + ssim_weight * (1 - SSIM), as one number.
+
+    SSIM is Wang et al.'s (2004) as 3DGS computes it: an 11x11 Gaussian window of sigma 1.5, zeros
+    beyond the border, biased moments, C1 = 0.01^2 and C2 = 0.03^2, averaged over all pixels and
+    channels. Equal images give exactly 0, with a gradient of exactly 0.
+
+    Args:
+        rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped.
+        target: `[H, W, 3]`, the photograph; no gradient flows to it.
+        ssim_weight: in [0, 1]; beside an `l1_weight` any number from 0.
+        l1_weight: any number from 0; None is 1 - ssim_weight, as in 3DGS.
+        device: where to compute; None chooses (`open_device`).
+
+    Returns:
+        A scalar of the type of `rgb`. Its gradient with respect to `rgb` is computed together with
+        the value; differentiating twice is not supported.
+
+    Raises:
+        ExplainedError: shapes, types or weights are not as above.
+    """
+    if rgb.ndim != 3 or rgb.shape[2] != _CHANNELS or rgb.numel() == 0 or rgb.shape != target.shape:
+        raise ExplainedError(
+            f"the images have the shapes {tuple(rgb.shape)} and {tuple(target.shape)}",
+            where="photometric_loss",
+            fix="give two images of the same shape (height, width, 3)",
+        )
+    if rgb.dtype not in (torch.float32, torch.float64):
+        raise ExplainedError(
+            f"the image has the type {rgb.dtype}", where="photometric_loss", fix="use float32"
+        )
+    weights = _weights(l1_weight, ssim_weight)
+    loss: Tensor = _PhotometricLoss.apply(rgb, target, weights, device or open_device())
+    return loss
+
+
+def _weights(l1_weight: float | None, ssim_weight: float) -> tuple[float, float]:
+    """Both weights, checked."""
+    if l1_weight is None and ssim_weight > 1:
+        raise ExplainedError(
+            f"ssim_weight is {ssim_weight}; it must lie in [0, 1]",
+            where="photometric_loss",
+            fix="give l1_weight too, if they are not to add up to 1",
+        )
+    l1_weight = 1 - ssim_weight if l1_weight is None else l1_weight
+    for name, weight in (("ssim_weight", ssim_weight), ("l1_weight", l1_weight)):
+        if not 0 <= weight < math.inf:
+            raise ExplainedError(
+                f"{name} is {weight}; it must be finite and at least 0", where="photometric_loss"
+            )
+    return l1_weight, ssim_weight
+
+
+class _PhotometricLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, rgb: Tensor, target: Tensor, weights: tuple[float, float], device: Device
+    ) -> Tensor:
+        height, width, _ = rgb.shape
+        workspace = _workspace(device, height, width, rgb.dtype)
+        loss, gradient = workspace.run(rgb, target, weights, ctx.needs_input_grad[0])
+        ctx.save_for_backward(gradient)
+        return rgb.new_tensor(loss)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        if float(upstream) != 1.0:  # an unweighted loss saves a pass over the image
+            gradient = gradient * upstream
+        return gradient, None, None, None
+
+
+class _Workspace:
+    """Kernels and scratch memory for one image size; a run allocates nothing but its result."""
+
+    def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
+        row = _CHANNELS * width
+        # An image narrower than a vector (one or two pixels) goes real by real.
+        lanes = device.lanes if row >= device.lanes else 1
+        self._items = 1 if device.variant == "cpu" else _GPU_GROUP
+        self._program = device.program(
+            "optimization/photometric", dtype=dtype, LANES=lanes, GROUP=self._items
+        )
+        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
+        band = _GPU_BAND
+        if device.variant == "cpu":
+            band = -(-height // (_BANDS_A_CORE * device.compute_units))
+        self._bands = -(-height // band)
+        stride = row + 2 * _BORDER
+        self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
+        self._scratch = DeviceArray(device, (self._bands * _SCRATCH_ROWS, stride), dtype)
+        self._sums = DeviceArray(device, (height * self._items, 2), dtype)
+        if not device.shares_memory:
+            self._images = [DeviceArray(device, self._shape, dtype) for _ in range(3)]
+
+    def run(
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
+        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image."""
+        with self._device.lock:  # threads take turns
+            return self._run(rgb, target, weights, with_gradient)
+
+    def _run(
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
+        l1_weight, ssim_weight = weights
+        image, reference, result = self._bind(rgb, target)
+        values = math.prod(self._shape)
+        real = np.float64 if self._dtype == torch.float64 else np.float32
+        self._program.run(
+            "photometric",
+            (self._items, self._bands),
+            (self._items, 1),
+            image,
+            reference,
+            self._scratch,
+            self._sums,
+            result,
+            *self._size,
+            np.int32(with_gradient),
+            real(l1_weight / values),
+            real(ssim_weight / values),
+        )
+        # Without a gradient nothing was written to `result`.
+        sums, *gradient = read_together([self._sums, result] if with_gradient else [self._sums])
+        l1, dissimilarity = (sums.double().sum(dim=0) / values).tolist()
+        loss = l1_weight * l1 + ssim_weight * dissimilarity
+        if not math.isfinite(loss):
+            raise _undefined(rgb, target)
+        return loss, gradient[0] if gradient else None
+
+    def _bind(self, rgb: Tensor, target: Tensor) -> list[DeviceArray]:
+        """The two images and room for the gradient, as device arrays."""
+        images = [image.detach().to("cpu", self._dtype).contiguous() for image in (rgb, target)]
+        if self._device.shares_memory:
+            images.append(torch.empty(self._shape, dtype=self._dtype))
+            return [DeviceArray(self._device, self._shape, self._dtype, over=t) for t in images]
+        for array, image in zip(self._images, images, strict=False):
+            array.write(image)
+        return self._images
+
+
+def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
+    """What made the loss a value that is not finite."""
+    for name, image in (("rgb", rgb), ("target", target)):
+        bad = undefined_places(image)
+        if len(bad):
+            y, x, channel = bad[0].tolist()
+            return ExplainedError(
+                f"{len(bad)} values of the image {name!r} are not finite",
+                where=f"photometric_loss: {name}[{y}, {x}, {channel}]",
+            )
+    return ExplainedError(
+        f"the loss overflows: the images reach {max(rgb.abs().max(), target.abs().max()):g}",
+        where="photometric_loss",
+        fix="give images with values near [0, 1]",
+    )
+
+
+@lru_cache(maxsize=_WORKSPACES)
+def _workspace(device: Device, height: int, width: int, dtype: torch.dtype) -> _Workspace:
+    return _Workspace(device, height, width, dtype)

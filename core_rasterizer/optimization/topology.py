@@ -1,0 +1,179 @@
+"""One place where Gaussians come, go and move, with all that belongs to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..device import DeviceArray, Program
+from ..errors import GaussianError
+from ..gaussians import Gaussians
+from ..layout import padded, rows_of
+from ..raster import pack
+from .adam import Adam
+from .edit import Carried, Edit, Relocation
+from .model import GaussianModel
+from .relocation import shared_among_copies
+
+_GROUP = 64
+
+
+def apply_edit(
+    model: GaussianModel, optimizer: Adam, edit: Edit, generator: torch.Generator
+) -> Carried:
+    """Carry out an edit on the parameters and the optimizer's moments.
+
+    The Gaussians that stay keep their order, relocated ones among them; clones follow, then the children
+    of splits, then those that were added. New ones start with zero moments, as do the sources of
+    relocations, and gradients and densification statistics start anew for all. An edit that is refused
+    changes nothing.
+
+    Args:
+        generator: draws the children's offsets from N(0, covariance of the parent).
+
+    Raises:
+        GaussianError: an edit that does not fit the Gaussians (`Edit.check`), that adds ones with
+            other SH bands, or that leaves none.
+    """
+    edit.check(model.count)
+    added = edit.add if edit.add is not None and len(edit.add) else None
+    if added is not None and added.sh_degree != model.sh_degree:
+        raise GaussianError(
+            f"the added Gaussians have SH degree {added.sh_degree}, the model has {model.sh_degree}",
+            field="add",
+        )
+    plan = _Plan(edit, model.count)
+    mover = _Mover(model, plan)
+    parameters = mover.move(model.parameters)
+    if edit.relocate is not None:
+        _share(model, edit.relocate, plan, parameters)
+    if plan.children:
+        noise = torch.randn(plan.children, 3, generator=generator, dtype=torch.float64)
+        mover.spread(parameters, noise, plan.first_child, edit.shrink)
+    if added is not None:
+        mover.append(parameters, added, plan.first_child + plan.children)
+    moments = [
+        mover.move(values, zero=plan.restarted)
+        for values in (optimizer.first_moments, optimizer.second_moments)
+    ]
+    model.adopt(parameters, plan.count)
+    optimizer.first_moments, optimizer.second_moments = moments
+    return Carried(plan.source, plan.fresh)
+
+
+class _Plan:
+    """Where each Gaussian after an edit comes from.
+
+    Attributes:
+        source, fresh: as in `Carried`.
+        restarted: `[N_new]` bool, whose moments become zero.
+        children, first_child: how many children there are, and where they begin.
+    """
+
+    def __init__(self, edit: Edit, count: int) -> None:
+        origin, moved, restarted = torch.arange(count), *torch.zeros(2, count, dtype=torch.bool)
+        if edit.relocate is not None:
+            origin[edit.relocate.target] = edit.relocate.source
+            moved[edit.relocate.target] = True
+            restarted[edit.relocate.source] = True
+        prune, split = edit.mask("prune", count), edit.mask("split", count)
+        kept = (~(prune | split)).nonzero()[:, 0]
+        cloned = edit.mask("clone", count).nonzero()[:, 0]
+        children = split.nonzero()[:, 0].repeat(edit.split_into)
+        parents = children[:0] if edit.parents is None else edit.parents
+        self.source = torch.cat([origin[kept], origin[cloned], origin[children], parents])
+        self.count, self.children = len(self.source), len(children)
+        self.first_child = len(kept) + len(cloned)
+        if not self.count:
+            raise GaussianError(
+                f"the edit would remove all {count} Gaussians",
+                field="prune",
+                fix="keep at least one, or stop the policy that removes them",
+            )
+        self.fresh = torch.ones(self.count, dtype=torch.bool)
+        self.fresh[: len(kept)] = moved[kept]
+        self.restarted = self.fresh.clone()
+        self.restarted[: len(kept)] |= restarted[kept]
+
+
+def _share(model: GaussianModel, move: Relocation, plan: _Plan, parameters: DeviceArray) -> None:
+    """Give the sources and their copies the opacities and scales of copies."""
+    copies = 1 + torch.bincount(move.source, minlength=model.count)
+    shared = (copies > 1).nonzero()[:, 0]
+    logits, log_scales = (model.read(n).clone() for n in ("opacity_logits", "log_scales"))
+    new_logits, log_factors = shared_among_copies(logits[shared], copies[shared])
+    logits[shared] = new_logits.to(logits.dtype)
+    log_scales[shared] += log_factors.to(logits.dtype)[:, None]
+    for name, values in (("opacity_logits", logits), ("log_scales", log_scales)):
+        first, last = rows_of(name, model.sh_degree)
+        rows = torch.zeros(last - first, parameters.shape[1], dtype=logits.dtype)
+        rows[:, : plan.count] = values[plan.source].reshape(plan.count, -1).T
+        parameters.write(rows, first, last)
+
+
+class _Mover:
+    """Gathers columns of device arrays as a plan says, and changes those that are new."""
+
+    def __init__(self, model: GaussianModel, plan: _Plan) -> None:
+        self._device, self._dtype = model.device, model.dtype
+        self._program: Program = model.device.program(
+            "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP
+        )
+        self._count, self._capacity = plan.count, padded(plan.count)
+        self._source = self._array(plan.source, torch.int32)
+        self._none = self._array(torch.zeros(plan.count), torch.int32)
+
+    def move(self, values: DeviceArray, zero: Tensor | None = None) -> DeviceArray:
+        """The gathered columns; those in the mask `zero`, `[N_new]`, are zero instead."""
+        target = DeviceArray(self._device, (values.shape[0], self._capacity), self._dtype)
+        self._run(
+            "gather_columns",
+            self._capacity,
+            values,
+            self._source,
+            self._none if zero is None else self._array(zero, torch.int32),
+            target,
+            np.uint32(self._count),
+            np.uint32(values.shape[1]),
+            np.uint32(self._capacity),
+            np.uint32(values.shape[0]),
+        )
+        return target
+
+    def spread(self, parameters: DeviceArray, noise: Tensor, first: int, shrink: float) -> None:
+        """Set children, of which the first is column `first`, apart by standard normal noise."""
+        self._run(
+            "spread_children",
+            noise.shape[0],
+            parameters,
+            self._array(noise, self._dtype),
+            np.uint32(first),
+            np.uint32(noise.shape[0]),
+            np.uint32(self._capacity),
+            (np.float64 if self._dtype == torch.float64 else np.float32)(shrink),
+        )
+
+    def append(self, parameters: DeviceArray, gaussians: Gaussians, first: int) -> None:
+        """Write Gaussians from elsewhere to the columns from `first` on."""
+        rows = pack(gaussians, self._dtype, len(gaussians))
+        self._run(
+            "append_columns",
+            len(gaussians),
+            self._array(rows, self._dtype),
+            parameters,
+            np.uint32(first),
+            np.uint32(len(gaussians)),
+            np.uint32(self._capacity),
+            np.uint32(rows.shape[0]),
+        )
+
+    def _array(self, values: Tensor, dtype: torch.dtype) -> DeviceArray:
+        array = DeviceArray(self._device, tuple(values.shape), dtype)
+        array.write(values)
+        return array
+
+    def _run(self, kernel: str, items: int, *arguments: DeviceArray | np.generic) -> None:
+        size = -(-items // _GROUP) * _GROUP
+        self._program.run(kernel, (size,), (_GROUP,), *arguments)
+        self._device.finish()

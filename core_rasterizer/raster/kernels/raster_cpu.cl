@@ -1,0 +1,313 @@
+/* Rasterization on a CPU: a work-item owns a tile, pixel state lives in its private arrays, and each
+ * Gaussian visits the rows of its box in vectors, a column of vectors at a time. Box rows beat exact
+ * spans: the square root and the branch cost more than the lanes that they save.
+ *
+ * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: so it may start
+ * at any column, and covers a small Gaussian better than one long row would. */
+#define COLUMNS 8
+#define ROWS (LANES / COLUMNS)
+#define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
+#define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
+#define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
+#define PAIRS_AHEAD 12 /* Gaussians: what they need is scattered over memory, and fetched so early */
+#define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
+
+typedef struct {
+    int x, y, width, height; /* pixels of the image that the tile covers */
+} tile_area;
+
+static inline tile_area area_of(uint tile, int tiles_x, __global const wide *camera)
+{
+    tile_area area;
+    area.x = (int)(tile % tiles_x) * TILE_WIDTH;
+    area.y = (int)(tile / tiles_x) * TILE_HEIGHT;
+    area.width = min(TILE_WIDTH, (int)camera[CAMERA_WIDTH] - area.x);
+    area.height = min(TILE_HEIGHT, (int)camera[CAMERA_HEIGHT] - area.y);
+    return area;
+}
+
+/* A Gaussian's box within the tile, in tile coordinates; rows begin and end where vectors do. */
+typedef struct {
+    int x0, x1, y0, y1;
+} pixel_box;
+
+static inline pixel_box box_in(__global const real *record, tile_area area)
+{
+    pixel_box box;
+    box.x0 = max((int)record[REC_X0] - area.x, 0);
+    box.x1 = min((int)record[REC_X1] - area.x, area.width);
+    box.y0 = max((int)record[REC_Y0] - area.y, 0) / ROWS * ROWS;
+    box.y1 = (min((int)record[REC_Y1] - area.y, area.height) + ROWS - 1) / ROWS * ROWS;
+    return box;
+}
+
+/* Pixels outside the image start finished, so that no other code knows of the image's edge. */
+static inline void open_pixels(real *transmittance, tile_area area)
+{
+    for (int i = 0; i < PIXELS; i++)
+        transmittance[i] = (real)-1;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++)
+            transmittance[AT(x, y)] = (real)1;
+}
+
+static inline int all_finished(const real *transmittance)
+{
+    lane largest = (lane)-1;
+    for (int i = 0; i < PIXELS; i += LANES) {
+        const lane here = LOAD(transmittance + i);
+        largest = LANE_MAX(largest, here);
+    }
+    for (int l = 0; l < LANES; l++)
+        if (LANE_AT(largest, l) > 0)
+            return 0;
+    return 1;
+}
+
+/* How far right and down of a vector's first pixel the others are. */
+#if ROWS == 1
+#define ACROSS ((lane)(0, 1, 2, 3, 4, 5, 6, 7))
+#define DOWN ((lane)0)
+#else
+#define ACROSS ((lane)(0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7))
+#define DOWN ((lane)(0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1))
+#endif
+
+/* The pixels of a tile that no Gaussian reaches. */
+static inline void show_background(
+    tile_area area, __global const wide *camera, __global real *rgb, __global real *depth,
+    __global real *alpha, __global real *final_transmittance)
+{
+    const int width = (int)camera[CAMERA_WIDTH];
+    const real red = camera[CAMERA_BACKGROUND], green = camera[CAMERA_BACKGROUND + 1],
+               blue = camera[CAMERA_BACKGROUND + 2];
+    for (int y = area.y; y < area.y + area.height; y++) {
+        const size_t first = (size_t)y * width + area.x;
+        /* A loop for each image: a compiler makes vectors of these, not of stores to four places. */
+        for (size_t pixel = first; pixel < first + area.width; pixel++) {
+            rgb[3 * pixel] = red;
+            rgb[3 * pixel + 1] = green;
+            rgb[3 * pixel + 2] = blue;
+        }
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            depth[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            alpha[pixel] = 0;
+        for (size_t pixel = first; pixel < first + area.width; pixel++)
+            final_transmittance[pixel] = 1;
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void raster(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const ulong *counters, __global const wide *camera, __global real *rgb,
+    __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
+    uint pair_capacity)
+{
+    if (counters[COUNT_PAIRS] > pair_capacity)
+        return;
+    const uint tile = get_global_id(0);
+    const tile_area area = area_of(tile, tiles_x, camera);
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    if (begin == end) {
+        show_background(area, camera, rgb, depth, alpha, final_transmittance);
+        return;
+    }
+    real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS];
+    open_pixels(t, area);
+    for (int i = 0; i < PIXELS; i++)
+        red[i] = green[i] = blue[i] = z[i] = 0;
+
+    for (uint p = begin; p < end; p++) {
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
+        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        if (p + PAIRS_AHEAD < end)
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
+        const pixel_box box = box_in(g, area);
+        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
+        for (int x = box.x0; x < box.x1; x += COLUMNS) {
+            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
+            const lane square = a * dx * dx, slope = b * dx;
+            lane dy = first_dy;
+            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
+                const lane before = LOAD(t + i);
+                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+                STORE(t + i, keep_transmittance(m, before));
+                STORE(red + i, LOAD(red + i) + m.weight * r);
+                STORE(green + i, LOAD(green + i) + m.weight * gr);
+                STORE(blue + i, LOAD(blue + i) + m.weight * bl);
+                STORE(z + i, LOAD(z + i) + m.weight * depth_here);
+            }
+        }
+    }
+
+    const int width = (int)camera[CAMERA_WIDTH];
+    __global const wide *background = camera + CAMERA_BACKGROUND;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++) {
+            const int i = AT(x, y);
+            const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
+            const real left = t[i] < 0 ? -t[i] : t[i];
+            rgb[3 * pixel] = red[i] + left * (real)background[0];
+            rgb[3 * pixel + 1] = green[i] + left * (real)background[1];
+            rgb[3 * pixel + 2] = blue[i] + left * (real)background[2];
+            depth[pixel] = z[i];
+            alpha[pixel] = 1 - left;
+            final_transmittance[pixel] = left;
+        }
+}
+
+typedef GLUE(REAL_NAME, 4) quad;
+typedef quad quad_anywhere __attribute__((aligned(sizeof(real))));
+typedef GLUE(REAL_NAME, 8) octet;
+
+static inline octet octet_of(lane a)
+{
+#if LANES == 16
+    return a.lo + a.hi;
+#else
+    return a;
+#endif
+}
+
+/* The sums of four vectors: every step adds lanes of several, where four sums of their own would leave
+ * most lanes idle. */
+static inline quad sum_quad(lane first, lane second, lane third, lane fourth)
+{
+    const octet a = octet_of(first), b = octet_of(second), c = octet_of(third),
+                d = octet_of(fourth);
+    const octet ab = (octet)(a.s0, b.s0, a.s1, b.s1, a.s4, b.s4, a.s5, b.s5)
+        + (octet)(a.s2, b.s2, a.s3, b.s3, a.s6, b.s6, a.s7, b.s7);
+    const octet cd = (octet)(c.s0, d.s0, c.s1, d.s1, c.s4, d.s4, c.s5, d.s5)
+        + (octet)(c.s2, d.s2, c.s3, d.s3, c.s6, d.s6, c.s7, d.s7);
+    const octet abcd = (octet)(ab.s01, cd.s01, ab.s45, cd.s45)
+        + (octet)(ab.s23, cd.s23, ab.s67, cd.s67);
+    return abcd.lo + abcd.hi;
+}
+
+/* Loads what the backward walk needs of the tile: the output gradients, and `rest`: what the
+ * Gaussians not yet passed, and the background, contribute to the loss. */
+static inline void load_gradients(
+    tile_area area, int width, __global const real *rgb, __global const real *depth,
+    __global const real *final_transmittance, __global const real *d_rgb,
+    __global const real *d_depth, __global const real *d_alpha, real *red, real *green, real *blue,
+    real *z, real *rest)
+{
+    for (int i = 0; i < PIXELS; i++)
+        red[i] = green[i] = blue[i] = z[i] = rest[i] = 0;
+    for (int y = 0; y < area.height; y++)
+        for (int x = 0; x < area.width; x++) {
+            const int i = AT(x, y);
+            const size_t pixel = (size_t)(area.y + y) * width + area.x + x;
+            red[i] = d_rgb[3 * pixel];
+            green[i] = d_rgb[3 * pixel + 1];
+            blue[i] = d_rgb[3 * pixel + 2];
+            z[i] = d_depth[pixel];
+            rest[i] = rgb[3 * pixel] * red[i] + rgb[3 * pixel + 1] * green[i]
+                + rgb[3 * pixel + 2] * blue[i] + depth[pixel] * z[i]
+                - final_transmittance[pixel] * d_alpha[pixel];
+        }
+}
+
+/* Walks front to back like the forward pass. With v = c . dL/dC + z dL/dD of the Gaussian at hand and
+ * `rest` the same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
+static inline __attribute__((always_inline)) void walk_back(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const wide *camera, __global const real *rgb, __global const real *depth,
+    __global const real *final_transmittance, __global const real *d_rgb,
+    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums,
+    int tiles_x, const int with_depth)
+{
+    const uint tile = get_global_id(0);
+    const uint begin = tile_starts[tile], end = tile_starts[tile + 1];
+    if (begin == end)
+        return;
+    const tile_area area = area_of(tile, tiles_x, camera);
+    real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS], rest[PIXELS];
+    open_pixels(t, area);
+    load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
+        d_alpha, red, green, blue, z, rest);
+
+    uint p = begin;
+    for (; p < end; p++) {
+        if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
+            break;
+        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        if (p + PAIRS_AHEAD < end) {
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
+            PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + PAIRS_AHEAD].y * PAIR);
+        }
+        const pixel_box box = box_in(g, area);
+        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
+        lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
+             sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
+             sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
+        for (int x = box.x0; x < box.x1; x += COLUMNS) {
+            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
+            const lane square = a * dx * dx, slope = b * dx;
+            lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
+            lane dy = first_dy;
+            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
+                const lane before = LOAD(t + i);
+                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+                STORE(t + i, keep_transmittance(m, before));
+                const lane d_red = LOAD(red + i), d_green = LOAD(green + i), d_blue = LOAD(blue + i);
+                lane value = r * d_red + gr * d_green + bl * d_blue;
+                if (with_depth) {
+                    const lane d_z = LOAD(z + i);
+                    value += depth_here * d_z;
+                    sum_z += m.weight * d_z;
+                }
+                const lane behind = LOAD(rest + i) - m.weight * value;
+                STORE(rest + i, behind);
+                const lane slope_alpha = (m.next * value - behind) / (1 - m.alpha);
+                /* No gradient above the clamp, and none where nothing was added. */
+                const lane_mask moves = (m.weight > (lane)0) & (m.raw <= (lane)ALPHA_MAX);
+                const lane d_p = moves ? slope_alpha * m.alpha : (lane)0;
+                column_p += d_p;
+                column_py += d_p * dy;
+                column_pyy += d_p * (dy * dy);
+                sum_red += m.weight * d_red;
+                sum_green += m.weight * d_green;
+                sum_blue += m.weight * d_blue;
+                touched += m.weight;
+            }
+            sum_p += column_p;
+            sum_px += column_p * dx;
+            sum_pxx += column_p * dx * dx;
+            sum_py += column_py;
+            sum_pxy += column_py * dx;
+            sum_pyy += column_pyy;
+        }
+        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR);
+        out[0] = sum_quad(sum_p, sum_px, sum_py, sum_pxx);
+        out[1] = sum_quad(sum_pxy, sum_pyy, sum_red, sum_green);
+        out[2] = sum_quad(sum_blue, sum_z, touched, (lane)0);
+    }
+    for (; p < end; p++)
+        for (int k = 0; k <= PAIR_TOUCHED; k++)
+            pair_sums[(size_t)pairs[p].y * PAIR + k] = 0;
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void raster_backward(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const wide *camera, __global const real *rgb, __global const real *depth,
+    __global const real *final_transmittance, __global const real *d_rgb,
+    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums,
+    int tiles_x, int with_depth)
+{
+    /* A loss that does not look at depth saves a load and two multiplications for each pixel. */
+    if (with_depth)
+        walk_back(records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb,
+            d_depth, d_alpha, pair_sums, tiles_x, 1);
+    else
+        walk_back(records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb,
+            d_depth, d_alpha, pair_sums, tiles_x, 0);
+}

@@ -1,0 +1,427 @@
+"""The rendering pipeline on a device: project, sort, bin, blend; and back again.
+
+This module knows buffers and kernels. Autograd lives in `optimization/model.py` (device-resident
+Gaussians) and `rasterize.py` (plain torch tensors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..device import Device, DeviceArray, Program, Scratch, read_together
+from ..errors import ExplainedError
+from ..finite import undefined_places
+from ..layout import PARAMETER_BITS, row_count
+from .block import Block
+from .budget import RECORD, Budget
+from .footprint import Footprint
+from .frame import Frame, Lease
+from .pose import POSE_CHUNKS, POSE_NUMBERS, pose_gradient
+from .request import RenderRequest
+from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
+
+PAIRS_AT_FIRST = 1 << 14
+"""Room for (tile, Gaussian) pairs before a render has shown how many there are."""
+
+_PROJECTION = (
+    "raster/scene",
+    "raster/harmonics",
+    "raster/projection",
+    "raster/cover",
+    "raster/project",
+)
+_BACKWARD = "raster/project_backward"
+
+OVERRIDES = frozenset(
+    (
+        "ALPHA_CUT_INVERSE",
+        "EARLY_STOP",
+        "EXACT_TILE_TEST",
+        "EXP2_DEGREE",
+        "RASTER_LANES",
+        "TILE_HEIGHT",
+        "TILE_WIDTH",
+    )
+)
+"""Macros of the kernels that a `Renderer` may be built with instead of their defaults."""
+
+
+class Renderer:
+    """Kernels and scratch memory for one device and one number type; threads take turns.
+
+    Args:
+        device: where to run; `device.variant` decides which raster kernels and tile size.
+        dtype: torch.float32, or torch.float64 where the device supports it.
+        memory_budget: bytes that one render and its backward pass may take; None is half of the device's
+            memory.
+        footprint: what is added to a Gaussian's ellipse on the image; None is a dilation of 0.3.
+        overrides: values of macros in `OVERRIDES`, for benchmarks and tests that measure what the
+            kernels' approximations cost and save.
+
+    Raises:
+        ExplainedError: an override that no kernel knows.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        dtype: torch.dtype = torch.float32,
+        memory_budget: int | None = None,
+        *,
+        footprint: Footprint | None = None,
+        overrides: Mapping[str, float] | None = None,
+    ) -> None:
+        overrides = overrides or {}
+        if unknown := sorted(set(overrides) - OVERRIDES):
+            raise ExplainedError(
+                f"no kernel has the setting {', '.join(unknown)}",
+                where="Renderer: overrides",
+                fix=f"use {', '.join(sorted(OVERRIDES))}",
+            )
+        self.device = device
+        self.dtype = dtype
+        self.on_cpu = device.variant == "cpu"
+        # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
+        few_cores = self.on_cpu and device.compute_units <= 4
+        width, height = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
+        # No number of lanes: as many as the processor has registers for.
+        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
+        self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
+        self.group = 16 if self.on_cpu else 64
+        self.budget = Budget(
+            memory_budget or device.memory_bytes // 2,
+            dtype,
+            BUCKETS,
+            chunks_of(device),
+            device.lanes,
+        )
+        self._lists = TileLists(device)
+        self._projection_macros = {
+            **macros,
+            **(footprint or Footprint()).macros,
+            "PROJECT_GROUP": self.group,
+        }
+        self.program = device.program(
+            *_PROJECTION,
+            _BACKWARD,
+            *SOURCES,
+            dtype=dtype,
+            **self._projection_macros,
+            **self._lists.macros,
+        )
+        self.raster_program = device.program(
+            "raster/scene",
+            "raster/blend",
+            "raster/raster_cpu" if self.on_cpu else "raster/raster_gpu",
+            dtype=dtype,
+            **macros,
+            LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
+        )
+        self._wide = torch.float64 if device.supports_double else dtype
+        self._scratch = Scratch(device)
+        self._frames: list[Frame] = []
+        self._pair_capacity = PAIRS_AT_FIRST
+
+    def forward(self, block: Block, request: RenderRequest) -> tuple[Tensor, Tensor, Tensor, Lease]:
+        """Render.
+
+        Returns:
+            `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]` as new CPU tensors, and the frame that
+            `backward` wants.
+
+        Raises:
+            MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
+            CameraError: the image is larger than a device index can address, or the near plane is not
+                in front of the camera.
+            GaussianError: a background, an SH degree or a smoothing that `RenderRequest.check` refuses.
+        """
+        with self.device.lock:
+            lease = Lease(self._frames, self.device)
+            frame = lease.frame
+            frame.request = request
+            self._prepare(frame, block, request)
+            self._project(frame, block, request)
+            while True:
+                self._lists.build(self.program, frame, block.count, self._capacity_of(frame))
+                images = self._blend(frame, request.camera)
+                *tensors, counters = read_together([*images, frame.arrays["counters"]])
+                frame.visible, frame.pairs = int(counters[0]), int(counters[1])
+                if frame.pairs <= self._capacity_of(frame):
+                    break
+                self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
+                frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+            rgb, depth, alpha = tensors
+            return rgb, depth, alpha, lease
+
+    def backward(
+        self,
+        frame: Frame,
+        block: Block,
+        image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
+        gradients: DeviceArray,
+        *,
+        accumulate: bool,
+        statistics: DeviceArray | None = None,
+        detach: Collection[str] = (),
+    ) -> Tensor | None:
+        """Turn gradients of the images into gradients of the parameters.
+
+        Args:
+            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero.
+            gradients: `[rows, capacity]`; the rows of active SH bands are written.
+            accumulate: add to what `gradients` holds instead of replacing it.
+            statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
+                screen-space mean gradient, row 1 gains one for it.
+            detach: parameters to whose gradient nothing is added.
+
+        Returns:
+            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it requires none.
+
+        Raises:
+            ExplainedError: a gradient of an image is not finite.
+        """
+        with self.device.lock:
+            images = self._image_gradients(frame, image_gradients)
+            wants_pose = frame.request.wants_pose_gradient
+            if not frame.pairs:
+                if not accumulate:
+                    gradients.fill(0, 0, row_count(frame.request.bands))
+                return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
+            with_depth = image_gradients[1] is not None
+            sums = self._raster_backward(frame, images, with_depth)
+            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            pose_sums = self._sum_poses(frame, block) if wants_pose else None
+            self.device.finish()
+            if pose_sums is None:
+                return None
+            return pose_gradient(pose_sums.read(), frame.request.camera)
+
+    def _image_gradients(
+        self, frame: Frame, gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
+    ) -> list[DeviceArray]:
+        """The gradients of `rgb`, `depth` and `alpha` on the device."""
+        camera = frame.request.camera
+        pixels = camera.width * camera.height
+        return [
+            self._image_gradient(gradient, size, name)
+            for gradient, size, name in zip(
+                gradients, (3 * pixels, pixels, pixels), ("rgb", "depth", "alpha"), strict=True
+            )
+        ]
+
+    def _raster_backward(
+        self, frame: Frame, image_gradients: list[DeviceArray], with_depth: bool
+    ) -> DeviceArray:
+        """The sums that each pair of a tile and a Gaussian hands back."""
+        arrays = frame.arrays
+        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
+        self._run_raster(
+            "raster_backward",
+            frame,
+            arrays["records"],
+            arrays["pairs"],
+            arrays["tile_starts"],
+            arrays["camera"],
+            arrays["rgb"],
+            arrays["depth"],
+            arrays["transmittance"],
+            *image_gradients,
+            sums,
+            np.int32(frame.tiles[0]),
+            np.int32(with_depth),
+        )
+        return sums
+
+    def _project_backward(
+        self,
+        frame: Frame,
+        block: Block,
+        sums: DeviceArray,
+        gradients: DeviceArray,
+        accumulate: bool,
+        statistics: DeviceArray | None,
+        detach: Collection[str],
+    ) -> None:
+        arrays, request = frame.arrays, frame.request
+        self._run_blocks(
+            self._projection(request),
+            "project_backward",
+            block.capacity,
+            block.parameters,
+            _modifiers(frame, block),
+            arrays["camera"],
+            arrays["clamped"],
+            sums,
+            arrays["slot_start"],
+            arrays["slot_count"],
+            gradients,
+            statistics if statistics is not None else gradients,
+            np.uint32(block.count),
+            np.uint32(block.capacity),
+            np.int32(request.bands),
+            np.int32(block.activated),
+            np.int32(request.modifiers is not None),
+            np.int32(accumulate),
+            np.int32(statistics is not None),
+            np.int32(sum(PARAMETER_BITS[name] for name in detach)),
+            *((self._pose_parts(block),) if request.wants_pose_gradient else ()),
+        )
+
+    def _pose_parts(self, block: Block) -> DeviceArray:
+        """What each block of Gaussians adds to the gradient of the pose."""
+        blocks = block.capacity // self.device.lanes
+        return self._scratch.reserve("pose_parts", self._wide, blocks * POSE_NUMBERS)
+
+    def _sum_poses(self, frame: Frame, block: Block) -> DeviceArray:
+        sums = self._scratch.reserve("pose_sums", self._wide, POSE_CHUNKS * POSE_NUMBERS)
+        self._projection(frame.request).run(
+            "sum_poses",
+            (POSE_CHUNKS, POSE_NUMBERS),
+            (1, POSE_NUMBERS),
+            self._pose_parts(block),
+            sums,
+            np.uint32(-(-block.count // self.device.lanes)),
+        )
+        return sums
+
+    def _projection(self, request: RenderRequest) -> Program:
+        """The projection kernels for what a render asks for; built when it is asked for first."""
+        if not request.features:
+            return self.program
+        return self.device.program(
+            *_PROJECTION,
+            *(("raster/pose",) if request.wants_pose_gradient else ()),
+            _BACKWARD,
+            dtype=self.dtype,
+            **self._projection_macros,
+            **dict.fromkeys(request.features, 1),
+        )
+
+    def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
+        """Make room, and send the camera, the opacity factors and the smoothing."""
+        camera = request.camera
+        request.check(block.count)
+        width, height = self.tile
+        frame.tiles = (-(-camera.width // width), -(-camera.height // height))
+        tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
+        frame.pair_limit = self.budget.pair_limit(frame, block)
+        frame.arrays.reserve("records", self.dtype, capacity * RECORD)
+        frame.arrays.reserve("slot_start", torch.int32, capacity)
+        frame.arrays.reserve("slot_count", torch.int32, capacity)
+        frame.arrays.reserve("clamped", torch.uint8, capacity)
+        frame.arrays.reserve("tile_starts", torch.int32, tiles + 1)
+        frame.arrays.reserve("counters", torch.int64, 4)
+        frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
+        frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+        self._lists.reserve(capacity, tiles)
+        frame.arrays["camera"] = self._camera(request)
+        if request.is_modified:
+            rows = request.modifier_rows(capacity, self.dtype)
+            frame.arrays.reserve("modifiers", self.dtype, rows.numel())
+            frame.arrays["modifiers"].write(rows, 0, rows.numel())
+
+    def _camera(self, request: RenderRequest) -> DeviceArray:
+        """A new array: kernels under way may still read the last render's."""
+        numbers = request.camera_block().to(self._wide)
+        shape = tuple(numbers.shape)
+        if self.device.shares_memory:
+            return DeviceArray(self.device, shape, self._wide, over=numbers)
+        array = DeviceArray(self.device, shape, self._wide)
+        array.write(numbers)
+        return array
+
+    def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
+        arrays = frame.arrays
+        self._run_blocks(
+            self._projection(request),
+            "project",
+            block.capacity,
+            block.parameters,
+            _modifiers(frame, block),
+            arrays["camera"],
+            arrays["records"],
+            self._lists.keys,
+            arrays["slot_count"],
+            arrays["clamped"],
+            self._lists.covers,
+            np.uint32(block.count),
+            np.uint32(block.capacity),
+            np.int32(request.bands),
+            np.int32(block.activated),
+            np.int32(request.modifiers is not None),
+        )
+
+    def _blend(self, frame: Frame, camera: Camera) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+        arrays, size = frame.arrays, (camera.height, camera.width)
+        rgb, depth, alpha = (self._image(shape) for shape in ((*size, 3), size, size))
+        arrays["rgb"], arrays["depth"] = rgb, depth
+        self._run_raster(
+            "raster",
+            frame,
+            arrays["records"],
+            arrays["pairs"],
+            arrays["tile_starts"],
+            arrays["counters"],
+            arrays["camera"],
+            rgb,
+            depth,
+            alpha,
+            arrays["transmittance"],
+            np.int32(frame.tiles[0]),
+            np.uint32(self._capacity_of(frame)),
+        )
+        return rgb, depth, alpha
+
+    def _capacity_of(self, frame: Frame) -> int:
+        return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
+
+    def _image(self, shape: tuple[int, ...]) -> DeviceArray:
+        if self.device.shares_memory:
+            return DeviceArray(
+                self.device, shape, self.dtype, over=torch.empty(shape, dtype=self.dtype)
+            )
+        return DeviceArray(self.device, shape, self.dtype)
+
+    def _image_gradient(self, gradient: Tensor | None, size: int, name: str) -> DeviceArray:
+        if gradient is None:
+            return self._scratch.reserve(f"no_{name}", self.dtype, size)
+        gradient = gradient.to(self.dtype).contiguous()
+        _refuse_undefined(gradient, name)
+        if self.device.shares_memory:
+            return DeviceArray(self.device, (size,), self.dtype, over=gradient)
+        array = self._scratch.reserve(f"d_{name}", self.dtype, size)
+        array.write(gradient, 0, size)
+        return array
+
+    def _run_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
+        blocks = capacity // self.device.lanes
+        size = -(-blocks // self.group) * self.group
+        program.run(kernel, (size,), (self.group,), *arguments)
+
+    def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
+        tiles = frame.tiles[0] * frame.tiles[1]
+        local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
+        self.raster_program.run(kernel, (tiles * local,), (local,), *arguments)
+
+
+def _modifiers(frame: Frame, block: Block) -> DeviceArray:
+    """Opacity factors and smoothing, or where there are none an array that is not read."""
+    return frame.arrays["modifiers"] if frame.request.is_modified else block.parameters
+
+
+def _refuse_undefined(gradient: Tensor, name: str) -> None:
+    """Refuse the gradient of an image that holds a NaN or an infinity."""
+    undefined = undefined_places(gradient)
+    if len(undefined):
+        place = ", ".join(str(index) for index in undefined[0].tolist())
+        raise ExplainedError(
+            f"the loss has an undefined gradient in {len(undefined)} values of the image {name!r}",
+            where=f"backward of a render: {name}[{place}]",
+            fix="look for a division by zero or a square root of zero in the loss",
+        )

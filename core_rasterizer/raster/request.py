@@ -1,0 +1,148 @@
+"""What is to be rendered, apart from the Gaussians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..errors import CameraError, GaussianError
+
+NEAR_PLANE = 0.2
+"""Gaussians nearer than this z-depth are culled (3DGS), world units."""
+
+_LARGEST = 1e37
+"""REAL_LARGEST of the kernels: what reaches it is not shown."""
+_CAMERA_NUMBERS = 32
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """What is to be rendered: camera, background, SH degree, opacity factors, smoothing."""
+
+    camera: Camera
+    background: Sequence[float]
+    sh_degree: float
+    """Bands that count, the last by a fraction: 1.5 is bands 0 and 1 and half of band 2."""
+    near: float = NEAR_PLANE
+    modifiers: Tensor | None = None
+    """`[N]` factors of the activated opacities, or None."""
+    smoothing: Tensor | None = None
+    """`[N]` standard deviations of the 3D filter, world units, or None."""
+
+    @property
+    def bands(self) -> int:
+        """The last SH band that is read, 0 to 3."""
+        return math.ceil(self.sh_degree)
+
+    @property
+    def wants_pose_gradient(self) -> bool:
+        """Whether a backward pass gives the gradient of `camera.world_to_camera`."""
+        return self.camera.world_to_camera.requires_grad
+
+    @property
+    def features(self) -> frozenset[str]:
+        """What the projection kernels must be built with beyond what every render needs."""
+        wanted = {
+            "FADED": self.sh_degree != self.bands,
+            "POSED": self.wants_pose_gradient,
+            "SMOOTHED": self.smoothing is not None,
+        }
+        return frozenset(name for name, is_wanted in wanted.items() if is_wanted)
+
+    @property
+    def is_modified(self) -> bool:
+        """Whether kernels read anything of the Gaussians that is not a parameter."""
+        return self.modifiers is not None or self.smoothing is not None
+
+    def modifier_rows(self, capacity: int, dtype: torch.dtype) -> Tensor:
+        """Opacity factors in the first row, smoothing, if there is any, in a second."""
+        values = (self.modifiers,) if self.smoothing is None else (self.modifiers, self.smoothing)
+        rows = torch.zeros(len(values), capacity, dtype=dtype)
+        for row, value in zip(rows, values, strict=True):
+            if value is not None:
+                row[: len(value)] = value.detach()
+        return rows
+
+    def check(self, count: int) -> None:
+        """Refuse what no image of so many Gaussians can be made of.
+
+        Raises:
+            CameraError: the image is larger than a device index can address, or the near plane is not
+                in front of the camera.
+            GaussianError: the background is not three finite numbers, the SH degree is not from 0 to 3,
+                or the smoothing is not a finite number >= 0 for each Gaussian.
+        """
+        camera = self.camera
+        if camera.width * camera.height >= 2**28 or max(camera.width, camera.height) > 65535:
+            raise CameraError(
+                f"an image of {camera.width}x{camera.height} pixels is too large to rasterize",
+                where="camera",
+                fix="render it in parts, or at a lower resolution",
+            )
+        if not 0 < self.near < _LARGEST:
+            raise CameraError(
+                f"the near plane is at {self.near}; it must be in front of the camera",
+                where="near",
+                fix=f"use a small positive depth, such as {NEAR_PLANE}",
+            )
+        if len(self.background) != 3:
+            raise GaussianError(
+                f"{len(self.background)} numbers given, expected 3", field="background"
+            )
+        for index, value in enumerate(self.background):
+            if not abs(value) < _LARGEST:
+                raise GaussianError(f"the value is {value}", field="background", index=index)
+        if not 0 <= self.sh_degree <= 3:
+            raise GaussianError(
+                f"the SH degree is {self.sh_degree}", field="sh_degree", fix="use 0 to 3"
+            )
+        if self.smoothing is not None:
+            _check_smoothing(self.smoothing, count)
+
+    def camera_block(self) -> Tensor:
+        """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`, `[32]` float64."""
+        camera = self.camera
+        pose = camera.world_to_camera.detach()
+        # Ratios x/z and y/z are clamped a little outside the image, where the linearized projection of a
+        # wide Gaussian would explode (3DGS: 1.3 times the half field of view; here off-centre too).
+        margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+        values = [
+            *pose[:3, :3].reshape(-1).tolist(),
+            *pose[:3, 3].tolist(),
+            *camera.center.detach().tolist(),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            -camera.cx / camera.fx - margin_x,
+            (camera.width - camera.cx) / camera.fx + margin_x,
+            -camera.cy / camera.fy - margin_y,
+            (camera.height - camera.cy) / camera.fy + margin_y,
+            camera.width,
+            camera.height,
+            self.near,
+            *self.background,
+            self.sh_degree - self.bands + 1,
+        ]
+        return torch.tensor(values + [0.0] * (_CAMERA_NUMBERS - len(values)), dtype=torch.float64)
+
+
+def _check_smoothing(smoothing: Tensor, count: int) -> None:
+    if tuple(smoothing.shape) != (count,):
+        raise GaussianError(
+            f"the shape is {tuple(smoothing.shape)}, expected ({count},)", field="smoothing"
+        )
+    bad = (~(torch.isfinite(smoothing) & (smoothing >= 0))).nonzero()
+    if len(bad):
+        index = int(bad[0, 0])
+        raise GaussianError(
+            f"the standard deviation is {float(smoothing[index])}",
+            field="smoothing",
+            index=index,
+            fix="use finite numbers of at least 0, in world units",
+        )

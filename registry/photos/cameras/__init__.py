@@ -1,0 +1,1 @@
+"""What cameras and reconstructions say: lenses, poses, depth bounds, COLMAP models, tracks of points."""

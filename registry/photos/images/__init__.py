@@ -1,0 +1,1 @@
+"""Files of photographs: which there are, how they are decoded and resized."""

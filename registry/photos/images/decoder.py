@@ -1,0 +1,124 @@
+"""Decoding photographs: on one background, at one size.
+
+A decoded photograph is 8-bit RGB until the end, as the published protocols resize it. Resized
+photographs are kept on disk: decoding 16 megapixels anew for every run costs some thirty times as much
+as reading the small result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+
+from ...errors import SceneError
+from ..reading import decoding
+from .resized_cache import remembered
+from .sizes import Size, SizeRule
+
+Pixels = NDArray[np.uint8]
+"""`[H, W, 3]`, or `[H, W]` of one brightness."""
+ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
+"""Pillow's filter of that name; each averages over the area when it reduces."""
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+"""Colours in [0, 1] that transparent pixels are laid on, by name."""
+
+_ORIENTATION = 0x0112
+_QUARTER_TURNS = (5, 6, 7, 8)
+"""Values of that EXIF tag that exchange width and height."""
+_FILTERS = {
+    "box": Image.Resampling.BOX,
+    "bilinear": Image.Resampling.BILINEAR,
+    "bicubic": Image.Resampling.BICUBIC,
+    "lanczos": Image.Resampling.LANCZOS,
+}
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+_FIX = "restore the photograph, or save it anew as an 8-bit PNG or JPEG"
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """How photographs are read.
+
+    Args:
+        size: `(width, height)` wanted of a photograph that is stored as `(width, height)`.
+        resize_filter: what it is resized with.
+        background: colour, in [0, 1], that transparent pixels are laid on.
+        upright: turn photographs as their EXIF orientation says. Camera files of data sets speak of
+            pixels as they are stored.
+    """
+
+    size: SizeRule = lambda width, height: (width, height)
+    resize_filter: ResizeFilter = "bicubic"
+    background: tuple[float, float, float] = BACKGROUNDS["black"]
+    upright: bool = False
+
+    def read(self, path: Path) -> Pixels:
+        """`[H, W, 3]` uint8.
+
+        Raises:
+            SceneError: the file is missing, damaged, or has more than 8 bits a channel.
+        """
+        with decoding("the image", path, _FIX), Image.open(path) as file:
+            _check_mode(file, path)
+            stored = upright_size(file) if self.upright else file.size
+            size = self.size(*stored)
+            if size == stored:
+                return np.asarray(self._opaque(file))
+            treatment = f"{size} {self.resize_filter} {self.background} {self.upright}"
+            resample = _FILTERS[self.resize_filter]
+            image = remembered(path, treatment, lambda: self._opaque(file).resize(size, resample))
+            return np.asarray(image)
+
+    def _opaque(self, file: Image.Image) -> Image.Image:
+        if self.upright:
+            file = ImageOps.exif_transpose(file)
+        if not file.has_transparency_data:
+            return file.convert("RGB")
+        color = tuple(round(255 * channel) for channel in self.background)
+        below = Image.new("RGBA", file.size, (*color, 255))
+        below.alpha_composite(file.convert("RGBA"))
+        return below.convert("RGB")
+
+
+def read_mask(path: Path, size: Size) -> Pixels:
+    """`[H, W]` uint8 brightness of a mask, resized with the bicubic filter if it has another size.
+
+    Raises:
+        SceneError: the file is missing or damaged.
+    """
+    with decoding("the mask", path, _FIX), Image.open(path) as file:
+        _check_mode(file, path)
+        grey = file.convert("L")
+        return np.asarray(grey if grey.size == size else grey.resize(size, _FILTERS["bicubic"]))
+
+
+def stored_size(path: Path, *, upright: bool = False) -> Size:
+    """`(width, height)` of an image file, turned as its EXIF orientation says if `upright`.
+
+    Raises:
+        SceneError: the file is missing or is no image.
+    """
+    with decoding("the image", path, _FIX), Image.open(path) as file:
+        return upright_size(file) if upright else file.size
+
+
+def upright_size(file: Image.Image) -> Size:
+    """`(width, height)` of a photograph turned as its EXIF orientation says."""
+    width, height = file.size
+    return (
+        (height, width) if file.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
+    )
+
+
+def _check_mode(file: Image.Image, path: Path) -> None:
+    if file.mode not in _MODES:
+        raise SceneError(
+            f"the image has pixels of kind {file.mode!r}, not 8 bits a channel",
+            where=str(path),
+            fix=_FIX,
+        )

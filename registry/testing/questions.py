@@ -1,0 +1,200 @@
+"""What the host would ask of a component of each kind, and checks of the answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+
+from ..cache import FOLDER_VARIABLE
+from ..contract.answers import (
+    check_colors,
+    check_edit,
+    check_loss,
+    check_moves,
+    check_offsets,
+    check_opacity_scale,
+    check_opacity_update,
+    check_sample,
+    check_score,
+)
+from ..contract.components import Unavailable
+from ..contract.scene import validate
+from ..pipeline.training_settings import TrainingSettings
+from ..priors.capabilities import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+from ..training.initial_model import initial_gaussians
+from .bench import HEIGHT, WIDTH, Bench, Moment, pictured
+from .judging import require, require_files
+
+
+def _ask_scene(bench: Bench, built: Any) -> Any:
+    scene = validate(built.load())
+    return [(v.name, v.image, v.camera.world_to_camera) for v in (*scene.train, *scene.test)]
+
+
+def _ask_initializer(bench: Bench, built: Any) -> Any:
+    gaussians = initial_gaussians(
+        built.initialize(bench.scene.for_training(), bench.priors), TrainingSettings(sh_degree=0)
+    )
+    return [gaussians.means, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh]
+
+
+def _ask_prior(bench: Bench, built: Any) -> Any:
+    capability = getattr(built, "capability", None)
+    require(isinstance(capability, str), "a prior must have a class variable `capability`, a text")
+    first, second = bench.scene.train
+    with _without_cache():
+        if isinstance(built, StereoPrior):
+            answers = built.both(first.image, second.image)
+            return [tensor for a in answers for tensor in (a.values, a.valid)]
+        if isinstance(built, MultiViewDepthPrior):
+            maps = built.depths((first, second), bench.scene.bounds)
+            return [tensor for m in maps for tensor in (m.depth, m.valid, m.confidence)]
+        if isinstance(built, MonocularDepthPrior):
+            return built.inverse_depth(first.image)
+    return capability
+
+
+@contextmanager
+def _without_cache() -> Iterator[None]:
+    """Have priors answer for themselves."""
+    before = os.environ.get(FOLDER_VARIABLE)
+    os.environ[FOLDER_VARIABLE] = ""
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[FOLDER_VARIABLE]
+        else:
+            os.environ[FOLDER_VARIABLE] = before
+
+
+def _ask_sampler(bench: Bench, built: Any) -> Any:
+    moment = bench.begun()
+    step = moment.step
+    sample = check_sample(built.sample(step, step.sample), moment.model.count)
+    return [sample.view.name, sample.target, sample.background, sample.sh_degree, sample.smoothing]
+
+
+def _ask_appearance(bench: Bench, built: Any) -> Any:
+    moment = bench.rendered()
+    rgb = moment.step.rendering.rgb
+    colors = check_colors(built.colors(moment.step, rgb), rgb.shape)
+    colors.mean().backward()
+    return [colors.detach(), _gradients(moment)]
+
+
+def _ask_regularizer(bench: Bench, built: Any) -> Any:
+    moment = bench.rendered()
+    check_moves(built.moves, PARAMETER_GROUPS)
+    loss = check_loss(built.loss(moment.step))
+    if loss.requires_grad:
+        loss.backward()
+    return [loss.detach(), _gradients(moment)]
+
+
+def _ask_modifier(bench: Bench, built: Any) -> Any:
+    moment = bench.begun()
+    return check_opacity_scale(built.opacity_scale(moment.step), moment.model.count).clone()
+
+
+def _ask_densification(bench: Bench, built: Any) -> Any:
+    moment = bench.differentiated()
+    edit = check_edit(built.refine(moment.step), moment.model.count)
+    if edit is None:
+        return None
+    added = None if edit.add is None else dict(vars(edit.add))
+    moved = None if edit.relocate is None else [edit.relocate.source, edit.relocate.target]
+    return [edit.clone, edit.split, edit.prune, edit.split_into, edit.shrink, added, moved]
+
+
+def _ask_opacity(bench: Bench, built: Any) -> Any:
+    moment = bench.differentiated()
+    update = check_opacity_update(built.update(moment.step), moment.model.count)
+    return None if update is None else [update.opacities.clone(), update.reset_moments]
+
+
+def _ask_perturbation(bench: Bench, built: Any) -> Any:
+    moment = bench.differentiated()
+    return dict(check_offsets(built.offsets(moment.step), moment.model.read))
+
+
+def _gradients(moment: Moment) -> list[Tensor]:
+    return [moment.model.gradient(name).clone() for name in PARAMETERS]
+
+
+def _ask_metric(bench: Bench, built: Any) -> Any:
+    scene = bench.scene
+    first, second = scene.train
+    equal, other = (
+        check_score(built.measure_view(rendering, first, scene))
+        for rendering in (pictured(first, 1.0), pictured(second, 1.5))
+    )
+    mask = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    mask[4:20, 4:28] = True
+    masked = check_score(
+        built.measure_view(pictured(second, 1.5), replace(first, mask=mask), scene)
+    )
+    if isinstance(equal, Unavailable) or isinstance(other, Unavailable):
+        answers = (equal, other, masked)
+        reasons = [answer.reason for answer in answers if isinstance(answer, Unavailable)]
+        require(len(reasons) == 3, "the metric is available for some renders of a view only")
+        require(all(reasons), "a metric that is not available must say why")
+        return reasons
+    better = equal > other if built.higher_is_better else equal < other
+    require(better, "equal images must score better than different ones (`higher_is_better`)")
+    return [other, masked]
+
+
+def _ask_exporter(bench: Bench, built: Any) -> Any:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files = built.export(bench.model(), bench.scene, folder)
+        require_files(files)
+        return [(file.name, file.read_bytes()) for file in sorted(files)]
+
+
+def _ask_report(bench: Bench, built: Any) -> Any:
+    results = {
+        "pipeline": "tiny",
+        "scene": {"name": "tiny"},
+        "test": {"score": 20.0},
+        "train": {"score": 30.0},
+        "views": {"test": {"view1": {"score": 20.0}}, "train": {}},
+        "unavailable": {},
+    }
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "renders").mkdir()
+        (folder / "results.json").write_text(json.dumps(results), "utf-8")
+        files = built.write(folder, bench.scene)
+        require_files(files)
+        return [file.name for file in sorted(files)]
+
+
+ASK: dict[str, Callable[[Bench, Any], Any]] = {
+    "scene": _ask_scene,
+    "initializer": _ask_initializer,
+    "priors": _ask_prior,
+    "samplers": _ask_sampler,
+    "appearances": _ask_appearance,
+    "regularizers": _ask_regularizer,
+    "modifiers": _ask_modifier,
+    "densification": _ask_densification,
+    "opacity": _ask_opacity,
+    "perturbations": _ask_perturbation,
+    "metrics": _ask_metric,
+    "exporters": _ask_exporter,
+    "reports": _ask_report,
+}
+"""What the host would ask, by the section of the pipeline; each answers with what must repeat."""

@@ -1,0 +1,113 @@
+"""Numbers that components bring along to be trained: stepped, saved and restored by the host."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from ..contract.component import ParameterGroup
+from ..errors import PluginError
+from ..pipeline.blame import blame
+from ..pipeline.parts import Part, Parts
+
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+
+
+class ComponentParameters:
+    """The parameters of all components of a pipeline, each component's with an Adam of its own.
+
+    Args:
+        parts: asked once for what they have to be trained.
+
+    Raises:
+        PluginError: a group that is not one: no leaf that requires a gradient, a repeated name, a
+            learning rate below zero.
+    """
+
+    def __init__(self, parts: Parts) -> None:
+        self._trained: list[tuple[Part, tuple[ParameterGroup, ...], torch.optim.Adam]] = []
+        for part in parts:
+            with blame(part.item):
+                groups = tuple(part.component.parameters())
+                if groups:
+                    check_groups(groups)
+                    self._trained.append((part, groups, _adam(groups)))
+
+    def zero_gradients(self) -> None:
+        """Forget the gradients."""
+        for _, _, optimizer in self._trained:
+            optimizer.zero_grad(set_to_none=True)
+
+    def check_gradients(self, iteration: int) -> None:
+        """Refuse gradients that are no numbers, before any step is taken.
+
+        Raises:
+            PluginError: one is not finite.
+        """
+        for part, groups, _ in self._trained:
+            with blame(part.item, iteration):
+                for group in groups:
+                    for tensor in group.tensors:
+                        if tensor.grad is not None and not torch.isfinite(tensor.grad).all():
+                            raise PluginError(f"the gradient of {group.name!r} is not finite")
+
+    def step(self) -> None:
+        """One step of each Adam; tensors that had no gradient stay where they are."""
+        for _, _, optimizer in self._trained:
+            optimizer.step()
+
+    def state(self) -> dict[str, Tensor]:
+        """Values and moments, by slashed names."""
+        state: dict[str, Tensor] = {}
+        for part, groups, optimizer in self._trained:
+            for group in groups:
+                for index, tensor in enumerate(group.tensors):
+                    name = f"{part.item.qualified_name}/{group.name}/{index}"
+                    state[f"{name}/value"] = tensor.detach().clone()
+                    moments = optimizer.state.get(tensor, {})
+                    state |= {f"{name}/{key}": moments[key].clone() for key in moments}
+        return state
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Take back what `state` returned."""
+        for part, groups, optimizer in self._trained:
+            for group in groups:
+                for index, tensor in enumerate(group.tensors):
+                    name = f"{part.item.qualified_name}/{group.name}/{index}"
+                    with torch.no_grad():
+                        tensor.copy_(state[f"{name}/value"])
+                    moments = {key: state.get(f"{name}/{key}") for key in _MOMENTS}
+                    if moments["step"] is not None:
+                        optimizer.state[tensor] = {
+                            key: value.clone()
+                            for key, value in moments.items()
+                            if value is not None
+                        }
+
+
+def check_groups(groups: Sequence[ParameterGroup]) -> None:
+    """Refuse groups that cannot be trained.
+
+    Raises:
+        PluginError: see `ComponentParameters`.
+    """
+    names = [group.name for group in groups]
+    if len(set(names)) < len(names):
+        raise PluginError(f"two groups of parameters share a name: {', '.join(names)}")
+    for group in groups:
+        if not group.learning_rate >= 0:
+            raise PluginError(f"the learning rate of {group.name!r} is {group.learning_rate}")
+        for tensor in group.tensors:
+            if not (tensor.is_leaf and tensor.requires_grad and tensor.is_floating_point()):
+                raise PluginError(
+                    f"the group {group.name!r} holds a tensor that cannot be trained",
+                    fix="give torch leaves made with requires_grad=True",
+                )
+
+
+def _adam(groups: tuple[ParameterGroup, ...]) -> torch.optim.Adam:
+    return torch.optim.Adam(
+        [{"params": list(group.tensors), "lr": group.learning_rate} for group in groups]
+    )

@@ -1,0 +1,331 @@
+"""One field of Gaussians in training: a model, its optimizer, and the components that shape it.
+
+Each method is one stage of an iteration; `trainer.py` says in which order they come.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import Adam, Edit, GaussianModel, Rendering, apply_edit
+
+from ..contract.answers import (
+    check_colors,
+    check_edit,
+    check_offsets,
+    check_opacity_scale,
+    check_opacity_update,
+    check_sample,
+)
+from ..contract.maps import DepthMap
+from ..contract.scene import TrainingScene, TrainingView
+from ..contract.step import OtherField, Sample, Step
+from ..errors import RunError
+from ..pipeline.blame import blame
+from ..pipeline.parts import Parts
+from ..pipeline.schedule import active_sh_degree
+from ..pipeline.seeding import derived_seed
+from ..pipeline.training_settings import TrainingSettings
+from .component_parameters import ComponentParameters
+from .growth_limit import limited
+from .learning_rates import learning_rates
+from .losses import photometric_term, regularizing_terms, term_alone
+from .step_rendering import StepRenderer, backward
+
+OPACITY_MARGIN = 1e-6
+"""Opacities are kept this far from 0 and 1, so that their logits stay finite."""
+
+HEALTH_CHECK_EVERY = 100
+"""Iterations between two looks for Gaussians that are not finite."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What all fields of a run share.
+
+    Args:
+        settings: of the loop.
+        scene: without test views and true depth.
+        maps: each training view's depth, as the initializer knows it.
+    """
+
+    settings: TrainingSettings
+    scene: TrainingScene
+    maps: Mapping[str, DepthMap]
+
+
+class Field:
+    """A model in training.
+
+    Args:
+        around: what it shares with other fields.
+        parts: its components.
+        model: the Gaussians, changed in place.
+        index: its number; 0 is the one that is scored.
+
+    Attributes:
+        logged: numbers that this iteration recorded, by name.
+    """
+
+    def __init__(
+        self, around: Surroundings, parts: Parts, model: GaussianModel, index: int
+    ) -> None:
+        self.index, self.parts, self.model = index, parts, model
+        self.optimizer = Adam(model)
+        self.parameters = ComponentParameters(parts)
+        self.logged: dict[str, float] = {}
+        self._around, self._settings = around, around.settings
+        self._extent = around.scene.extent
+        self._reader = model.reader()
+        name = f"topology/{index}" if index else "topology"
+        self._topology = torch.Generator().manual_seed(derived_seed(around.settings.seed, name))
+        self._told_of_limit = False
+        self._reset = self._edited = False
+        self._step: Step
+        self._rendering: Rendering
+
+    def begin(self, iteration: int, view: TrainingView) -> None:
+        """Schedules, and what this iteration learns from."""
+        settings, scene = self._settings, self._around.scene
+        self.logged = {}
+        degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
+        sample = Sample(view, view.camera, view.image, scene.background, degree)
+        self._step = Step(
+            iteration=iteration,
+            iterations=settings.iterations,
+            scene=scene,
+            sample=sample,
+            model=self._reader,
+            extent=self._extent,
+            priors=self.parts.priors,
+            render=StepRenderer(self.model, sample),
+            log=self._log_number,
+            maps=self._around.maps,
+            learning_rates=learning_rates(iteration, settings, self._extent),
+        )
+        for part in self.parts.due("samplers", iteration):
+            with blame(part.item, iteration):
+                answer = part.component.sample(self._step, self._step.sample)
+                self._take(check_sample(answer, self.model.count))
+
+    def step_terms_alone(self) -> None:
+        """Terms with a backward pass and an optimizer step of their own."""
+        step = self._step
+        for part in self.parts.due("regularizers", step.iteration):
+            if part.item.host.step != "alone":
+                continue
+            self._forget_gradients()
+            step.rendered(cache(lambda: step.render(step.sample.camera)))
+            loss, skip = term_alone(part, step)
+            backward(loss, step.iteration)
+            self.parameters.check_gradients(step.iteration)
+            self.optimizer.step(step.learning_rates, self._bands, skip=skip)
+            self.parameters.step()
+            step.rendered(None)
+
+    def render(self) -> None:
+        """Modifiers, and the render of the iteration's view."""
+        step, sample = self._step, self._step.sample
+        self._forget_gradients()
+        self._rendering = self.model.render(
+            sample.camera,
+            background=sample.background,
+            sh_degree=sample.sh_degree,
+            opacity_scale=self._opacity_scale(),
+            smoothing=sample.smoothing,
+            collect_statistics=self._statistics_wanted(step.iteration),
+        )
+        step.rendered(lambda: self._rendering)
+
+    def seen_by_others(self) -> OtherField:
+        """What the losses and policies of other fields may look at."""
+        rendering = self._rendering
+        return OtherField(
+            index=self.index,
+            model=self._reader,
+            rendering=replace(
+                rendering,
+                rgb=rendering.rgb.detach(),
+                depth=rendering.depth.detach(),
+                alpha=rendering.alpha.detach(),
+            ),
+            render=StepRenderer(self.model, self._step.sample, gradients=False),
+        )
+
+    def differentiate(self, others: tuple[OtherField, ...]) -> float:
+        """The loss and its backward pass.
+
+        Returns:
+            The total loss.
+        """
+        step = self._step
+        step.others = others
+        loss = photometric_term(self._settings, self._colors(), step, self.model.device)
+        loss = regularizing_terms(loss, self.parts, step)
+        backward(loss, step.iteration)
+        self.parameters.check_gradients(step.iteration)
+        return float(loss.detach())
+
+    def update_opacities(self) -> None:
+        """Ask the opacity policies, in the pipeline's order."""
+        self._reset = False
+        for part in self.parts.due("opacity", self._step.iteration):
+            with blame(part.item, self._step.iteration):
+                answer = part.component.update(self._step)
+                update = check_opacity_update(answer, self.model.count)
+            if update is not None:
+                kept = update.opacities.float().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+                self.model.write("opacity_logits", torch.logit(kept))
+                self._reset |= update.reset_moments
+
+    def change_topology(self) -> None:
+        """Ask the densification policies, and remove what is broken."""
+        edited = self._refine()
+        self._edited = self._remove_broken() or edited
+
+    def step_optimizer(self) -> None:
+        """Adam, for the Gaussians and for the components' parameters."""
+        rates = dict(self._step.learning_rates)
+        if self._reset:
+            # As in 3DGS, opacities that were reset take no step from the gradient before the reset.
+            rates["opacity_logits"] = 0.0
+        if not self._edited:
+            # As in 3DGS: gradients of the Gaussians before an edit do not move those after it.
+            self.optimizer.step(rates, self._bands)
+        if self._reset:
+            self.optimizer.reset_moments("opacity_logits")
+        self.parameters.step()
+
+    def perturb(self) -> None:
+        """Add what perturbations want to the parameters."""
+        for part in self.parts.due("perturbations", self._step.iteration):
+            with blame(part.item, self._step.iteration):
+                offsets = check_offsets(part.component.offsets(self._step), self.model.read)
+            for name, offset in offsets.items():
+                self.model.write(name, self.model.read(name) + offset)
+
+    @property
+    def _bands(self) -> int:
+        """SH bands that Adam steps: those in use, and one that begins to be."""
+        return int(-(-self._step.sample.sh_degree // 1))
+
+    def _take(self, sample: Sample) -> None:
+        self._step.sample = sample
+        self._step.render = StepRenderer(self.model, sample)
+
+    def _forget_gradients(self) -> None:
+        self.model.zero_gradients()
+        self.parameters.zero_gradients()
+
+    def _opacity_scale(self) -> Tensor | None:
+        product: Tensor | None = None
+        for part in self.parts.due("modifiers", self._step.iteration):
+            with blame(part.item, self._step.iteration):
+                answer = part.component.opacity_scale(self._step)
+                scale = check_opacity_scale(answer, self.model.count)
+            product = scale if product is None else product * scale
+        return product
+
+    def _statistics_wanted(self, iteration: int) -> bool:
+        return any(not p.item.schedule.over(iteration) for p in self.parts["densification"])
+
+    def _colors(self) -> Tensor:
+        """The rendered colours, as appearances change them."""
+        colors = self._rendering.rgb
+        for part in self.parts.due("appearances", self._step.iteration):
+            with blame(part.item, self._step.iteration):
+                colors = check_colors(part.component.colors(self._step, colors), colors.shape)
+        return colors
+
+    def _refine(self) -> bool:
+        """Ask the densification policies; whether Gaussians came or went."""
+        edited = False
+        step = self._step
+        for part in self.parts.due("densification", step.iteration):
+            with blame(part.item, step.iteration):
+                wanted = check_edit(part.component.refine(step), self.model.count)
+                if wanted is None:
+                    continue
+                edit = self._within_limit(wanted)
+                if edit.empty:
+                    self.model.reset_statistics()
+                    continue
+                self._apply(edit)
+            edited = True
+        return edited
+
+    def _within_limit(self, edit: Edit) -> Edit:
+        if self._settings.max_gaussians is None:
+            return edit
+        edit, dropped = limited(edit, self._settings.max_gaussians, self.model.screen_gradient())
+        if dropped and not self._told_of_limit:
+            self._told_of_limit = True
+            _log.warning(
+                "iteration %d: max_gaussians (%d) is reached; growth is cut from here on",
+                self._step.iteration,
+                self._settings.max_gaussians,
+            )
+        return edit
+
+    def _remove_broken(self) -> bool:
+        """Now and then, remove Gaussians that are not finite; whether there were any.
+
+        The engine draws none of them, so nothing hurries.
+        """
+        iteration = self._step.iteration
+        if iteration % HEALTH_CHECK_EVERY and iteration < self._settings.iterations:
+            return False
+        broken = self.model.not_finite()
+        number = int(broken.sum())
+        if not number:
+            return False
+        if number == self.model.count:
+            raise RunError(
+                f"all {number} Gaussians have become something that is not finite",
+                where=f"iteration {iteration}",
+                fix="lower the learning rates; the last checkpoint, if any, is whole",
+            )
+        _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
+        self._log_number("removed_not_finite", number)
+        self._apply(Edit(prune=broken))
+        return True
+
+    def _apply(self, edit: Edit) -> None:
+        carried = apply_edit(self.model, self.optimizer, edit, self._topology)
+        self.parts.carry(carried.source, carried.fresh, self._step.iteration)
+
+    def _log_number(self, name: str, value: float) -> None:
+        self.logged[name] = float(value)
+
+    def state(self, iteration: int) -> dict[str, Mapping[str, Tensor]]:
+        """Everything that its next iterations depend on, by kind."""
+        gaussians = self.model.gaussians()
+        return {
+            "model": dict(vars(gaussians)),
+            "optimizer": self.optimizer.state(),
+            "statistics": {"screen": self.model.statistics()},
+            "topology": {"generator": self._topology.get_state()},
+            "components": self.parts.state(iteration),
+            "parameters": self.parameters.state(),
+        }
+
+    def restore(self, part: Callable[[str], Mapping[str, Any]]) -> None:
+        """Take back what `state` returned; the model must hold the same Gaussians already.
+
+        Args:
+            part: gives the tensors of one kind.
+        """
+        self.optimizer.restore(part("optimizer"))
+        self.model.restore_statistics(part("statistics")["screen"])
+        self._topology.set_state(part("topology")["generator"])
+        self.parts.restore(part("components"))
+        self.parameters.restore(part("parameters"))

@@ -1,0 +1,48 @@
+"""The limit that the host sets to the number of Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import Edit, Gaussians
+from core_rasterizer.layout import PARAMETERS
+
+
+def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
+    """The edit without what would go beyond a number of Gaussians.
+
+    A clone adds one, a split one fewer than it has children. Clones and splits go first: those of the
+    highest rank stay, equal ranks go by index, so that the choice is the same in every run. When none
+    is left, added Gaussians go, the last first. Relocations change no number.
+
+    Args:
+        limit: the largest number of Gaussians after the edit.
+        rank: `[N]`, for example the screen-space gradient.
+
+    Returns:
+        The edit, and how many Gaussians fewer it adds.
+    """
+    count = rank.shape[0]
+    clone, split, prune = (edit.mask(name, count) for name in ("clone", "split", "prune"))
+    grown = clone.int() + split.int() * (edit.split_into - 1)
+    added = 0 if edit.add is None else len(edit.add)
+    room = max(0, limit - (count - int(prune.sum())))
+    if int(grown.sum()) + added <= room:
+        return edit, 0
+    kept_added = min(added, room)
+    order = torch.argsort(rank, descending=True, stable=True)
+    fits = torch.zeros_like(prune)
+    fits[order] = grown[order].cumsum(0) <= room - kept_added
+    kept = replace(_with_added(edit, kept_added), clone=clone & fits, split=split & fits)
+    return kept, int(grown[~fits].sum()) + added - kept_added
+
+
+def _with_added(edit: Edit, number: int) -> Edit:
+    """The edit with only the first of its added Gaussians."""
+    if edit.add is None or edit.parents is None:
+        return edit
+    first = {name: getattr(edit.add, name)[:number] for name in PARAMETERS}
+    return replace(edit, add=Gaussians(**first), parents=edit.parents[:number])

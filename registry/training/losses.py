@@ -1,0 +1,69 @@
+"""The loss of an iteration: how far the picture is from the photograph, and what regularizers add."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from core_rasterizer import Device, ExplainedError, photometric_loss
+from core_rasterizer.layout import PARAMETER_GROUPS
+
+from ..contract.answers import check_loss, check_moves
+from ..contract.step import Step
+from ..errors import RunError
+from ..pipeline.blame import blame
+from ..pipeline.parts import Part, Parts
+from ..pipeline.training_settings import TrainingSettings
+
+
+def photometric_term(
+    settings: TrainingSettings, colors: Tensor, step: Step, device: Device
+) -> Tensor:
+    """L1 and D-SSIM between the colours and the iteration's target.
+
+    Raises:
+        RunError: the colours are not finite.
+    """
+    try:
+        loss = photometric_loss(
+            colors,
+            step.sample.target,
+            settings.ssim_weight,
+            l1_weight=settings.l1_weight,
+            device=device,
+        )
+    except ExplainedError as error:
+        raise RunError(
+            error.what,
+            where=f"iteration {step.iteration}, view {step.view.name!r}",
+            fix="lower the learning rates; the last checkpoint, if any, is whole",
+        ) from error
+    step.log("photometric", float(loss.detach()))
+    return loss
+
+
+def regularizing_terms(loss: Tensor, parts: Parts, step: Step) -> Tensor:
+    """The loss with the terms that are due and join it."""
+    for part in parts.due("regularizers", step.iteration):
+        if part.item.host.step == "together":
+            loss = loss + _term(part, step)
+    return loss
+
+
+def term_alone(part: Part, step: Step) -> tuple[Tensor, tuple[str, ...]]:
+    """A term that is stepped alone.
+
+    Returns:
+        The loss, and the parameter groups that its step leaves alone.
+    """
+    with blame(part.item, step.iteration):
+        moves = check_moves(part.component.moves, PARAMETER_GROUPS)
+    skip = () if moves is None else tuple(name for name in PARAMETER_GROUPS if name not in moves)
+    return _term(part, step), skip
+
+
+def _term(part: Part, step: Step) -> Tensor:
+    """A regularizer's term times its weight."""
+    with blame(part.item, step.iteration):
+        term = check_loss(part.component.loss(step))
+    step.log(part.item.qualified_name, float(term.detach()))
+    return part.item.host.weight * term

@@ -1,0 +1,93 @@
+"""Which depths of one view the other views confirm (the geometric filter of MVSNet, Yao et al. 2018).
+
+A pixel's point is projected into another view, that view's depth is read there and projected back. Where
+pixel and depth come back to nearly the same values, the two views agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from core_rasterizer import Camera
+
+from .projection import DepthImage, Floats, Mask, interpolate, lift, pixel_centers, project
+
+
+def default_min_consistent(views: int) -> int:
+    """How many other views must agree: 1 with three views, 2 with four or five, then 3."""
+    return min(3, math.ceil((views - 1) / 2))
+
+
+def consistent_depths(
+    cameras: Sequence[Camera],
+    depths: Sequence[DepthImage],
+    *,
+    max_reprojection_error: float,
+    max_depth_error: float,
+    min_consistent: int,
+) -> list[DepthImage]:
+    """For each view the mean of its own depth and of those that confirm it; 0 where too few do.
+
+    Args:
+        max_reprojection_error: pixels between where a pixel started and where it came back to.
+        max_depth_error: between its depths then, relative to the first.
+        min_consistent: how many other views must agree.
+    """
+    fused = []
+    for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
+        u, v = pixel_centers(camera)
+        total, votes = depth.astype(np.float64), np.zeros(depth.shape, dtype=np.intp)
+        points = lift(camera, u, v, depth)
+        for other in range(len(cameras)):
+            if other == index:
+                continue
+            back_u, back_v, back_z = _there_and_back(camera, points, cameras[other], depths[other])
+            agrees = (depth > 0) & (np.hypot(back_u - u, back_v - v) < max_reprojection_error)
+            agrees &= np.abs(back_z - depth) < max_depth_error * depth
+            total += np.where(agrees, back_z, 0.0)
+            votes += agrees
+        fused.append(np.where(votes >= min_consistent, total / (1 + votes), 0.0).astype(np.float32))
+    return fused
+
+
+def _there_and_back(
+    camera: Camera, points: Floats, other: Camera, other_depth: DepthImage
+) -> tuple[Floats, Floats, Floats]:
+    """Where points lie in `camera` once `other_depth` has put them to the depth it sees there."""
+    u, v, _ = project(other, points)
+    seen = interpolate(other_depth, u, v)
+    known = seen > 0
+    there = lift(other, np.where(known, u, 0.0), np.where(known, v, 0.0), seen)
+    back_u, back_v, back_z = project(camera, there)
+    return np.where(known, back_u, np.inf), np.where(known, back_v, np.inf), back_z
+
+
+def without_small_patches(depth: DepthImage, *, min_pixels: int, max_step: float) -> DepthImage:
+    """The depths whose surface patch has at least `min_pixels` pixels; others become 0.
+
+    Args:
+        max_step: neighbouring pixels belong together if their depths differ by less, relative to the
+            nearer one.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    height, width = depth.shape
+    index = np.arange(depth.size).reshape(height, width)
+    starts, ends = [], []
+    for first, second in (
+        ((slice(None), slice(0, -1)), (slice(None), slice(1, None))),
+        ((slice(0, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        a, b = depth[first], depth[second]
+        joined = (a > 0) & (b > 0) & (np.abs(a - b) < max_step * np.minimum(a, b))
+        starts.append(index[first][joined])
+        ends.append(index[second][joined])
+    start, end = np.concatenate(starts), np.concatenate(ends)
+    graph = coo_array((np.ones(len(start), dtype=np.int8), (start, end)), (depth.size, depth.size))
+    _, label = connected_components(graph, directed=False)
+    large: Mask = np.bincount(label)[label].reshape(height, width) >= min_pixels
+    return np.where(large, depth, np.float32(0))

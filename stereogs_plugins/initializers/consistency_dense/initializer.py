@@ -1,0 +1,211 @@
+"""`consistency_dense`: a point for every pixel whose depth other training views confirm (StereoGS).
+
+A multi-view depth prior is asked for every training view's depth; what the views agree on is lifted to
+points. Three switches complete the picture where they do not: guessed depths in holes (`fill`), coarse
+points behind foreground edges (`back_layer`) and around each image (`margin`). The paper uses none.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from registry import (
+    Initializer,
+    MultiViewDepthPrior,
+    PointCloud,
+    Prior,
+    Register,
+    SceneError,
+    Settings,
+    TrainingScene,
+    hookimpl,
+)
+
+from .cloud import all_but, back_layers, margins, surfaces
+from .fill import fill_holes
+from .geometric_filter import (
+    consistent_depths,
+    default_min_consistent,
+    without_small_patches,
+)
+from .layers import Layer, is_background, joined
+from .other_views import hides
+from .projection import DepthImage, lift, pixel_centers
+from .view_depth import ViewDepth
+
+_log = logging.getLogger(__name__)
+
+PATCH_STEP = 0.05
+"""Relative depth difference from which on neighbouring pixels belong to different patches."""
+
+
+class ConsistencyDenseSettings(Settings):
+    prior: str | None = None
+    """Which multi-view depth prior to ask; null takes the pipeline's only one."""
+    max_reprojection_error: float = Field(1.0, gt=0)
+    """Pixels by which a pixel may miss itself on its way to another view and back."""
+    max_depth_error: float = Field(0.01, gt=0, lt=1)
+    """How much the two views' depths may differ, relative to the depth."""
+    min_consistent: int | None = Field(None, ge=1)
+    """How many other views must confirm a depth; null: half of them, three at most."""
+    min_component: int = Field(0, ge=0)
+    """Pixels; connected patches of confirmed surface that are smaller are dropped."""
+    stride: int = Field(1, ge=1)
+    """One point for each square of so many by so many pixels."""
+    merge: bool = False
+    """Leave out points on surfaces that an earlier view has confirmed: fewer points, sharper pictures."""
+    max_points: int | None = Field(150_000, ge=1)
+    """A random choice of so many points is kept; null keeps all."""
+    sigma: float | None = Field(None, gt=0)
+    """Size of the Gaussians, as a part of their spacing in the image; null: from the three nearest
+    neighbours."""
+    opacity: float | None = Field(None, gt=0, lt=1)
+    """First opacity; null: the pipeline's `training.initial_opacity`."""
+    fill: bool = False
+    """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
+    the scene's background."""
+    back_layer: bool = False
+    """Put coarse points of the background's colour behind the edges of the foreground."""
+    margin: bool = False
+    """Put a ring of coarse points around each image."""
+
+
+class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
+    """Points from a multi-view depth prior, filtered by agreement between the views."""
+
+    Settings = ConsistencyDenseSettings
+    ablation_baseline = "sfm"
+
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+        """Return at least one point, with facts and a picture for each training view.
+
+        Raises:
+            PluginError: the pipeline has no multi-view depth prior, or several and `prior` is null.
+            SceneError: one training view, fewer other views than must agree, or views that agree on
+                nothing.
+        """
+        needed = self._min_consistent(scene)
+        prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
+        answers = prior.depths(scene.train, scene.bounds)
+        raw = [np.where(a.valid.numpy(), a.depth.numpy(), np.float32(0)) for a in answers]
+        confirmed = self._confirmed(scene, raw, needed)
+        views = self._completed(scene, raw, confirmed)
+        return self._point_cloud(self._layers(views, scene.background), views)
+
+    def _min_consistent(self, scene: TrainingScene) -> int:
+        others = len(scene.train) - 1
+        if others < 1:
+            raise SceneError(
+                "views cannot confirm each other's depth: there is one training view",
+                where=scene.name,
+                fix="use two or more training views, or the initializer `random`",
+            )
+        needed = self.settings.min_consistent or default_min_consistent(len(scene.train))
+        if needed > others:
+            raise SceneError(
+                f"{needed} other views must confirm a depth (`min_consistent`), there are {others}",
+                where=scene.name,
+                fix=f"set `min_consistent` to at most {others}, or use more training views",
+            )
+        return needed
+
+    def _confirmed(
+        self, scene: TrainingScene, raw: list[DepthImage], needed: int
+    ) -> list[DepthImage]:
+        settings = self.settings
+        confirmed = consistent_depths(
+            [view.camera for view in scene.train],
+            raw,
+            max_reprojection_error=settings.max_reprojection_error,
+            max_depth_error=settings.max_depth_error,
+            min_consistent=needed,
+        )
+        confirmed = [
+            without_small_patches(depth, min_pixels=settings.min_component, max_step=PATCH_STEP)
+            for depth in confirmed
+        ]
+        empty = [view.name for view, d in zip(scene.train, confirmed, strict=True) if not d.any()]
+        if len(empty) == len(confirmed):
+            raise SceneError(
+                f"the {len(empty)} training views agree on the depth of no pixel",
+                where=scene.name,
+                fix="choose views that overlap, check the poses, or raise `max_reprojection_error` "
+                "and `max_depth_error`",
+            )
+        for name in empty:
+            _log.warning("no other view confirms any depth of %s; it gives no points", name)
+        return confirmed
+
+    def _completed(
+        self, scene: TrainingScene, raw: list[DepthImage], confirmed: list[DepthImage]
+    ) -> list[ViewDepth]:
+        """The views with their guesses, if those are wanted."""
+        cameras = [view.camera for view in scene.train]
+        views = []
+        for index, view in enumerate(scene.train):
+            filled = np.zeros_like(confirmed[index])
+            if self.settings.fill and confirmed[index].any():
+                filled = fill_holes(view.image.numpy(), confirmed[index])
+                points = lift(view.camera, *pixel_centers(view.camera), filled)
+                filled[hides(points, all_but(cameras, index), all_but(confirmed, index))] = 0
+                filled[is_background(view.image.numpy(), scene.background)] = 0
+            views.append(ViewDepth(view, raw[index], confirmed[index], filled))
+        return views
+
+    def _layers(self, views: list[ViewDepth], background: Sequence[float]) -> dict[str, Layer]:
+        """Points by kind."""
+        layers = surfaces(views, stride=self.settings.stride, merge=self.settings.merge)
+        coarse = {}
+        if self.settings.back_layer:
+            coarse["back_layer"] = back_layers(views)
+        if self.settings.margin:
+            coarse["margin"] = margins(views)
+        for kind, layer in coarse.items():
+            layers[kind] = layer.without(is_background(layer.colors, background))
+        return layers
+
+    def _chosen(self, count: int) -> Tensor:
+        """Indices of the points that are kept, in order."""
+        if self.settings.max_points is None or count <= self.settings.max_points:
+            return torch.arange(count)
+        shuffled = torch.randperm(count, generator=self.generator)
+        return shuffled[: self.settings.max_points].sort().values
+
+    def _point_cloud(self, layers: dict[str, Layer], views: list[ViewDepth]) -> PointCloud:
+        settings, points = self.settings, joined(list(layers.values()))
+        chosen = self._chosen(len(points))
+        sizes = torch.tensor([len(layer) for layer in layers.values()])
+        kinds = torch.arange(len(layers)).repeat_interleave(sizes)
+        counts = torch.bincount(kinds[chosen], minlength=len(layers)).tolist()
+        scales = None
+        if settings.sigma is not None:
+            scales = (settings.sigma * torch.from_numpy(points.spacings)[chosen]).float()
+        opacities = None
+        if settings.opacity is not None:
+            opacities = torch.full((len(chosen),), settings.opacity)
+        return PointCloud(
+            positions=torch.from_numpy(points.positions)[chosen].float(),
+            colors=torch.from_numpy(points.colors)[chosen].clamp(0, 1),
+            scales=scales,
+            opacities=opacities,
+            facts={
+                "points_by_kind": dict(zip(layers, counts, strict=True)),
+                "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
+                "views": {view.view.name: view.facts() for view in views},
+            },
+            pictures={
+                f"{view.view.name.removesuffix('.png')}_depth": view.picture() for view in views
+            },
+        )
+
+
+@hookimpl
+def stereogs_register_initializers(register: Register[ConsistencyDense]) -> None:
+    register("consistency_dense", ConsistencyDense)

@@ -1,0 +1,104 @@
+"""Points of one kind from one view: positions, colours and how far apart they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core_rasterizer import Camera
+
+from .projection import Floats, Indices, Mask, lift
+from .view_depth import ViewDepth
+
+SAME_COLOR = 2 / 255
+"""Difference of each channel up to which a colour is the background's."""
+SAME_SURFACE = 0.05
+"""Relative depth difference up to which pixels of one cell show one surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """P points of one kind.
+
+    Args:
+        positions: `[P, 3]` world units.
+        colors: `[P, 3]` float32 in [0, 1].
+        spacings: `[P]` world units, the distance of neighbours as the view sees them.
+    """
+
+    positions: Floats
+    colors: NDArray[np.float32]
+    spacings: Floats
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def without(self, dropped: Mask) -> Layer:
+        """The points that `dropped` `[P]` does not mark."""
+        return Layer(self.positions[~dropped], self.colors[~dropped], self.spacings[~dropped])
+
+
+def is_background(colors: NDArray[np.float32], background: Sequence[float]) -> Mask:
+    """Which colours `[..., 3]` are the scene's background, which is drawn where no Gaussian is.
+
+    A guess of that colour says nothing, and stands in front of what other views may know.
+    """
+    background_color = np.asarray(background, np.float32)
+    result: Mask = (np.abs(colors - background_color) < SAME_COLOR).all(axis=-1)
+    return result
+
+
+def joined(layers: Sequence[Layer]) -> Layer:
+    """All points of one or more layers, in order."""
+    return Layer(
+        np.concatenate([layer.positions for layer in layers]),
+        np.concatenate([layer.colors for layer in layers]),
+        np.concatenate([layer.spacings for layer in layers]),
+    )
+
+
+def layer_at(
+    camera: Camera,
+    u: Floats,
+    v: Floats,
+    depth: Floats,
+    colors: NDArray[np.float32],
+    pixels: float,
+) -> Layer:
+    """The layer of points behind pixel positions `[P]`, `pixels` apart in the image."""
+    spacings = pixels * depth / (0.5 * (camera.fx + camera.fy))
+    return Layer(lift(camera, u, v, depth), colors, spacings)
+
+
+def cell_middles(height: int, width: int, stride: int) -> tuple[Indices, Indices]:
+    """Rows and columns `[P]` of the middle pixels of all stride x stride cells."""
+    row, column = np.meshgrid(
+        np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride), indexing="ij"
+    )
+    return row.ravel(), column.ravel()
+
+
+def surface(view: ViewDepth, wanted: Mask, stride: int) -> Layer:
+    """One point for each stride x stride cell whose middle pixel has a depth and is wanted.
+
+    It takes the mean colour of those pixels of the cell that lie on the middle pixel's surface.
+    """
+    image, depth = view.image, view.completed
+    height, width = depth.shape
+    row, column = cell_middles(height, width, stride)
+    chosen = (depth[row, column] > 0) & wanted[row, column]
+    row, column = row[chosen], column[chosen]
+    middle = depth[row, column].astype(np.float64)
+    total, count = np.zeros((len(row), 3)), np.zeros((len(row), 1))
+    first = -(stride // 2)
+    for down in range(first, first + stride):
+        for right in range(first, first + stride):
+            r, c = (row + down).clip(0, height - 1), (column + right).clip(0, width - 1)
+            same = (np.abs(depth[r, c] - middle) < SAME_SURFACE * middle)[:, None]
+            total += same * image[r, c]
+            count += same
+    colors = (total / count).astype(np.float32)
+    return layer_at(view.camera, column + 0.5, row + 0.5, middle, colors, stride)

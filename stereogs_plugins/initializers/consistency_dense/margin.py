@@ -1,0 +1,50 @@
+"""A ring of coarse points around each image, so that nothing ends at the edge of a photograph.
+
+They carry the blurred colour of the nearest image border and lie at the background's depth there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .layers import Layer, layer_at
+from .view_depth import ViewDepth
+
+WIDTH = 0.5
+"""Of the ring, as a part of the image's width and height."""
+STRIDE = 10
+"""Pixels between the points."""
+BLUR = 15.0
+"""Pixels; standard deviation of the blur of the colours."""
+PERCENTILE = 10
+"""Of the inverse depths around a point, the image's nearest pixel standing for what is outside."""
+WINDOW = 15
+"""So many points in a row make up a point's surroundings."""
+
+
+def margin(view: ViewDepth) -> Layer:
+    """Points outside the image, none where the border nearby has no depth."""
+    from scipy.ndimage import (  # type: ignore[attr-defined]
+        gaussian_filter,
+        percentile_filter,
+    )
+
+    height, width = view.completed.shape
+    u, v = np.meshgrid(_positions(width), _positions(height))
+    outside = (u < 0) | (u >= width) | (v < 0) | (v >= height)
+    row, column = v.clip(0, height - 1).astype(np.intp), u.clip(0, width - 1).astype(np.intp)
+    seen = view.completed[row, column].astype(np.float64)
+    # Unknown depths count as near, so that the low percentile passes over them.
+    nearness = np.divide(1.0, seen, out=np.full(seen.shape, np.inf), where=seen > 0)
+    background = percentile_filter(nearness, PERCENTILE, size=WINDOW, mode="nearest")
+    keep = outside & np.isfinite(background)
+    blurred = gaussian_filter(view.image, (BLUR, BLUR, 0), mode="nearest")
+    colors = blurred[row[keep], column[keep]]
+    return layer_at(view.camera, u[keep], v[keep], 1 / background[keep], colors, STRIDE)
+
+
+def _positions(size: int) -> NDArray[np.float64]:
+    """Pixel positions along one axis, from before the image to behind it."""
+    reach = WIDTH * size
+    return np.arange(-reach + STRIDE / 2, size + reach, STRIDE)

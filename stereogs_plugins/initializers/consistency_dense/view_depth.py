@@ -1,0 +1,72 @@
+"""What is known of one training view's depth, and how that is told to people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from core_rasterizer import Camera
+from registry import TrainingView, nearness_picture, side_by_side
+
+from .projection import DepthImage
+
+
+@dataclass(frozen=True, eq=False)
+class ViewDepth:
+    """One training view's depths; 0 marks pixels without.
+
+    Args:
+        view: the view.
+        prior: `[H, W]` what the prior answered.
+        confirmed: `[H, W]` what other views agree with.
+        filled: `[H, W]` guesses for pixels that are not confirmed.
+    """
+
+    view: TrainingView
+    prior: DepthImage
+    confirmed: DepthImage
+    filled: DepthImage
+
+    @property
+    def camera(self) -> Camera:
+        """The view's camera."""
+        return self.view.camera
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The photograph, `[H, W, 3]`."""
+        return self.view.image.numpy()
+
+    @property
+    def completed(self) -> DepthImage:
+        """Confirmed depths, and guesses where there is none."""
+        return np.where(self.confirmed > 0, self.confirmed, self.filled)
+
+    def facts(self) -> dict[str, Any]:
+        """Shares of the view's pixels, and quantiles of its confirmed depths in world units."""
+        confirmed = self.confirmed[self.confirmed > 0]
+        quantiles = np.quantile(confirmed, (0.05, 0.5, 0.95)) if len(confirmed) else ()
+        return {
+            "coverage": _share(self.prior),
+            "consistent": _share(self.confirmed),
+            "filled": _share(self.filled),
+            "depth_quantiles": [float(f"{q:.5g}") for q in quantiles],
+        }
+
+    def picture(self) -> Tensor:
+        """Photograph | the prior's depth | confirmed | completed, one scale of colours for all."""
+        depths = torch.from_numpy(
+            np.concatenate([self.prior, self.confirmed, self.completed], axis=1)
+        )
+        known = depths > 0
+        nearness = torch.where(known, 1 / depths.where(known, 1.0), 0.0)
+        return side_by_side(self.view.image, *nearness_picture(nearness, known).chunk(3, dim=1))
+
+
+def _share(depth: DepthImage) -> float:
+    return round(float((depth > 0).mean()), 4)

@@ -1,0 +1,98 @@
+"""`sfm`: sparse points that the training photographs agree on (structure from motion, poses known)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import torch
+from pydantic import Field
+
+from registry import (
+    Initializer,
+    PointCloud,
+    Prior,
+    Register,
+    SceneError,
+    Settings,
+    TrainingScene,
+    hookimpl,
+)
+
+from .triangulation import Triangulation, triangulate
+
+BOUNDS_MARGIN = 1.1
+"""A point nearer than near / margin or farther than far * margin comes from a wrong match."""
+
+
+class SfmSettings(Settings):
+    source: Literal["auto", "scene", "triangulate"] = "auto"
+    """Where points come from: the scene's own, the training photographs, or whichever is there first."""
+    max_reprojection_error: float = Field(2.0, gt=0)
+    """Pixels; a point that misses its features by more is dropped, and so is a match off its line."""
+    min_triangulation_angle: float = Field(1.5, gt=0, lt=90)
+    """Degrees; points whose rays are more parallel than this are dropped."""
+
+
+class SfmInitializer(Initializer[SfmSettings]):
+    """The scene's own points, or points triangulated at the known poses from the training views."""
+
+    Settings = SfmSettings
+
+    def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
+        """Return at least one point.
+
+        Raises:
+            SceneError: the scene has no points, or the training views agree on none.
+        """
+        source = self.settings.source
+        has_points = scene.points is not None and len(scene.points) > 0
+        if source == "auto":
+            source = "scene" if has_points else "triangulate"
+        if source == "triangulate":
+            return self._triangulate(scene)
+        if scene.points is None or not has_points:
+            raise SceneError(
+                "the scene brings no points that its training views see",
+                where=scene.name,
+                fix="use `source: triangulate`, or the initializer `random`",
+            )
+        return scene.points
+
+    def _triangulate(self, scene: TrainingScene) -> PointCloud:
+        if len(scene.train) < 2:
+            raise SceneError(
+                "points cannot be triangulated from one training view",
+                where=scene.name,
+                fix="use two or more training views, or the initializer `random`",
+            )
+        found = triangulate(
+            scene.train,
+            max_reprojection_error=self.settings.max_reprojection_error,
+            min_angle=self.settings.min_triangulation_angle,
+            seed=self.context.seed,
+        )
+        keep = _within_bounds(found, scene)
+        if not keep.any():
+            raise SceneError(
+                f"no point could be triangulated from the {len(scene.train)} training views",
+                where=scene.name,
+                fix="use the initializer `random`, add training views that overlap, or raise "
+                "`max_reprojection_error` if the poses are rough",
+            )
+        return PointCloud(positions=found.positions[keep], colors=found.colors[keep])
+
+
+def _within_bounds(found: Triangulation, scene: TrainingScene) -> torch.Tensor:
+    """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
+    keep = torch.ones(len(found.positions), dtype=torch.bool)
+    for index, view in enumerate(scene.train):
+        _, _, depth = view.camera.project(found.positions)
+        keep &= ~found.seen_by[:, index] | ((depth > near) & (depth < far))
+    return keep
+
+
+@hookimpl
+def stereogs_register_initializers(register: Register[SfmInitializer]) -> None:
+    register("sfm", SfmInitializer)

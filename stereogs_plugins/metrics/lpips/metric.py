@@ -1,0 +1,172 @@
+"""`lpips` and `lpips_proper`: learned perceptual distance (Zhang et al. 2018, version 0.1).
+
+    d = sum over five layers of the mean over pixels of sum_c w_c (f_c / |f| - g_c / |g|)²
+
+with f and g the network's features of the two images. The network was made for colours in [-1, 1].
+Papers on sparse views feed colours in [0, 1] and report that: `lpips`. `lpips_proper` feeds 2 x - 1. The
+two numbers differ and cannot be compared, so they have different names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, Literal, Self
+
+import pydantic
+import torch
+from torch import Tensor
+
+from registry import (
+    AverageErrorRole,
+    ImageMetricSettings,
+    Metric,
+    PluginError,
+    Register,
+    Sha256,
+    Unavailable,
+    hookimpl,
+    white_outside,
+)
+
+from .files import Network, read_heads, read_network
+
+SHIFT = (-0.030, -0.088, -0.188)
+SCALE = (0.458, 0.448, 0.450)
+"""ImageNet's mean and deviation for colours in [-1, 1], red, green and blue."""
+EPSILON = 1e-10
+"""Added to the length of a pixel's features, so that no features have no direction."""
+
+Distance = Callable[[Tensor, Tensor], float]
+
+
+class LPIPSSettings(ImageMetricSettings):
+    network: Literal["vgg", "alex"] = "vgg"
+    """Which network the files hold; the published tables use VGG."""
+    file: Path | None = None
+    """A local .onnx or TorchScript file: either the network up to its five layers, one image in and
+    five features out, or all of LPIPS, two images in and one number out. Without it the score is not
+    available."""
+    sha256: Sha256 | None = None
+    """The file's SHA-256, 64 hexadecimal digits."""
+    heads: Path | None = None
+    """The weights of the five layers, .safetensors, .npz or .pth; null if `file` holds all of LPIPS."""
+    heads_sha256: Sha256 | None = None
+    """The SHA-256 of `heads`."""
+
+    @pydantic.model_validator(mode="after")
+    def _named_by_hash(self) -> Self:
+        for path, digest in (("file", "sha256"), ("heads", "heads_sha256")):
+            if (getattr(self, path) is None) != (getattr(self, digest) is None):
+                raise ValueError(f"`{path}` and `{digest}` go together; `sha256sum` prints a hash")
+        if self.heads is not None and self.file is None:
+            raise ValueError("`heads` without `file`: the network is missing")
+        return self
+
+
+class LPIPS(Metric[LPIPSSettings]):
+    """On colours in [0, 1], as papers on sparse views measure it; with a mask, white outside it."""
+
+    Settings = LPIPSSettings
+    higher_is_better = False
+    average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
+    proper: ClassVar[bool] = False
+
+    def measure(
+        self, rendered: Tensor, photograph: Tensor, mask: Tensor | None
+    ) -> float | Unavailable:
+        """Return the distance, 0 for equal images.
+
+        Raises:
+            PluginError: the files have another hash or do not hold what the settings say.
+        """
+        if isinstance(self._distance, Unavailable):
+            return self._distance
+        first, second = (
+            self._planes(white_outside(self.settings.prepared(image), mask))
+            for image in (rendered, photograph)
+        )
+        return self._distance(first, second)
+
+    def _planes(self, image: Tensor) -> Tensor:
+        planes = image.permute(2, 0, 1)[None].float()
+        return 2 * planes - 1 if self.proper else planes
+
+    @cached_property
+    def _distance(self) -> Distance | Unavailable:
+        settings = self.settings
+        if settings.file is None or settings.sha256 is None:
+            return Unavailable("no network is named: set `file`, `sha256` and, if need be, `heads`")
+        for path in (settings.file, settings.heads):
+            if path is not None and not path.expanduser().is_file():
+                return Unavailable(f"there is no file {path}, and nothing is downloaded")
+        network = read_network(settings.file.expanduser(), settings.sha256)
+        if settings.heads is None or settings.heads_sha256 is None:
+            return _WholeDistance(network, settings.file)
+        heads = read_heads(settings.heads.expanduser(), settings.heads_sha256, settings.network)
+        return _FeatureDistance(network, heads, settings.file)
+
+
+class ProperLPIPS(LPIPS):
+    """On colours in [-1, 1], as the authors of LPIPS define it; with a mask, white outside it."""
+
+    average_error_role = None
+    proper = True
+
+
+class _WholeDistance:
+    """LPIPS by a network that measures by itself."""
+
+    def __init__(self, network: Network, file: Path) -> None:
+        self._network, self._file = network, file
+
+    def __call__(self, first: Tensor, second: Tensor) -> float:
+        outputs = self._network(first, second)
+        if len(outputs) != 1 or outputs[0].numel() != 1:
+            raise PluginError(
+                "the network does not answer two images with one number",
+                where=str(self._file),
+                fix="set `heads` if it answers an image with features",
+            )
+        return float(outputs[0])
+
+
+class _FeatureDistance:
+    """LPIPS from features and the weights of their channels."""
+
+    def __init__(self, network: Network, heads: list[Tensor], file: Path) -> None:
+        self._network, self._heads, self._file = network, heads, file
+
+    def __call__(self, first: Tensor, second: Tensor) -> float:
+        distance = 0.0
+        pairs = zip(self._features(first), self._features(second), self._heads, strict=True)
+        for one, other, weights in pairs:
+            squares = (_directions(one) - _directions(other)) ** 2
+            distance += float((weights[:, None, None] * squares).sum(0).mean())
+        return distance
+
+    def _features(self, planes: Tensor) -> list[Tensor]:
+        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (SHIFT, SCALE))
+        outputs = self._network((planes - shift) / scale)
+        found = [list(output.shape[:2]) for output in outputs]
+        wanted = [[1, len(weights)] for weights in self._heads]
+        if found != wanted or any(output.ndim != 4 for output in outputs):
+            shapes = ", ".join(str(list(output.shape)) for output in outputs)
+            raise PluginError(
+                f"the network's features have the shapes {shapes}",
+                where=str(self._file),
+                fix=f"it must give five, [1, C, h, w] with C = {', '.join(str(c) for _, c in wanted)}",
+            )
+        return [output[0].double() for output in outputs]
+
+
+def _directions(features: Tensor) -> Tensor:
+    """Each pixel's features `[C, h, w]` with length 1."""
+    return features / (features.square().sum(0).sqrt() + EPSILON)
+
+
+@hookimpl
+def stereogs_register_metrics(register: Register[LPIPS]) -> None:
+    register("lpips", LPIPS)
+    register("lpips_proper", ProperLPIPS)

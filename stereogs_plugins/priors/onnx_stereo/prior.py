@@ -1,0 +1,166 @@
+"""`onnx_stereo`: disparity from a stereo network in an ONNX file."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from registry import (
+    Context,
+    OnnxModel,
+    OnnxModelSettings,
+    PluginError,
+    Register,
+    Sha256,
+    StereoPrior,
+    hookimpl,
+)
+from registry.image_fitting import Padding, ValueRange, full_size_maps, in_range, padded, stretched
+
+from .families import FAMILIES, FamilyName, StereoFamily
+from .networks import OneGraph, StereoNetwork, TwoGraphs
+
+
+class OnnxStereoSettings(OnnxModelSettings):
+    family: FamilyName = "generic"
+    """What the network is; the settings below that are null take its values (docs/prior_models.md)."""
+    second_model: Path | None = None
+    """The second ONNX file of a family that has two (fast_foundation_stereo)."""
+    second_sha256: Sha256 | None = None
+    """The hash that the second file must have; null takes any file."""
+    left: str | None = None
+    """The graph's name for the left image."""
+    right: str | None = None
+    """The graph's name for the right image."""
+    output: str | None = None
+    """The graph's name for the disparity."""
+    confidences: tuple[str, ...] | None = None
+    """Names of outputs in [0, 1] that say where the disparity can be trusted."""
+    min_confidence: float = Field(0.5, ge=0, le=1)
+    """Where one of the confidences is below this, the disparity counts as unknown."""
+    value_range: ValueRange | None = None
+    """The numbers for black and white that the graph takes."""
+    negated: bool | None = None
+    """The graph answers minus the disparity."""
+    max_disparity: float | None = Field(None, gt=0)
+    """The largest disparity that the network can see, in its own pixels."""
+    multiple: int | None = Field(None, ge=1)
+    """Both sides of an input must be a multiple of this, where the graph leaves them open."""
+    size: tuple[int, int] | None = None
+    """[width, height] given to the graph whatever the images' size; null: the graph's, or the images'."""
+    resize: bool = False
+    """Stretch images to the size that is wanted instead of padding them; disparities are scaled back."""
+    padding: Padding = "replicate"
+    """What is put around an image that is too small."""
+    groups: int = Field(8, ge=1)
+    """Groups of the correlation volume between two graphs, if the second does not say."""
+    normalize_groups: bool = True
+    """Scale each group of features to unit length before the correlation."""
+
+
+class OnnxStereo(StereoPrior[OnnxStereoSettings]):
+    """A stereo network's disparity; images are padded or resized as the graph needs.
+
+    Raises:
+        PluginError: see `OnnxModel`; or a graph that does not have the family's form.
+    """
+
+    Settings = OnnxStereoSettings
+
+    def __init__(self, settings: OnnxStereoSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._family = _family(settings)
+        self._network = _network(settings, self._family)
+        self._output = self._network.last.output(self._family.output).name
+        for name in self._family.confidences:
+            self._network.last.output(name)
+
+    @property
+    def max_disparity(self) -> float | None:
+        """The family's limit, or that of the pair of graphs, in the network's own pixels.
+
+        Images that are shrunk for the network have a larger limit, stretched ones a smaller one.
+        """
+        return self._network.max_disparity
+
+    def estimate(self, left: Tensor, right: Tensor) -> Tensor:
+        """The left image's disparity `[H, W]`; NaN where the network knows none."""
+        return self._infer(left[None], right[None])[0]
+
+    def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """Both directions, in one call if the graph takes two pairs at once."""
+        of_left, mirrored = self._infer(
+            torch.stack([left, right.flip(1)]), torch.stack([right, left.flip(1)])
+        )
+        return of_left, mirrored.flip(1)
+
+    def _infer(self, lefts: Tensor, rights: Tensor) -> Tensor:
+        """Disparities `[N, H, W]` of pairs `[N, H, W, 3]`."""
+        settings, network = self.settings, self._network
+        height, width = int(lefts.shape[1]), int(lefts.shape[2])
+        frozen = network.frozen if settings.size is None else settings.size[::-1]
+        choose = stretched if settings.resize else padded
+        fit = choose((height, width), frozen, self._family.multiple)
+        images = [
+            in_range(
+                fit.apply(batch.permute(0, 3, 1, 2), padding=settings.padding),
+                self._family.value_range,
+            )
+            for batch in (lefts, rights)
+        ]
+        at_once = len(lefts) if network.batchable else 1
+        answers = [
+            self._clean(network(left, right), (len(left), *fit.target))
+            for left, right in zip(*(batch.split(at_once) for batch in images), strict=True)
+        ]
+        return fit.undo(torch.cat(answers)) * fit.width_factor
+
+    def _clean(self, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
+        """The disparity, positive, NaN where there is none or it cannot be trusted."""
+        disparity = self._map(self._output, answers, shape)
+        if self._family.negated:
+            disparity = -disparity
+        known = torch.isfinite(disparity) & (disparity > 0)
+        for confidence in self._family.confidences:
+            trust = self._map(confidence, answers, shape)
+            known &= trust >= self.settings.min_confidence
+        return torch.where(known, disparity, torch.nan)
+
+    def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
+        return full_size_maps(name, answers, shape, self._network.last.path)
+
+
+def _family(settings: OnnxStereoSettings) -> StereoFamily:
+    """The family with what the settings say otherwise."""
+    said = {
+        field.name: value
+        for field in fields(StereoFamily)
+        if (value := getattr(settings, field.name)) is not None
+    }
+    return replace(FAMILIES[settings.family], **said)
+
+
+def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
+    pair = settings.family == "fast_foundation_stereo"
+    if pair != (settings.second_model is not None):
+        raise PluginError(
+            f"the family {settings.family!r} has {'two model files' if pair else 'one model file'}",
+            where=str(settings.model),
+            fix="set `second_model`" if pair else "remove `second_model`",
+        )
+    model = settings.open()
+    if settings.second_model is None:
+        return OneGraph(model, family)
+    second = OnnxModel(settings.second_model, settings.second_sha256, settings.provider)
+    return TwoGraphs(
+        model, second, family, groups=settings.groups, normalized=settings.normalize_groups
+    )
+
+
+@hookimpl
+def stereogs_register_priors(register: Register[OnnxStereo]) -> None:
+    register("onnx_stereo", OnnxStereo)

@@ -1,0 +1,186 @@
+"""`stereo_depth`: depth from a photograph and a render of what a camera to its right would see (StereoGS).
+
+The pair of the training photograph and the virtual right view goes through a stereo model. Where its
+two disparities agree, f_x d / D_l is a depth, and the loss is the difference of inverse depths. No
+gradient flows into the right view or the model: only the depth rendered at the left moves.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from registry import (
+    Context,
+    Disparity,
+    PluginError,
+    Register,
+    Regularizer,
+    Settings,
+    Step,
+    StereoPrior,
+    TrainingView,
+    hookimpl,
+)
+from registry.photos import dark_background
+
+from .baseline import BaselineSettings, choose_baseline
+from .lazy_refresh import LazyRefresh
+from .left_right_check import agreeing
+
+SMALLEST_DISPARITY = 0.1
+"""Pixels; below, depth explodes."""
+SMALLEST_ALPHA = 0.05
+"""Below, the Gaussians show too little to have a depth."""
+SMALLEST_DEPTH = 1e-3
+"""In units of the scene's near bound; below, 1 / depth explodes."""
+
+
+class StereoDepthSettings(Settings):
+    prior: str | None = None
+    """Name of the stereo prior; null takes the only one."""
+    baseline: BaselineSettings = BaselineSettings()
+    """Distance between the two cameras; settled at the first call, and then fixed for the run."""
+    tau: float = Field(2.0, ge=0, allow_inf_nan=False)
+    """Pixels by which the disparities of the two images may differ."""
+    validity_mask: bool = True
+    """False trusts every pixel that has a disparity at all (the paper's ablation)."""
+    background: Literal["none", "intensity", "alpha"] = "none"
+    """Pixels to leave out: dark ones with a dark run to their left (DTU), or those that the photograph's
+    alpha leaves empty (Blender)."""
+    background_level: int = Field(30, ge=0, le=255)
+    """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
+    depth: Literal["accumulated", "expected"] = "accumulated"
+    """The rendered depth: as blended (the paper), or divided by alpha, so that opacities feel no pull."""
+    normalize: Literal["none", "zref", "disparity"] = "none"
+    """Unit of the difference: 1 / world unit (the paper), relative to the median depth, or pixels."""
+    reduction: Literal["mean_valid", "mean_all", "sum"] = "mean_valid"
+    """Over the trusted pixels: their mean, their sum over the number of all pixels, or their sum."""
+    refresh_threshold: float = Field(0.01, ge=0, allow_inf_nan=False)
+    """Ask the prior again only when the right view has changed by more than this (mean absolute
+    difference of 4x4-pixel means, colours in [0, 1]) since it last answered; 0 always asks."""
+
+
+class StereoDepth(Regularizer[StereoDepthSettings]):
+    """mean |1 / Z - 1 / Z_stereo| over the pixels that a left-right check trusts.
+
+    The rendered depth is that of the training render, dropout included; the right view is rendered
+    without. Zero pixels to trust give a loss of 0.
+
+    Logs, each after the component's name: `_valid` (share of pixels in the loss), `_occluded` (share that
+    fails the check; when the prior is asked), `_seconds` (in the prior, in this iteration), `_baseline`
+    (world units), and counted since the start of the run `_inferences`, `_reused` and `_skipped` (calls
+    without a pixel to trust).
+    """
+
+    Settings = StereoDepthSettings
+
+    def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._baseline: float | None = None
+        self._refresh = LazyRefresh(settings.refresh_threshold)
+        self._skipped = 0
+
+    def loss(self, step: Step) -> Tensor:
+        """The term for this iteration's view; 0 if no pixel can be trusted.
+
+        Raises:
+            PluginError: no such prior, a baseline without overlap, or an alpha that the view lacks.
+        """
+        prior = StereoPrior.choose(step.priors, self.settings.prior)
+        if self._baseline is None:
+            self._baseline = choose_baseline(self.settings.baseline, step, prior.max_disparity)
+        camera = step.view.camera.shifted_right(self._baseline)
+        right = step.render(camera, gradient=False).rgb.clamp(0, 1)
+        disparity = self._refresh.find(step.view.name, right)
+        seconds = 0.0
+        if disparity is None:
+            begin = time.perf_counter()
+            both = prior.both(step.view.image, right)
+            seconds = time.perf_counter() - begin
+            disparity = self._trusted(step, *both)
+            self._refresh.keep(step.view.name, right, disparity)
+        loss = self._difference(step, disparity, self._baseline)
+        self._log(step, "seconds", seconds)
+        self._log(step, "baseline", self._baseline)
+        self._log(step, "inferences", self._refresh.asked)
+        self._log(step, "reused", self._refresh.reused)
+        self._log(step, "skipped", self._skipped)
+        return loss
+
+    def _trusted(self, step: Step, left: Disparity, right: Disparity) -> Tensor:
+        """The left disparity `[H, W]`, 0 where it is not to be trusted."""
+        trusted = left.valid & (left.values >= SMALLEST_DISPARITY)
+        agree = agreeing(left, right, self.settings.tau)
+        self._log(step, "occluded", 1 - float(agree.float().mean()))
+        if self.settings.validity_mask:
+            trusted &= agree & ~self._background(step.view)
+        return torch.where(trusted, left.values, 0.0)
+
+    def _background(self, view: TrainingView) -> Tensor:
+        if self.settings.background == "intensity":
+            return dark_background(view.image, self.settings.background_level)
+        if self.settings.background == "alpha":
+            if view.alpha is None:
+                raise PluginError(
+                    "the photograph has no alpha to tell its background by",
+                    where=f"view {view.name!r}",
+                    fix="set background to none or intensity",
+                )
+            return view.alpha <= 0
+        return torch.zeros(view.image.shape[:2], dtype=torch.bool)
+
+    def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:
+        """The loss. Pixels are selected before anything is divided: 0 times infinity is not 0."""
+        depth, alpha = step.rendering.depth, step.rendering.alpha
+        used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
+        used &= depth >= SMALLEST_DEPTH * step.scene.bounds[0]
+        count = int(used.sum())
+        self._log(step, "valid", count / used.numel())
+        if count == 0:
+            self._skipped += 1
+            return torch.zeros(())
+        focal_baseline = step.view.camera.fx * baseline
+        rendered = depth[used]
+        if self.settings.depth == "expected":
+            rendered = rendered / alpha[used]
+        difference = (1 / rendered - disparity[used] / focal_baseline).abs()
+        if self.settings.normalize == "disparity":
+            difference = difference * focal_baseline
+        elif self.settings.normalize == "zref":
+            difference = difference * (focal_baseline / disparity[used].median())
+        pixels = {"mean_valid": count, "mean_all": used.numel(), "sum": 1}
+        return difference.sum() / pixels[self.settings.reduction]
+
+    def _log(self, step: Step, what: str, value: float) -> None:
+        step.log(f"{self.context.name}_{what}", value)
+
+    def state(self) -> dict[str, Tensor]:
+        """The baseline once it is settled, and what the prior answered last."""
+        state = {f"refresh/{key}": value for key, value in self._refresh.state().items()}
+        state["skipped"] = torch.tensor(self._skipped)
+        if self._baseline is not None:
+            state["baseline"] = torch.tensor(self._baseline, dtype=torch.float64)
+        return state
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Go on as the run that `state` came from would have."""
+        self._skipped = int(state["skipped"])
+        self._baseline = float(state["baseline"]) if "baseline" in state else None
+        self._refresh.restore(
+            {
+                key.removeprefix("refresh/"): value
+                for key, value in state.items()
+                if key.startswith("refresh/")
+            }
+        )
+
+
+@hookimpl
+def stereogs_register_regularizers(register: Register[StereoDepth]) -> None:
+    register("stereo_depth", StereoDepth)

@@ -1,0 +1,152 @@
+"""`dtu`: scans of the DTU MVS data set (Jensen et al. 2014) in the sparse-view protocol.
+
+Views carry the 0-based number of the scan's 49 photographs: 25 is `000025.png` or `rect_026_3_r5000.png`.
+Metrics count the pixels of the object's mask. A mask is white where the object is; pixels that a
+resize turned grey do not count, as in the published evaluations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
+from registry.photos import (
+    Decoder,
+    LoadedPhotos,
+    PosedPhoto,
+    ResizeFilter,
+    at_most,
+    dark_background,
+    estimate_bounds,
+    list_images,
+)
+
+from .cameras import DtuCameras, calibrated, from_colmap, view_number
+
+TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
+"""Three, six or nine of these train (PixelNeRF, RegNeRF and the literature since)."""
+TEST_VIEWS = (
+    *(1, 2, 9, 10, 11, 12, 14, 15, 23, 24, 26, 27),
+    *(29, 30, 31, 32, 33, 34, 35, 41, 42, 43, 45, 46, 47),
+)
+"""The 25 views that test whatever trains; the other 15 are badly lit and belong to neither."""
+
+
+class DTUSettings(Settings):
+    path: Path
+    """The scan's folder; it holds image/, mask/ and cameras_sphere.npz or sparse/0."""
+    train_views: Literal[3, 6, 9] = 3
+    """The first so many of the views 25, 22, 28, 40, 44, 48, 0, 8, 13 train."""
+    cameras: Literal["calibrated", "colmap"] = "calibrated"
+    """`calibrated` reads cameras_sphere.npz, in units of the object's sphere; `colmap` reads the model
+    in sparse/0, in its own units, with photographs undistorted."""
+    width: int = Field(400, ge=1)
+    """Wider photographs are reduced to this width; the published quarter of 1600."""
+    resize_filter: ResizeFilter = "bicubic"
+    """Pillow's filter for that."""
+    masks: bool = True
+    """Read object masks for the metrics; without them every pixel counts."""
+    dark_background: int | None = Field(None, ge=1, le=255)
+    """In training photographs, pixels whose brightest channel is below this (of 255), and the 50 pixels
+    to their left too, become black; published 30, 15 for scan 110. null leaves photographs alone."""
+
+
+class DTUScene(SceneLoader[DTUSettings]):
+    """Reads a DTU scan: 49 photographs, calibrated cameras or a COLMAP model, object masks."""
+
+    Settings = DTUSettings
+    recognized_by: ClassVar[str] = "cameras_sphere.npz"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether the folder holds cameras_sphere.npz."""
+        return (folder / "cameras_sphere.npz").is_file()
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: a missing or damaged file, a view that is not there, a matrix that is no camera.
+        """
+        settings = self.settings
+        folder = settings.path.expanduser()
+        train = list(TRAIN_VIEWS[: settings.train_views])
+        found = self._read_cameras(folder, train)
+        photos = self._photos(folder, found, [*train, *TEST_VIEWS])
+        decoder = Decoder(at_most(settings.width), settings.resize_filter)
+        loaded = LoadedPhotos.load(photos, decoder, train, list(TEST_VIEWS))
+        loaded.require_one_size()
+        bounds = found.bounds or estimate_bounds(loaded.training_cameras, found.points, str(folder))
+        rule = f"the standard {settings.train_views} train, the standard 25 test"
+        dark = settings.dark_background
+        facts = (
+            Fact("cameras", settings.cameras),
+            *loaded.split_facts(rule),
+            Fact("masks", "metrics inside object masks" if settings.masks else "none"),
+            Fact(
+                "dark_background",
+                f"training pixels below {dark} black" if dark else "kept",
+                affects_scores=False,
+            ),
+        )
+        scene = loaded.scene("dtu", folder, bounds, found.points, facts)
+        return replace(scene, train=tuple(self._darkened(view) for view in scene.train))
+
+    def _read_cameras(self, folder: Path, train: list[int]) -> DtuCameras:
+        wanted = [*train, *TEST_VIEWS]
+        if self.settings.cameras == "colmap":
+            return from_colmap(folder / "sparse" / "0", train, wanted)
+        return calibrated(folder / "cameras_sphere.npz", wanted)
+
+    def _photos(self, folder: Path, found: DtuCameras, numbers: list[int]) -> list[PosedPhoto]:
+        images = _by_view(folder, ("image", "images"), numbers, "")
+        masks = {}
+        if self.settings.masks:
+            masks = _by_view(folder, ("mask",), numbers, "; `masks: false` does without masks")
+        return [
+            PosedPhoto(
+                name=images[number].stem,
+                path=images[number],
+                world_to_camera=found.cameras[number].world_to_camera,
+                lens=found.cameras[number].lens,
+                where=f"{folder}, view {number}",
+                mask=masks.get(number),
+            )
+            for number in numbers
+        ]
+
+    def _darkened(self, view: View) -> View:
+        level = self.settings.dark_background
+        if level is None:
+            return view
+        background = dark_background(view.image, level)
+        return replace(view, image=view.image.masked_fill(background[..., None], 0.0))
+
+
+def _by_view(
+    folder: Path, names: tuple[str, ...], numbers: list[int], hint: str
+) -> dict[int, Path]:
+    """The images in the first of some folders that has any, by view number."""
+    found: dict[int, Path] = {}
+    for name in names:
+        files = list_images(folder / name)
+        found = {view_number(path.stem, str(path)): path for path in files}
+        if found:
+            break
+    missing = [number for number in numbers if number not in found]
+    if missing:
+        raise SceneError(
+            f"there is no image of the views {missing}",
+            where=" or ".join(str(folder / name) for name in names),
+            fix=f"point `path` at the folder of one whole scan{hint}",
+        )
+    return found
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[DTUScene]) -> None:
+    register("dtu", DTUScene)

@@ -1,0 +1,95 @@
+"""The camera file of LLFF data sets, `poses_bounds.npy`.
+
+Each row holds 17 numbers: a 3x5 matrix `[R | t | (height, width, focal)]`, row by row, and the near
+and far depth of what the camera sees. `[R | t]` is camera-to-world with the camera's axes in the order
+(down, right, backwards); height, width and focal length are those of the full-size photograph. Rows
+follow the sorted file names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from registry import SceneError
+from registry.photos import Lens, decoding, pose_from_axes
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """One row, in the conventions of `Camera`.
+
+    Args:
+        world_to_camera: `[4, 4]` float64, camera axes (right, down, forward).
+        lens: of the full-size photograph; principal point at its centre.
+        near, far: z-depths, world units, 0 < near < far.
+        where: file and row, for error messages.
+    """
+
+    world_to_camera: NDArray[np.float64]
+    lens: Lens
+    near: float
+    far: float
+    where: str
+
+
+def read_poses(path: Path) -> list[PoseRow]:
+    """Read every row of a `poses_bounds.npy`.
+
+    Raises:
+        SceneError: the file is missing, unreadable or of another shape; a row that is not finite, has a
+            size or focal length that is not positive, or depth bounds out of order.
+    """
+    if not path.is_file():
+        raise SceneError(
+            "the camera file poses_bounds.npy is missing",
+            where=str(path),
+            fix="point `path` at the folder of one LLFF scene, for example .../llff_fern",
+        )
+    with decoding("the camera file", path, "download it again"):
+        # Mapped, a file that announces more than it holds is refused before memory is asked for.
+        rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
+        raise SceneError(
+            f"the camera file has shape {rows.shape}; an LLFF file has (number of images, 17)",
+            where=str(path),
+            fix="check that this is the poses_bounds.npy of an LLFF scene",
+        )
+    return [_parse(row, f"{path}, row {index}") for index, row in enumerate(rows)]
+
+
+def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
+    if not np.isfinite(row).all():
+        column = int(np.flatnonzero(~np.isfinite(row))[0])
+        raise SceneError(
+            f"the pose contains {row[column]:g} in column {column}",
+            where=where,
+            fix="this photograph could not be posed: remove it and its row, or estimate poses again",
+        )
+    matrix = row[:15].reshape(3, 5)
+    height, width, focal = (float(value) for value in matrix[:, 4])
+    for name, value in (("height", height), ("width", width), ("focal length", focal)):
+        if value <= 0:
+            raise SceneError(
+                f"the {name} is {value:g}; it must be positive",
+                where=where,
+                fix="a negative focal length is a mirrored pose: flip the axes instead",
+            )
+    near, far = row[15:]
+    if not 0 < near < far:
+        raise SceneError(
+            f"the depth bounds are {near:g} .. {far:g}; they must satisfy 0 < near < far",
+            where=where,
+            fix="estimate the bounds again from the depths of the points that this camera sees",
+        )
+    down, right, backwards, center = matrix[:, :4].T
+    return PoseRow(
+        world_to_camera=pose_from_axes(right, down, -backwards, center),
+        lens=Lens(focal, focal, width / 2, height / 2, width, height),
+        near=float(near),
+        far=float(far),
+        where=where,
+    )

@@ -1,0 +1,124 @@
+"""`photos`: a folder of pictures and nothing else; their cameras are found by COLMAP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field
+
+from registry import Fact, Register, Scene, SceneLoader, hookimpl
+from registry.photos import (
+    IMAGE_SUFFIXES,
+    ColmapModel,
+    Decoder,
+    LoadedPhotos,
+    PosedPhoto,
+    ResizeFilter,
+    SplitSettings,
+    estimate_bounds,
+    longest_side,
+    split,
+    split_rule,
+)
+
+from .disconnected import refuse_disconnected
+from .found_cameras import remembered_model
+from .structure_from_motion import image_index, reconstruct
+from .unposed_photos import UnposedPhoto, read_folder
+
+
+class PhotosSettings(SplitSettings):
+    path: Path
+    """The folder of photographs."""
+    train_views: int | None = Field(None, ge=0)
+    """How many training views; null or 0 takes all that are not test views."""
+    test_every: int = Field(8, ge=0)
+    """Every so-many-th photograph of the sorted list is a test view, from the first on; 0 keeps none
+    for testing."""
+    max_size: int = Field(800, ge=16)
+    """Training photographs are reduced to this many pixels on the longer side."""
+    resize_filter: ResizeFilter = "bicubic"
+    """Pillow's filter for reducing."""
+    share_lens: bool = True
+    """Photographs of one size, camera and focal length (by EXIF) have one lens; false finds one for
+    each, which needs many more photographs."""
+    matching_size: int = Field(1200, ge=64)
+    """Cameras are found in photographs reduced to this many pixels on the longer side."""
+
+
+class PhotosScene(SceneLoader[PhotosSettings]):
+    """Finds the cameras of photographs, test views among them, and takes out the lens's distortion.
+
+    Found cameras are kept in the user's cache folder. The world has no known unit or horizon.
+    """
+
+    Settings = PhotosSettings
+    recognized_by: ClassVar[str] = "pictures and nothing else"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Whether every file that is not hidden is a picture."""
+        visible = [path for path in folder.iterdir() if not path.name.startswith(".")]
+        return bool(visible) and all(path.suffix.lower() in IMAGE_SUFFIXES for path in visible)
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: fewer than three photographs, one that cannot be read, two equal ones, or
+                photographs that do not connect; then it says which do and what to photograph next.
+        """
+        settings = self.settings
+        folder = settings.path.expanduser()
+        found = read_folder(folder)
+        train, test = split(len(found), settings.test_every, settings.train_views, str(folder))
+        model = self._find_cameras(found, folder)
+        all_photos = _posed(model, found)
+        photos = [all_photos[index] for index in train + test]
+        decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
+        loaded = LoadedPhotos.load(photos, decoder, train, test)
+        tracks = model.tracks()
+        tracks.check(len(found), str(folder))
+        points = tracks.seen_by(train)
+        bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
+        facts = (
+            Fact("cameras", "found in all photographs by COLMAP"),
+            Fact("lenses", len(model.cameras)),
+            Fact("turned_upright", sum(photo.turned for photo in found)),
+            Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
+            *loaded.split_facts(split_rule(settings.test_every)),
+        )
+        return loaded.scene("photos", folder, bounds, points, facts)
+
+    def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
+        settings = self.settings
+        decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
+
+        def compute(empty: Path) -> Path:
+            result = reconstruct(found, decoder, settings.share_lens, empty)
+            refuse_disconnected(result, [photo.path.name for photo in found], str(folder))
+            return result.models[0][0]
+
+        treatment = f"{settings.matching_size} {settings.share_lens}"
+        return remembered_model(found, treatment, compute)
+
+
+def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
+    stems = [photo.path.stem for photo in found]
+    return [
+        PosedPhoto(
+            name=stems[k] if stems.count(stems[k]) == 1 else found[k].path.name,
+            path=found[k].path,
+            world_to_camera=image.world_to_camera,
+            lens=model.lens(image),
+            where=str(found[k].path),
+        )
+        for _, image in model.images
+        for k in [image_index(image.name)]
+    ]
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[PhotosScene]) -> None:
+    register("photos", PhotosScene)

@@ -1,0 +1,133 @@
+"""A folder of pictures and nothing else: which there are, and what each says of its lens."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from registry import SceneError
+from registry.photos import Size, decoding, in_parallel, list_images, upright_size
+
+MIN_PHOTOS = 3
+"""From two photographs the lens cannot be told from the depth."""
+UNREADABLE = (".heic", ".heif", ".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
+"""Endings of pictures that are not read here, and must not be left out in silence."""
+_FIX = "take it out of the folder, or save it anew as an 8-bit PNG or JPEG"
+_MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
+_FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
+_FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
+_DIAGONAL_35MM = math.hypot(36, 24)
+"""Millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
+_FOCAL_RANGE = (0.2, 20.0)
+"""In units of the longer side; what a file says beyond that is no focal length."""
+
+
+@dataclass(frozen=True)
+class UnposedPhoto:
+    """A picture file.
+
+    Args:
+        size: `(width, height)` once it is upright.
+        turned: EXIF says that it is stored sideways.
+        focal: focal length in units of the longer side, from EXIF; None if it does not say.
+        camera: make and model, empty if the file does not say.
+        digest: hash of the file's bytes.
+    """
+
+    path: Path
+    size: Size
+    turned: bool
+    focal: float | None
+    camera: str
+    digest: str
+
+
+def read_folder(folder: Path) -> list[UnposedPhoto]:
+    """The pictures in a folder, sorted by name.
+
+    Raises:
+        SceneError: there is no such folder, it has fewer than three pictures, one of a kind that is
+            not read here, one that cannot be opened, or two equal ones.
+    """
+    if not folder.is_dir():
+        raise SceneError(
+            "the folder of photographs does not exist",
+            where=str(folder),
+            fix="set `path` to a folder that holds pictures",
+        )
+    unreadable = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in UNREADABLE)
+    if unreadable:
+        raise SceneError(
+            f"{len(unreadable)} pictures are of a kind that is not read: {', '.join(unreadable[:3])}"
+            + (", ..." if len(unreadable) > 3 else ""),
+            where=str(folder),
+            fix="convert them to JPEG or PNG, or take them out of the folder",
+        )
+    paths = list_images(folder)
+    if len(paths) < MIN_PHOTOS:
+        raise SceneError(
+            f"cameras are found from at least {MIN_PHOTOS} photographs; here are {len(paths)}",
+            where=str(folder),
+            fix="add photographs that overlap, taken from different places",
+        )
+    photos = in_parallel(_read, paths)
+    _refuse_copies(photos, folder)
+    return photos
+
+
+def _read(path: Path) -> UnposedPhoto:
+    with decoding("the photograph", path, _FIX), Image.open(path) as file:
+        size = upright_size(file)
+        turned = size != file.size
+        exif = file.getexif()
+        camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL)).strip()
+        focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return UnposedPhoto(path, size, turned, focal, camera, digest)
+
+
+def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
+    """In units of the longer side; from the 35 mm equivalent, else from the sensor's pixel density."""
+    longer = max(size)
+    equivalent, millimetres = _number(exif, _FOCAL_35MM), _number(exif, _FOCAL_MM)
+    density, unit = (
+        _number(exif, _FOCAL_PLANE_DENSITY),
+        _UNIT_MM.get(exif.get(_FOCAL_PLANE_UNIT, 2)),
+    )
+    if equivalent:
+        focal = equivalent / _DIAGONAL_35MM * math.hypot(*size) / longer
+    elif millimetres and density and unit:
+        # The density counts the pixels of the photograph as taken, which may have been larger.
+        taken = max(_number(exif, _PIXELS_WIDE) or longer, longer)
+        focal = millimetres * density / unit / taken
+    else:
+        return None
+    return focal if _FOCAL_RANGE[0] < focal < _FOCAL_RANGE[1] else None
+
+
+def _number(exif: dict[int, Any], tag: int) -> float | None:
+    """A positive finite number, or None for whatever else a camera or editor wrote there."""
+    try:
+        value = float(exif[tag])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    return value if 0 < value < math.inf else None
+
+
+def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
+    first: dict[str, UnposedPhoto] = {}
+    for photo in photos:
+        other = first.setdefault(photo.digest, photo)
+        if other is not photo:
+            raise SceneError(
+                f"{other.path.name} and {photo.path.name} are the same picture",
+                where=str(folder),
+                fix="take one of them out of the folder",
+            )

@@ -1,0 +1,156 @@
+"""`procedural`: a furnished room, ray-cast here, with exact poses and depth; nothing to download.
+
+Its surfaces carry the photographs that the scikit-image package brings along. Light does not depend on
+the viewing direction, so a perfect reconstruction has no excuse.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from pydantic import Field
+
+from core_rasterizer import Camera
+from registry import (
+    Fact,
+    PointCloud,
+    Register,
+    Scene,
+    SceneLoader,
+    Settings,
+    View,
+    hookimpl,
+    validate,
+)
+
+from .ray_casting import Surface, cast
+from .room import furnish
+
+FIELD_OF_VIEW = math.radians(62)
+"""Horizontal, of every camera."""
+TARGET = np.array([0.0, 0.1, 3.2])
+"""What the cameras look at."""
+ARC_RADIUS = 3.2
+ARC_HALF_ANGLE = math.radians(11)
+"""Training cameras stand on an arc around the target, from minus to plus this angle."""
+HEIGHT_SWING = 0.08
+"""Neighbouring cameras stand alternately this much above and below eye level."""
+EYE_LEVEL = -0.1
+
+
+class ProceduralSettings(Settings):
+    train_views: int = Field(3, ge=1)
+    """How many training views, on an arc in front of the room."""
+    test_views: int = Field(4, ge=0)
+    """How many test views, between the training views and at other heights."""
+    width: int = Field(252, ge=16, le=4096)
+    """Image width in pixels."""
+    height: int = Field(189, ge=16, le=4096)
+    """Image height in pixels."""
+    points: int = Field(2000, ge=0)
+    """How many sparse points on surfaces that the training views see; 0 gives none."""
+    point_noise: float = Field(0.01, ge=0)
+    """Standard deviation of the points' positions about the true surface, metres."""
+    seed: int = Field(0, ge=0)
+    """Another seed moves the furniture and the points."""
+
+
+class ProceduralScene(SceneLoader[ProceduralSettings]):
+    """A room of textured boxes, balls and posters with exact poses and depths."""
+
+    Settings = ProceduralSettings
+
+    def load(self) -> Scene:
+        """Return the scene; the same settings give the same bits."""
+        settings = self.settings
+        generator = np.random.default_rng(settings.seed)
+        focal = settings.width / 2 / math.tan(FIELD_OF_VIEW / 2)
+        surfaces = furnish(focal, generator)
+        train = [
+            self._view(f"train_{k:02d}", surfaces, _angle(k, settings.train_views, 1.0), _lift(k))
+            for k in range(settings.train_views)
+        ]
+        test = [
+            self._view(
+                f"test_{k:02d}", surfaces, _angle(k, settings.test_views, 0.8), -_lift(k) / 2
+            )
+            for k in range(settings.test_views)
+        ]
+        depths = torch.cat([view.depth[view.depth > 0] for view in train if view.depth is not None])
+        points = _sample_points(train, settings.points, settings.point_noise, generator)
+        return validate(
+            Scene(
+                name="procedural",
+                train=tuple(train),
+                test=tuple(test),
+                bounds=(0.95 * float(depths.min()), 1.05 * float(depths.max())),
+                points=points,
+                facts=(Fact("source", "ray-cast room"), Fact("seed", settings.seed)),
+            )
+        )
+
+    def _view(self, name: str, surfaces: list[Surface], angle: float, lift: float) -> View:
+        camera = _camera_on_arc(angle, lift, self.settings.width, self.settings.height)
+        colors, depth = cast(surfaces, camera)
+        return View(
+            name=name,
+            camera=camera,
+            image=torch.from_numpy(colors.astype(np.float32)),
+            depth=torch.from_numpy(depth.astype(np.float32)),
+        )
+
+
+def _angle(index: int, count: int, part: float) -> float:
+    """Evenly spread over `part` of the arc; a single camera stands in the middle."""
+    return 0.0 if count == 1 else part * ARC_HALF_ANGLE * (2 * index / (count - 1) - 1)
+
+
+def _lift(index: int) -> float:
+    return HEIGHT_SWING if index % 2 else -HEIGHT_SWING
+
+
+def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera:
+    """A camera that looks at the target from `angle` radians to its side, horizon level."""
+    offset = ARC_RADIUS * np.array([math.sin(angle), 0.0, -math.cos(angle)])
+    center = TARGET + offset
+    center[1] = EYE_LEVEL + lift
+    forward = (TARGET - center) / np.linalg.norm(TARGET - center)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
+    focal = width / 2 / math.tan(FIELD_OF_VIEW / 2)
+    return Camera(torch.from_numpy(pose), focal, focal, width / 2, height / 2, width, height)
+
+
+def _sample_points(
+    views: list[View], count: int, noise: float, generator: np.random.Generator
+) -> PointCloud | None:
+    """Points behind random pixels of the views, at the true depth, with the pixels' colours."""
+    if not count:
+        return None
+    positions, colors = [], []
+    for view, share in zip(views, _shares(count, len(views)), strict=True):
+        assert view.depth is not None
+        pixels = torch.from_numpy(generator.choice(np.flatnonzero(view.depth > 0), size=share))
+        u, v = (axis.ravel()[pixels] for axis in view.camera.pixel_centers())
+        positions.append(view.camera.unproject(u, v, view.depth.ravel()[pixels]))
+        colors.append(view.image.reshape(-1, 3)[pixels])
+    exact = torch.cat(positions).numpy()
+    moved = exact + noise * generator.standard_normal(exact.shape)
+    return PointCloud(
+        positions=torch.from_numpy(moved.astype(np.float32)),
+        colors=torch.cat(colors),
+    )
+
+
+def _shares(count: int, parts: int) -> list[int]:
+    return [count // parts + (k < count % parts) for k in range(parts)]
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[ProceduralScene]) -> None:
+    register("procedural", ProceduralScene)

@@ -1,0 +1,220 @@
+"""The furniture of the `procedural` scene: where things stand and which photograph covers them.
+
+World units are metres; +x right, +y down, +z away from the cameras, which stand around the origin.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from .ray_casting import Array, Rectangle, Sphere, Surface, Texture
+
+LEFT, RIGHT = -2.4, 2.4
+CEILING, FLOOR = -1.3, 1.15
+FRONT, BACK = -1.5, 4.6
+
+TYPICAL_DEPTH = 3.5
+"""Textures are reduced so that a texel spans half a pixel at this depth: sharp, but without aliasing."""
+
+POSTERS = ("astronaut.png", "chelsea.png", "rocket.jpg", "coffee.png")
+WARM, COOL, CREAM = (1.0, 0.86, 0.72), (0.78, 0.88, 1.0), (1.0, 0.97, 0.9)
+
+
+class Photographs:
+    """The photographs that scikit-image carries, reduced to the resolution that the camera can see.
+
+    Args:
+        texel: side of a texel on a surface, world units.
+    """
+
+    def __init__(self, texel: float) -> None:
+        self._texel = texel
+
+    def lay(
+        self,
+        name: str,
+        width: float,
+        height: float,
+        *,
+        tile: float = 0.0,
+        tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        gain: float = 1.0,
+        contrast: float = 1.0,
+    ) -> Texture:
+        """A texture for a surface of `width` x `height`.
+
+        Args:
+            name: file name in the folder `skimage.data`.
+            tile: width of one copy where the photograph repeats; 0 stretches one copy over all.
+            tint: factor a colour channel.
+            gain: brightness factor.
+            contrast: below 1 mixes the photograph with its mean colour.
+        """
+        with as_file(files("skimage.data") / name) as path, Image.open(path) as file:
+            picture = file.convert("RGB")
+        tile_width = tile or width
+        tile_height = tile * picture.height / picture.width or height
+        size = (self._texels(tile_width), self._texels(tile_height))
+        pixels = np.asarray(picture.resize(size, Image.Resampling.LANCZOS), dtype=np.float64) / 255
+        mean = pixels.mean(axis=(0, 1))
+        pixels = mean + contrast * (pixels - mean)
+        return Texture(
+            np.clip(pixels * gain * np.array(tint), 0, 1), width / tile_width, height / tile_height
+        )
+
+    def _texels(self, length: float) -> int:
+        return max(2, round(length / self._texel))
+
+
+def furnish(focal: float, generator: np.random.Generator) -> list[Surface]:
+    """All surfaces of the room.
+
+    Args:
+        focal: focal length in pixels of the cameras that will look at it.
+        generator: moves and turns the furniture a little and hangs the posters in another order.
+    """
+    photographs = Photographs(texel=0.5 * TYPICAL_DEPTH / focal)
+    posters = list(generator.permutation(POSTERS))
+    jitter = generator.uniform(-1, 1, size=(4, 3))
+    return [
+        *_walls(photographs),
+        *_posters(photographs, posters[:3]),
+        *_box(
+            photographs,
+            "motorcycle_left.png",
+            center=_moved((-1.15, 2.9), jitter[0]),
+            size=(0.95, 0.85, 0.7),
+            yaw=0.5 + 0.2 * jitter[0, 2],
+        ),
+        *_box(
+            photographs,
+            "ihc.png",
+            center=_moved((1.2, 3.2), jitter[1]),
+            size=(0.7, 1.0, 0.7),
+            yaw=-0.45 + 0.2 * jitter[1, 2],
+        ),
+        _ball(photographs, "retina.jpg", _moved((1.2, 3.2), jitter[1]), 0.34, FLOOR - 1.0),
+        *_box(
+            photographs,
+            "coins.png",
+            center=_moved((0.1, 2.35), jitter[2]),
+            size=(0.6, 0.32, 0.45),
+            yaw=0.25 + 0.2 * jitter[2, 2],
+            tint=WARM,
+        ),
+        _ball(photographs, "moon.png", _moved((0.1, 2.35), jitter[2]), 0.2, FLOOR - 0.32),
+        _screen(photographs, posters[3], _moved((-0.1, 3.7), jitter[3]), 0.3 + 0.2 * jitter[3, 2]),
+    ]
+
+
+def _moved(place: tuple[float, float], jitter: Array) -> tuple[float, float]:
+    return place[0] + 0.12 * float(jitter[0]), place[1] + 0.12 * float(jitter[1])
+
+
+def _walls(photographs: Photographs) -> list[Surface]:
+    width, height, depth = RIGHT - LEFT, FLOOR - CEILING, BACK - FRONT
+    brick = photographs.lay("brick.png", depth, height, tile=1.6, tint=WARM, gain=1.5)
+    return [
+        Rectangle(
+            _vector(LEFT, CEILING, BACK),
+            _vector(width, 0, 0),
+            _vector(0, height, 0),
+            photographs.lay(
+                "grass.png", width, height, tile=3.6, tint=COOL, gain=1.5, contrast=0.6
+            ),
+        ),
+        Rectangle(
+            _vector(LEFT, FLOOR, BACK),
+            _vector(width, 0, 0),
+            _vector(0, 0, -depth),
+            photographs.lay("gravel.png", width, depth, tile=2.2, tint=CREAM, gain=1.2),
+        ),
+        Rectangle(
+            _vector(LEFT, CEILING, FRONT),
+            _vector(width, 0, 0),
+            _vector(0, 0, depth),
+            photographs.lay(
+                "gravel.png", width, depth, tile=3.0, tint=CREAM, gain=1.7, contrast=0.3
+            ),
+        ),
+        Rectangle(
+            _vector(LEFT, CEILING, FRONT), _vector(0, 0, depth), _vector(0, height, 0), brick
+        ),
+        Rectangle(
+            _vector(RIGHT, CEILING, BACK), _vector(0, 0, -depth), _vector(0, height, 0), brick
+        ),
+    ]
+
+
+def _posters(photographs: Photographs, names: list[str]) -> list[Surface]:
+    width, height, gap = 1.1, 0.95, 0.03
+    return [
+        Rectangle(
+            _vector(x - width / 2, -1.05, BACK - gap),
+            _vector(width, 0, 0),
+            _vector(0, height, 0),
+            photographs.lay(name, width, height),
+        )
+        for x, name in zip((-1.45, 0.0, 1.45), names, strict=True)
+    ]
+
+
+def _screen(
+    photographs: Photographs, name: str, place: tuple[float, float], yaw: float
+) -> Rectangle:
+    """A free-standing picture."""
+    width, height = 1.0, 0.7
+    across = width * _vector(np.cos(yaw), 0, np.sin(yaw))
+    corner = _vector(place[0], FLOOR - height, place[1]) - across / 2
+    return Rectangle(
+        corner, across, _vector(0, height, 0), photographs.lay(name, width, height, gain=1.1)
+    )
+
+
+def _box(
+    photographs: Photographs,
+    name: str,
+    *,
+    center: tuple[float, float],
+    size: tuple[float, float, float],
+    yaw: float,
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> list[Surface]:
+    """A box on the floor, the same photograph on its four sides and its top.
+
+    Args:
+        center: (x, z) of its middle.
+        size: width, height, depth.
+        yaw: rotation about the vertical axis, radians.
+    """
+    width, height, depth = size
+    right = _vector(np.cos(yaw), 0, np.sin(yaw))
+    away = _vector(-np.sin(yaw), 0, np.cos(yaw))
+    top = _vector(center[0], FLOOR - height, center[1])
+    down = _vector(0, height, 0)
+    x, z = right * width / 2, away * depth / 2
+    wide = photographs.lay(name, width, height, tint=tint)
+    deep = photographs.lay(name, depth, height, tint=tint)
+    lid = photographs.lay(name, width, depth, tint=tint)
+    return [
+        Rectangle(top - x - z, 2 * x, down, wide),
+        Rectangle(top + x + z, -2 * x, down, wide),
+        Rectangle(top + x - z, 2 * z, down, deep),
+        Rectangle(top - x + z, -2 * z, down, deep),
+        Rectangle(top - x + z, 2 * x, -2 * z, lid),
+    ]
+
+
+def _ball(
+    photographs: Photographs, name: str, place: tuple[float, float], radius: float, floor: float
+) -> Sphere:
+    texture = photographs.lay(name, 2 * np.pi * radius, np.pi * radius, tile=np.pi * radius)
+    return Sphere(_vector(place[0], floor - radius, place[1]), radius, texture)
+
+
+def _vector(x: float, y: float, z: float) -> NDArray[np.float64]:
+    return np.array([x, y, z], dtype=np.float64)

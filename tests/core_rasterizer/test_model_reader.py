@@ -1,0 +1,64 @@
+"""The read-only view of a model: everything to look at, nothing to change."""
+
+from __future__ import annotations
+
+import torch
+
+from core_rasterizer import Device, GaussianModel, GaussianReader
+from core_rasterizer.layout import PARAMETERS
+from tests.core_rasterizer.test_model import parameters, view
+
+READABLE = {
+    "count",
+    "device",
+    "digest",
+    "gaussians",
+    "gradient",
+    "opacities",
+    "parameter",
+    "read",
+    "scales",
+    "screen_gradient",
+    "sh_degree",
+    "touched",
+}
+
+
+def test_it_offers_what_can_be_read_and_nothing_else() -> None:
+    assert {name for name in dir(GaussianReader) if not name.startswith("_")} == READABLE
+
+
+def test_it_answers_as_the_model_does_and_follows_it(device: Device) -> None:
+    model = GaussianModel(parameters(30, sh_degree=2), device)
+    reader = model.reader()
+    assert isinstance(reader, GaussianReader)
+    for count in (30, 16):
+        model.render(view(), collect_statistics=True).rgb.sum().backward()
+        assert (reader.count, reader.sh_degree, reader.device) == (count, 2, device)
+        for name in PARAMETERS:
+            assert torch.equal(reader.read(name), model.read(name)), name
+            assert torch.equal(reader.gradient(name), model.gradient(name)), name
+            assert torch.equal(getattr(reader.gaussians(), name), model.read(name)), name
+        for name in ("opacities", "scales", "screen_gradient", "touched", "digest"):
+            ours, theirs = getattr(reader, name)(), getattr(model, name)()
+            assert ours == theirs if name == "digest" else torch.equal(ours, theirs), name
+        model.adopt(model.parameters.read()[:, :16].clone(), 16)
+
+
+def test_what_it_hands_out_is_a_copy(device: Device) -> None:
+    model = GaussianModel(parameters(30), device)
+    model.render(view()).rgb.sum().backward()
+    reader = model.reader()
+    digest, gradient = model.digest(), model.gradient("means").clone()
+    for name in PARAMETERS:
+        reader.read(name).fill_(7)
+        reader.gradient(name).fill_(7)
+    reader.gaussians().means.fill_(7)
+    assert model.digest() == digest
+    assert torch.equal(model.gradient("means"), gradient)
+
+
+def test_losses_on_its_parameters_reach_the_model(device: Device) -> None:
+    model = GaussianModel(parameters(30), device)
+    model.reader().parameter("means").sum().backward()
+    assert torch.equal(model.gradient("means"), torch.ones(30, 3))

@@ -1,0 +1,69 @@
+"""Threads may share a device: what one computes does not depend on the others."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+from torch import Tensor
+
+from core_rasterizer import Device, photometric_loss, rasterize
+from tests.core_rasterizer.scenes import random_camera, random_scene
+from tests.core_rasterizer.test_rasterize import weighted_loss
+
+THREADS, ROUNDS = 2, 25
+
+
+@pytest.fixture(autouse=True)
+def impatient_threads() -> Iterator[None]:
+    """Python lets another thread run after a step or two, not after 5 ms."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    yield
+    sys.setswitchinterval(interval)
+
+
+def same_in_threads(work: Callable[[int], list[Tensor]]) -> None:
+    """Each thread repeats its own work; all results are those of one thread alone."""
+    alone = [work(number) for number in range(THREADS)]
+
+    def differing(number: int) -> int:
+        results = (work(number) for _ in range(ROUNDS))
+        return sum(
+            not all(torch.equal(a, b) for a, b in zip(result, alone[number], strict=True))
+            for result in results
+        )
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        assert list(pool.map(differing, range(THREADS))) == [0] * THREADS
+
+
+def test_renders_in_threads_do_not_disturb_each_other(device: Device) -> None:
+    generator = torch.Generator().manual_seed(0)
+    scenes = [random_scene(generator, 60 + 200 * number) for number in range(THREADS)]
+    cameras = [random_camera(generator, 90 + 70 * number, 80) for number in range(THREADS)]
+
+    def work(number: int) -> list[Tensor]:
+        leaves = [
+            t.detach().clone().requires_grad_() for t in scenes[number].tensors(torch.float32)
+        ]
+        rendering = rasterize(*leaves, cameras[number], device=device)
+        weighted_loss(rendering, number).backward()
+        return [rendering.rgb.detach(), rendering.depth.detach(), *(leaf.grad for leaf in leaves)]
+
+    same_in_threads(work)
+
+
+def test_losses_in_threads_do_not_disturb_each_other(device: Device) -> None:
+    images = torch.rand(THREADS, 2, 90, 120, 3, generator=torch.Generator().manual_seed(1))
+
+    def work(number: int) -> list[Tensor]:
+        rgb = images[number, 0].clone().requires_grad_()
+        loss = photometric_loss(rgb, images[number, 1], device=device)
+        loss.backward()
+        return [loss.detach(), rgb.grad]
+
+    same_in_threads(work)

@@ -1,0 +1,300 @@
+"""Every door of the training loop, each tried by a small plugin that goes through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from core_rasterizer import Device, ExplainedError
+from core_rasterizer.layout import PARAMETERS
+from registry import PluginError
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import parse_pipeline
+from registry.plugins import Plugins
+from registry.testing import tiny_scene
+from registry.training.checkpoint import Checkpoint
+from registry.training.initial_model import initial_gaussians, new_model
+from registry.training.trainer import Iteration, Trainer, maps_of
+
+BASE = "name: t\nscene: toy_scene\ninitializer: toy_guided\n"
+Make = Callable[..., Trainer]
+
+
+@pytest.fixture
+def make(doors: Plugins, device: Device) -> Make:
+    def make(text: str, *overrides: str) -> Trainer:
+        settings = ["training.iterations=6", "training.sh_degree=1", *overrides]
+        pipeline = parse_pipeline(BASE + text, doors, source="p.yaml", overrides=settings)
+        parts, scene = Parts(pipeline, device), tiny_scene()
+        points = parts.one("initializer").component.initialize(scene.for_training(), {})
+        model = new_model(initial_gaussians(points, pipeline.training), pipeline.training, device)
+        return Trainer(pipeline.training, parts, scene, model, points.maps)
+
+    return make
+
+
+def train(trainer: Trainer) -> list[Iteration]:
+    return list(trainer.run())
+
+
+def resumed(make: Make, text: str, *overrides: str, stop: int = 3) -> tuple[Trainer, Trainer]:
+    """A trainer that ran through, and one that went on from the other's state in the middle."""
+    whole, first, second = (make(text, *overrides) for _ in range(3))
+    train(whole)
+    for done in first.run():
+        if done.number == stop:
+            break
+    held = Checkpoint(first.iteration, 0.0, first.state())
+    for name, values in held.part("model").items():
+        assert values.shape[0] == first.model.count, name
+    model = new_model(first.model.gaussians(), second.settings, second.model.device)
+    maps = maps_of(held.part("maps"))
+    second = Trainer(second.settings, second.parts, second.scene, model, maps)
+    second.restore(held.iteration, held.part)
+    train(second)
+    return whole, second
+
+
+# What an iteration learns from.
+
+
+def test_a_sampler_changes_target_view_and_background(make: Make) -> None:
+    dark = train(make("samplers: [{use: toy_target, brightness: 0}]\n", "training.iterations=60"))
+    assert dark[-1].logged["photometric"] < dark[0].logged["photometric"]
+    plain, same = (
+        make(""),
+        make("samplers: [{use: toy_target, brightness: 1, background: [0, 0, 0]}]"),
+    )
+    train(plain)
+    train(same)
+    assert plain.model.digest() == same.model.digest()
+    one_view = make("samplers: [{use: toy_target, brightness: 1, first_view: true}]\n")
+    train(one_view)
+    assert one_view.model.digest() != plain.model.digest()
+
+
+def test_a_target_that_does_not_fit_is_refused_by_name(make: Make) -> None:
+    with pytest.raises(PluginError, match="the target is") as caught:
+        train(make("samplers: [{use: toy_target, wrong: true}]\n"))
+    assert "toy_target" in caught.value.where
+
+
+# Colours between render and loss; parameters of a plugin.
+
+
+def test_an_appearance_is_trained_beside_the_gaussians(make: Make) -> None:
+    text = "samplers: [{use: toy_target, brightness: 0.2}]\nappearances: [toy_exposure]\n"
+    done = train(make(text, "training.iterations=30"))
+    assert done[0].logged["exposure"] == 1
+    assert done[-1].logged["exposure"] < 0.9
+
+
+def test_a_plugins_parameters_are_saved_with_their_moments(make: Make) -> None:
+    whole, second = resumed(make, "appearances: [toy_exposure]\n")
+    exposures = [t.parts["appearances"][0].component.factor for t in (whole, second)]
+    assert exposures[0] != 1
+    assert torch.equal(*exposures)
+    assert whole.model.digest() == second.model.digest()
+
+
+# Losses on parameters, terms stepped alone, parameters left alone.
+
+
+def test_a_loss_on_parameters_moves_them_alone(make: Make) -> None:
+    text = "regularizers: [{use: toy_shape, weight: 1000, step: alone}]\n"
+    quiet = [f"training.learning_rates.{name}=0" for name in ("position", "position_final")]
+    trainer = make(text, "training.iterations=1", *quiet)
+    before = trainer.model.gaussians()
+    train(trainer)
+    after = trainer.model.gaussians()
+    assert (after.log_scales < before.log_scales).all()
+    assert torch.equal(after.means, before.means)
+
+
+def test_a_term_stepped_alone_has_a_step_of_its_own(make: Make) -> None:
+    together = make("regularizers: [toy_shape]\n")
+    alone = make("regularizers: [{use: toy_shape, step: alone}]\n")
+    for trainer in (together, alone):
+        train(trainer)
+    steps = [trainer.optimizer.steps for trainer in (together, alone)]
+    assert steps == [6, 12]
+
+
+def test_a_term_stepped_alone_leaves_other_groups_and_their_moments(make: Make) -> None:
+    text = "regularizers: [{use: toy_picture, step: alone, opacity: 0.9, moves: [means]}]\n"
+    rates = ("position", "sh_constant", "sh_rest", "opacity", "scale", "rotation")
+    still = [f"training.learning_rates.{name}=0" for name in rates[1:]]
+    trainer = make(text, "training.iterations=1", *still)
+    moments = trainer.optimizer.state()["first_moments"].clone()
+    before = trainer.model.gaussians()
+    trainer.fields[0].begin(1, trainer.scene.for_training().train[0])
+    trainer.fields[0].step_terms_alone()
+    after, changed = (
+        trainer.model.gaussians(),
+        trainer.optimizer.state()["first_moments"] != moments,
+    )
+    assert not torch.equal(after.means, before.means)
+    assert changed[:3].any()
+    assert not changed[3:].any()
+    for name in PARAMETERS[1:]:
+        assert torch.equal(getattr(after, name), getattr(before, name))
+
+
+def test_a_render_may_leave_parameters_alone(make: Make) -> None:
+    def gradients(detach: str) -> dict[str, torch.Tensor]:
+        text = f"regularizers: [{{use: toy_picture, step: alone, detach: {detach}}}]\n"
+        trainer = make(text, "training.iterations=1")
+        trainer.fields[0].begin(1, trainer.scene.for_training().train[0])
+        trainer.fields[0].step_terms_alone()
+        return {name: trainer.model.gradient(name).clone() for name in PARAMETERS}
+
+    free, held = gradients("[]"), gradients("[means, sh]")
+    for name in PARAMETERS:
+        assert free[name].any()
+        assert held[name].any() == (name not in ("means", "sh"))
+    assert torch.equal(free["log_scales"], held["log_scales"])
+
+
+def test_visibility_is_known_to_a_plugin(make: Make) -> None:
+    (done,) = train(make("regularizers: [toy_picture]\n", "training.iterations=1"))
+    assert 0 < done.logged["seen"] <= 60
+
+
+def test_unknown_groups_are_refused_by_name(make: Make) -> None:
+    with pytest.raises(PluginError, match="colour") as caught:
+        train(make("regularizers: [{use: toy_shape, step: alone, moves: [colour]}]\n"))
+    assert "toy_shape" in caught.value.where
+
+
+# Policies.
+
+
+def test_several_policies_come_in_the_pipelines_order(make: Make) -> None:
+    text = """\
+densification:
+  - {use: toy_move, name: a, add: 2, stop: 1}
+  - {use: toy_move, name: b, children: 4, start: 2, stop: 2}
+opacity: [{use: toy_fade, value: 0.5}, {use: toy_fade, name: again, factor: 0.5}]
+"""
+    trainer = make(text, "training.learning_rates.opacity=0")
+    done = train(trainer)
+    assert [d.gaussians for d in done] == [62, 65, 65, 65, 65, 65]
+    assert trainer.model.opacities().allclose(torch.tensor(0.25))
+
+
+def test_edits_add_split_and_relocate_and_states_follow(make: Make) -> None:
+    text = "densification: {use: toy_move, children: 3, add: 2, relocate: 2, start: 6}\n"
+    trainer = make(text)
+    train(trainer)
+    assert trainer.model.count == 60 + 2 + 2
+    parent = trainer.parts["densification"][0].component.parent
+    assert parent.tolist() == [1, 1, 1, *range(4, 60), 0, 0, 0, 1, 2]
+
+
+def test_the_limit_counts_all_children_and_added_ones(make: Make) -> None:
+    text = "densification: {use: toy_move, children: 5, add: 3, start: 6}\n"
+    trainer = make(text, "training.max_gaussians=62")
+    train(trainer)
+    assert trainer.model.count <= 62
+
+
+def test_a_phase_shifts_the_schedule(make: Make) -> None:
+    text = "regularizers: [{use: toy_shape, start: 2, every: 3, phase: 2}]\n"
+    done = train(make(text, "training.iterations=9"))
+    assert [d.number for d in done if "regularizers.toy_shape" in d.logged] == [2, 5, 8]
+
+
+def test_a_perturbation_comes_after_the_step(make: Make) -> None:
+    plain, noisy = make(""), make("perturbations: [{use: toy_noise, start: 6}]\n")
+    train(plain)
+    train(noisy)
+    for name in PARAMETERS[1:]:
+        assert torch.equal(plain.model.read(name), noisy.model.read(name))
+    assert not torch.equal(plain.model.read("means"), noisy.model.read("means"))
+    with pytest.raises(PluginError, match="offset of 'means'") as caught:
+        train(make("perturbations: [{use: toy_noise, wrong: true}]\n"))
+    assert "toy_noise" in caught.value.where
+
+
+# Several fields.
+
+TWINS = """\
+regularizers: [{use: toy_twin, start: 2}]
+modifiers: [toy_dropout]
+densification: {use: toy_growth, every: 2}
+"""
+
+
+def test_fields_in_lock_step_differ_and_see_each_other(make: Make) -> None:
+    trainer = make(TWINS, "training.fields=3")
+    done = train(trainer)
+    assert len({field.model.digest() for field in trainer.fields}) == 3
+    assert done[-1].logged["others"] == 2
+    assert done[-1].logged["field2/others"] == 2
+    assert done[-1].gaussians == trainer.fields[0].model.count
+
+
+def test_the_first_field_is_the_one_that_would_be_alone(make: Make) -> None:
+    alone, first = (
+        make("modifiers: [toy_dropout]\n"),
+        make("modifiers: [toy_dropout]\n", "training.fields=2"),
+    )
+    train(alone)
+    train(first)
+    assert alone.model.digest() == first.model.digest()
+
+
+def test_several_fields_are_resumed_to_the_same_bits(make: Make) -> None:
+    whole, second = resumed(make, TWINS, "training.fields=2")
+    digests = [[field.model.digest() for field in t.fields] for t in (whole, second)]
+    assert digests[0] == digests[1]
+
+
+# What the initializer knows, and what nobody may know.
+
+
+def test_depth_of_the_initializer_reaches_regularizers_and_survives_a_resume(make: Make) -> None:
+    whole, second = resumed(make, "regularizers: [toy_guide]\n")
+    assert whole.model.digest() == second.model.digest()
+
+
+@pytest.mark.parametrize(
+    ("at", "message"),
+    [("test", "test views"), ("depth", "true depth"), ("early", "before it is made")],
+)
+def test_asking_for_the_truth_is_an_error_with_the_plugins_name(
+    make: Make, at: str, message: str
+) -> None:
+    with pytest.raises(ExplainedError, match=message) as caught:
+        train(make(f"modifiers: [{{use: toy_peek, at: {at}}}]\n"))
+    assert "toy_peek" in caught.value.where
+    assert "iteration 1" in caught.value.where
+
+
+def test_an_initializer_sees_no_test_view(make: Make) -> None:
+    with pytest.raises(PluginError, match="test views"):
+        make("", "initializer.peek=true")
+
+
+# The loss.
+
+
+def test_l1_and_dissimilarity_have_weights_of_their_own(make: Make) -> None:
+    def first(*overrides: str) -> float:
+        return train(make("", "training.iterations=1", *overrides))[0].loss
+
+    l1 = first("training.ssim_weight=0")
+    both = first("training.ssim_weight=0.2", "training.l1_weight=1")
+    usual = first("training.ssim_weight=0.2")
+    assert both == pytest.approx(usual + 0.2 * l1, rel=1e-5)
+
+
+def test_what_is_not_used_changes_nothing(make: Make) -> None:
+    plain, dressed = (
+        make(""),
+        make("opacity: []\nsamplers: []\nperturbations: []\n", "training.fields=1"),
+    )
+    assert [d.loss for d in train(plain)] == [d.loss for d in train(dressed)]
+    assert plain.model.digest() == dressed.model.digest()
