@@ -34,7 +34,8 @@ def page() -> str:
     parts = [_HEAD]
     for point in HOOK_POINTS:
         mine = [offer for offer in offers if offer.point is point]
-        number = "a list" if point.many else f"one {point.title}"
+        one = f"one {point.title}"
+        number = {"list": "a list", "one": one, "one or list": f"{one} or a list"}[point.holds]
         parts.append(f"## `{point.section}`: {number}\n")
         lent = [f"`{name}`" for name in point.host_settings]
         parts.append(f"Settings of the host: {', '.join(lent)} (see below).\n")

@@ -285,7 +285,9 @@ def _unusable(entry: EntryPoint, error: Exception) -> PluginError:
 def _conflict(offers: Sequence[Offer]) -> PluginError:
     first = offers[0]
     owners = " and ".join(f"{o.plugin} ({o.distribution} {o.version})" for o in offers)
+    fix = "uninstall one of them"
+    if len({offer.plugin for offer in offers}) == len(offers):
+        fix += f", or name the plugins to load in {SELECTION}"
     return PluginError(
-        f"the {first.point.title} {first.name!r} is offered twice: by {owners}",
-        fix=f"uninstall one of them, or name the plugins to load in {SELECTION}",
+        f"the {first.point.title} {first.name!r} is offered twice: by {owners}", fix=fix
     )

@@ -88,6 +88,7 @@ def load_scene(
         changes: `key=value`, settings of the loader; a pipeline that is built has its own.
         format_name: the loader for a folder; None asks the loaders which one knows it.
         device: see `train`.
+        accept_changed_inputs: see `resume`.
 
     Raises:
         ExplainedError: nothing is there, no loader or several know the folder, or what the loader says.
@@ -202,8 +203,13 @@ def resume(
     progress: bool | Console = True,
     callback: Callable[[Iteration], bool | None] | None = None,
     device: Device | str | None = None,
+    accept_changed_inputs: bool = False,
 ) -> Run:
     """Go on with a run that was stopped, to the same end as if it had not been; arguments as `train`'s.
+
+    Args:
+        accept_changed_inputs: go on although photographs, cameras or model files are not those that the
+            run began with.
 
     Raises:
         ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
@@ -220,11 +226,16 @@ def resume(
             console=_console(progress),
             scene=scene and validate(scene),
             observer=callback,
+            accept_changed_inputs=accept_changed_inputs,
         )
 
 
 def open_run(
-    folder: PathLike, *, scene: Scene | None = None, device: Device | str | None = None
+    folder: PathLike,
+    *,
+    scene: Scene | None = None,
+    device: Device | str | None = None,
+    accept_changed_inputs: bool = False,
 ) -> Run:
     """A run that was made earlier: its pipeline, scene and Gaussians as its folder keeps them.
 
@@ -242,7 +253,11 @@ def open_run(
 
     with one_torch_thread():
         return opened(
-            path, plugins=Plugins(), device=_device(device), scene=scene and validate(scene)
+            path,
+            plugins=Plugins(),
+            device=_device(device),
+            scene=scene and validate(scene),
+            accept_changed_inputs=accept_changed_inputs,
         )
 
 

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import RunError
 from .output import Verbs, add_device, add_verb, console
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
 
 _EPILOG = """\
 examples:
@@ -65,11 +71,9 @@ def run(arguments: argparse.Namespace) -> int:
         scene = load(found, open_device(arguments.device))
     offer = found.item.offer
     output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
-    for label, text in facts(scene):
-        output.print(f"  {label:<10}  {text}")
+    _print_columns(output, facts(scene))
     output.print("said by the loader")
-    for fact in scene.facts:
-        output.print(f"  {fact.name:<10}  {fact}")
+    _print_columns(output, [(fact.name, str(fact)) for fact in scene.facts])
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), arguments.out)
@@ -85,3 +89,9 @@ def _check_picture(path: Path) -> None:
             where=f"--out {path}",
             fix="for example --out check.png",
         )
+
+
+def _print_columns(output: Console, rows: Sequence[tuple[str, str]]) -> None:
+    width = max((len(label) for label, _ in rows), default=0)
+    for label, text in rows:
+        output.print(f"  {label:<{width}}  {text}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 _EPILOG = """\
 examples:
@@ -20,6 +20,7 @@ def add(verbs: Verbs) -> None:
     """Add the verb."""
     parser = add_verb(verbs, "eval", "score a run's views again, from its checkpoint", _EPILOG)
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -29,7 +30,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ..session import open_run
 
     output = console()
-    run = open_run(arguments.run_folder, device=arguments.device)
+    run = open_run(
+        arguments.run_folder,
+        device=arguments.device,
+        accept_changed_inputs=arguments.accept_changed_inputs,
+    )
     from ..comparing.run_table import results_table
     from ..runs.results import RENDERS, renew
 

@@ -45,3 +45,12 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="part of the OpenCL device's or platform's name; `stereogs doctor` lists them",
     )
+
+
+def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
+    """The option --accept-changed-inputs."""
+    parser.add_argument(
+        "--accept-changed-inputs",
+        action="store_true",
+        help="go on although photographs, cameras or model files are not those that the run began with",
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 PATH = "path"
 
@@ -29,6 +29,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--frames", type=int, default=120, metavar="N", help="pictures of the flight (default 120)"
     )
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -38,7 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ..session import open_run
 
     output = console()
-    run = open_run(arguments.run_folder, device=arguments.device)
+    run = open_run(
+        arguments.run_folder,
+        device=arguments.device,
+        accept_changed_inputs=arguments.accept_changed_inputs,
+    )
     from ..drawing.camera_path import smooth_path
     from ..drawing.pictures import save_view_pictures
     from ..drawing.video import write_video

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,6 +55,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--resume", type=Path, metavar="RUN", help="go on with a run that was stopped"
     )
+    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -74,7 +75,19 @@ def run(arguments: argparse.Namespace) -> int:
                 where="the command line",
                 fix=f"only: stereogs train --resume {arguments.resume}",
             )
-        return conclude(resume(arguments.resume, progress=output, device=arguments.device), output)
+        run = resume(
+            arguments.resume,
+            progress=output,
+            device=arguments.device,
+            accept_changed_inputs=arguments.accept_changed_inputs,
+        )
+        return conclude(run, output)
+    if arguments.accept_changed_inputs:
+        raise RunError(
+            "a new run has no inputs that could have changed",
+            where="--accept-changed-inputs",
+            fix="give it with --resume, or leave it out",
+        )
     if arguments.pipeline is None:
         raise RunError(
             "there is nothing to train",

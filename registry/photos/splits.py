@@ -44,7 +44,7 @@ def split(
 
 
 def split_rule(test_every: int) -> str:
-    """What `split` does, in words for the scene's notes."""
+    """What `split` does, in words for the scene's facts."""
     if not test_every:
         return "evenly spaced train, none tests"
     return f"every {test_every}th tests, the others evenly spaced train"

@@ -1,7 +1,8 @@
 """The run folder: everything that a run leaves behind, and nothing if it could not begin.
 
 pipeline.yaml     the pipeline with every default written out
-provenance.json   versions, device, platform, seed, command line
+provenance.json   versions, commit, device, platform, seed, command line
+inputs.json       digests of what it was made from, see inputs.py
 initialization/   what the initializer reports: facts.json and pictures
 metrics.jsonl     one line every few iterations
 checkpoint/       to resume from (see checkpoint.py)
@@ -14,7 +15,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
 INITIALIZATION = "initialization"
 METRICS = "metrics.jsonl"
+INPUTS = "inputs.json"
 RESULTS = "results.json"
 
 
@@ -80,8 +82,13 @@ class RunFolder:
                 f"nothing can be written in {parent}", where=str(path), fix="choose another --out"
             )
 
-    def create(self, pipeline_yaml: str, provenance: dict[str, Any]) -> None:
-        """Make the folder with its first two files; both or nothing.
+    def create(
+        self, pipeline_yaml: str, provenance: dict[str, Any], inputs: Mapping[str, str]
+    ) -> None:
+        """Make the folder with its first three files; all or nothing.
+
+        Args:
+            inputs: digests by name, see `write_inputs`.
 
         Raises:
             RunError: see `check_vacant`; or the disk refused.
@@ -91,6 +98,7 @@ class RunFolder:
             with new_folder(self.path) as folder:
                 write_text(folder / PIPELINE, pipeline_yaml)
                 write_json(folder / PROVENANCE, provenance)
+                write_json(folder / INPUTS, {"digests": inputs, "changed": []})
         except OSError as error:
             raise RunError(
                 f"the run folder cannot be created: {error.strerror or error}",
@@ -108,6 +116,19 @@ class RunFolder:
         folder = self.path / name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    def write_inputs(self, digests: Mapping[str, str], changed: Sequence[str]) -> None:
+        """Keep other inputs than before, and what has changed on the way."""
+        write_json(self.path / INPUTS, {"digests": digests, "changed": list(changed)})
+
+    def inputs(self) -> tuple[dict[str, str] | None, list[str]]:
+        """The digests of the inputs, None if an older version kept none, and what has changed.
+
+        Raises:
+            RunError: they are not JSON.
+        """
+        content = _read_json(self.path / INPUTS)
+        return content.get("digests"), content.get("changed", [])
 
     def write_results(self, results: dict[str, Any]) -> None:
         """Replace results.json."""

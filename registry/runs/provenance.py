@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, machine, device, seed, command line."""
+"""Where a result comes from: versions, commit, machine, device, seed, command line."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 from core_rasterizer import Device
 
 from ..pipeline.pipeline import Pipeline
+from .source_code import checkout
 
 _PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "pluggy", "pydantic")
 
@@ -25,6 +26,7 @@ def provenance(pipeline: Pipeline, device: Device) -> dict[str, Any]:
         "platform": platform.platform(),
         "processor": platform.machine(),
         "python": sys.version.split()[0],
+        "source": checkout(),
         "packages": {name: _version(name) for name in _PACKAGES},
         "plugins": {
             item.qualified_name: f"{item.offer.distribution} {item.offer.version}"

@@ -44,6 +44,7 @@ def finish(run: Run) -> None:
             "peak_memory_mb": peak_memory_mb(),
             "exports": exported,
             "reports": [],
+            "changed_inputs": folder.inputs()[1],
             **scores,
         }
     )
@@ -58,7 +59,11 @@ def finish(run: Run) -> None:
 def renew(run: Run) -> dict[str, Any]:
     """Score a run anew where it stands, in its results.json and its pictures; returns the results."""
     folder = run.folder_or_refuse()
-    results: dict[str, Any] = jsonable({**folder.results(), **describe(run), **score(run)})
+    run.keep_changes()
+    changed = {"changed_inputs": folder.inputs()[1]}
+    results: dict[str, Any] = jsonable(
+        {**folder.results(), **describe(run), **changed, **score(run)}
+    )
     folder.write_results(results)
     return results
 

@@ -24,6 +24,7 @@ from ..training.checkpoint import Checkpoint, save_checkpoint
 from ..training.threads import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate
 from .folder import RunFolder
+from .inputs import input_digests
 from .provenance import provenance
 from .results import finish
 
@@ -76,6 +77,7 @@ class Run:
         seconds: what each stage took.
         metrics: what metrics.jsonl holds, line by line; of a run read from a folder, nothing.
         folder: where the run is kept; None: in memory only.
+        changed: inputs that are not those that the run began with, and were accepted.
     """
 
     pipeline: Pipeline
@@ -89,6 +91,7 @@ class Run:
     seconds: Stages = field(default_factory=Stages)
     metrics: list[dict[str, Any]] = field(default_factory=list)
     folder: RunFolder | None = None
+    changed: tuple[str, ...] = ()
     _scores: tuple[int, dict[str, Scores]] | None = None
 
     @property
@@ -168,9 +171,20 @@ class Run:
             RunError: the folder has content, is a file, or cannot be written.
         """
         folder = RunFolder(path)
-        folder.create(self.pipeline.to_yaml(), provenance(self.pipeline, self.model.device))
+        folder.create(
+            self.pipeline.to_yaml(),
+            provenance(self.pipeline, self.model.device),
+            input_digests(self.scene, self.pipeline),
+        )
         folder.write_initialization(self.initialization, self.pictures)
         self.folder = folder
+
+    def keep_changes(self) -> None:
+        """Write down which inputs have changed, once something is made from them."""
+        if self.changed and self.folder is not None:
+            earlier = self.folder.inputs()[1]
+            names = dict.fromkeys([*earlier, *self.changed])
+            self.folder.write_inputs(input_digests(self.scene, self.pipeline), [*names])
 
     def add_metrics(self, line: dict[str, Any]) -> None:
         """Remember a line of metrics, in the folder too if there is one."""

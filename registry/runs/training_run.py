@@ -11,6 +11,7 @@ from rich.console import Console
 from core_rasterizer import Device, Gaussians
 
 from ..contract.scene import Scene, validate
+from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
@@ -21,6 +22,7 @@ from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, maps_of
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
+from .inputs import changed_inputs, input_digests, listed
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
 from .progress import TrainingProgress
@@ -81,13 +83,24 @@ def resume(
     console: Console,
     scene: Scene | None = None,
     observer: Observer | None = None,
+    accept_changed_inputs: bool = False,
 ) -> Run:
     """Go on with a run from its checkpoint, to the same end as if it had never stopped.
+
+    Args:
+        accept_changed_inputs: go on with other photographs, cameras or model files than it began with.
 
     Raises:
         ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
     """
-    run = open_run(path, plugins=plugins, device=device, scene=scene)
+    run = open_run(
+        path,
+        plugins=plugins,
+        device=device,
+        scene=scene,
+        accept_changed_inputs=accept_changed_inputs,
+    )
+    run.keep_changes()
     checkpoint = run.checkpoint()
     maps = maps_of(checkpoint.part("maps"))
     trainer = Trainer(run.pipeline.training, run.parts, run.scene, run.model, maps)
@@ -101,14 +114,22 @@ def resume(
     return run
 
 
-def open_run(path: Path, *, plugins: Plugins, device: Device, scene: Scene | None = None) -> Run:
+def open_run(
+    path: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    scene: Scene | None = None,
+    accept_changed_inputs: bool = False,
+) -> Run:
     """Read a run folder: its pipeline, scene and newest checkpoint.
 
     Args:
         scene: in place of what the pipeline's loader would load; valid.
 
     Raises:
-        ExplainedError: one of them cannot be read.
+        ExplainedError: one of them cannot be read, or the scene or a model file is another than when
+            the run began, and that was not accepted.
     """
     folder = RunFolder.existing(path)
     pipeline = load_pipeline(folder.pipeline, plugins)
@@ -117,6 +138,14 @@ def open_run(path: Path, *, plugins: Plugins, device: Device, scene: Scene | Non
     begin = monotonic()
     scene = scene or load_scene(parts)
     loading = monotonic() - begin
+    before, _ = folder.inputs()
+    changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
+    if changed and not accept_changed_inputs:
+        raise RunError(
+            f"the run was made from other inputs; changed: {listed(changed)}",
+            where=str(path),
+            fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
+        )
     facts = folder.initialization()
     return Run(
         pipeline,
@@ -128,6 +157,7 @@ def open_run(path: Path, *, plugins: Plugins, device: Device, scene: Scene | Non
         initialization=facts,
         seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
         folder=folder,
+        changed=changed,
     )
 
 

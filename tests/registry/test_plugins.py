@@ -137,6 +137,8 @@ def test_two_packages_with_one_name_conflict(install: Install) -> None:
     assert "second 2" in error.what
     assert SELECTION in error.fix
     assert [str(e) for e in Plugins().conflicts()] == [str(error)]
+    install("third", "3", {"twin": "twin_c"}, twin_c=metric("twin"))
+    assert SELECTION not in refusal(Plugins(), "twin").fix, "it cannot tell twin from twin"
 
 
 @pytest.mark.parametrize("first", ["mine", "twin"])

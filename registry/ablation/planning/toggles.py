@@ -96,12 +96,13 @@ def _target(root: Node, toggle: Toggle) -> str:
 def _off(toggle: Toggle, target: str, base: Pipeline) -> Change:
     if toggle.off is not None:
         return Change(target, toggle.off)
-    component = next(
-        (i.offer.component for i in base if target in (i.qualified_name, i.point.section)), None
-    )
-    if component is not None and component.ablation_baseline is not None:
+    item = next((i for i in base if target in (i.qualified_name, i.point.section)), None)
+    if item is not None and item.offer.component.ablation_baseline is not None:
         place = Place(f"{toggle.place} (the baseline of {target})")
-        return Change(target, parse(component.ablation_baseline, str(place), has_lines=False))
+        baseline = parse(item.offer.component.ablation_baseline, str(place), has_lines=False)
+        beside = [other.name for other in base.items[item.point.section] if other is not item]
+        if item_names(baseline)[0] not in beside:  # one that is there already stays, and suffices
+            return Change(target, baseline)
     if SECTIONS[target.partition(".")[0]].required:
         raise PipelineError(
             f"nothing takes the place of the {target} where it is off",

@@ -127,6 +127,9 @@ def test_any_component_may_name_a_baseline(
     monkeypatch.setattr(ToyTerm, "ablation_baseline", "{use: toy_term, name: calm, weight: 0.5}")
     off = plan(write(tmp_path), toys, toggles="second").runs[0].pipeline
     assert [item.name for item in off.items["regularizers"]] == ["toy_term", "calm"]
+    monkeypatch.setattr(ToyTerm, "ablation_baseline", "toy_term")
+    off = plan(write(tmp_path), toys, toggles="second").runs[0].pipeline
+    assert [item.name for item in off.items["regularizers"]] == ["toy_term"], "there already"
 
 
 def test_named_alternatives_change_several_settings(toys: Plugins, tmp_path: Path) -> None:

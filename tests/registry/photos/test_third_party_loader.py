@@ -85,8 +85,8 @@ def test_its_scene_is_undistorted_resized_and_split(
     near, far = scene.bounds
     assert near < 4 < far
     assert np.allclose(scene.train[0].camera.center, 4 * np.array([np.sin(0.2), 0, np.cos(0.2)]))
-    assert "resized from 80x60 to 40x30" in str(scene.notes["changed"])
-    assert "undistorted" in str(scene.notes["changed"])
+    assert "resized from 80x60 to 40x30" in str(scene.fact("changed"))
+    assert "undistorted" in str(scene.fact("changed"))
 
 
 def test_what_is_missing_is_explained(loader: type[SceneLoader[Any]], folder: Path) -> None:

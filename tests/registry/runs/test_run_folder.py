@@ -18,23 +18,28 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_run_folder_has_both_files_or_does_not_exist(tmp_path: Path) -> None:
+def test_a_run_folder_has_its_files_or_does_not_exist(tmp_path: Path) -> None:
     run = RunFolder(tmp_path / "deep" / "run")
-    run.create("name: x\n", {"seed": 1})
-    assert sorted(p.name for p in run.path.iterdir()) == ["pipeline.yaml", "provenance.json"]
+    run.create("name: x\n", {"seed": 1}, {"the points": "ab"})
+    assert sorted(p.name for p in run.path.iterdir()) == [
+        "inputs.json",
+        "pipeline.yaml",
+        "provenance.json",
+    ]
+    assert run.inputs() == ({"the points": "ab"}, [])
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["run"]
     other = RunFolder(tmp_path / "other")
     with pytest.raises(TypeError):
-        other.create("name: x\n", {"seed": object()})
+        other.create("name: x\n", {"seed": object()}, {})
     assert [p.name for p in tmp_path.iterdir()] == ["deep"]
 
 
 def test_an_empty_folder_is_taken_and_a_full_one_refused(tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    RunFolder(empty).create("name: x\n", {})
+    RunFolder(empty).create("name: x\n", {}, {})
     with pytest.raises(RunError, match="not empty") as caught:
-        RunFolder(empty).create("name: x\n", {})
+        RunFolder(empty).create("name: x\n", {}, {})
     assert "--resume" in caught.value.fix
 
 

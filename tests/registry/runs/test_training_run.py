@@ -14,12 +14,13 @@ from rich.console import Console
 
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import Fact, PluginError, RunError, SceneError
+from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
 from registry.runs.run import Run
+from registry.runs.source_code import checkout
 from registry.runs.training_run import open_run, resume, start
 from tests.registry.toy_plugin import ToyPoints, ToyScene
 
@@ -84,6 +85,7 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     facts = json.loads((folder.path / "provenance.json").read_text())
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
     assert facts["command"] == sys.argv
+    assert facts["source"] == checkout()
     assert facts["packages"]["torch"] == torch.__version__
     lines = [json.loads(x) for x in (folder.path / "metrics.jsonl").read_text().splitlines()]
     assert [line["iteration"] for line in lines] == [20, 30]
@@ -254,3 +256,34 @@ def test_the_module_writes_with_the_projects_own_plugins(
     assert results["train"]["psnr"] > 22
     assert 0 < results["test"]["ssim"] < 1
     assert len(load_ply(folder.path / "exports" / "scene.ply")) == results["gaussians"]
+
+
+def test_changed_inputs_are_refused_unless_accepted(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    load = ToyScene.load
+
+    def darker(self: ToyScene) -> Scene:
+        scene = load(self)
+        first = replace(scene.train[0], image=scene.train[0].image * 0.5)
+        return replace(scene, train=(first, *scene.train[1:]))
+
+    monkeypatch.setattr(ToyScene, "load", darker)
+    quiet = Console(file=io.StringIO())
+    with pytest.raises(RunError, match="changed: the photograph of view0\n") as caught:
+        resume(folder.path, plugins=toys, device=device, console=quiet)
+    assert "--accept-changed-inputs" in caught.value.fix
+    assert folder.results()["changed_inputs"] == []
+    again = resume(
+        folder.path, plugins=toys, device=device, console=quiet, accept_changed_inputs=True
+    )
+    assert again.finished
+    assert folder.results()["changed_inputs"] == ["the photograph of view0"]
+    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+
+
+def test_a_run_that_kept_no_digests_goes_on(toys: Plugins, device: Device, tmp_path: Path) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    (folder.path / "inputs.json").unlink()
+    assert open_run(folder.path, plugins=toys, device=device).changed == ()

@@ -27,7 +27,7 @@ def rendered(depth: Tensor, alpha: Tensor | float = 1.0) -> Rendering:
 
 
 def view(depth: Tensor | None = TRUTH, mask: Tensor | None = None) -> View:
-    return View("v", CAMERA, torch.zeros(2, 4, 3), mask, depth)
+    return View("v", CAMERA, torch.zeros(2, 4, 3), mask, depth=depth)
 
 
 def scene(points: Tensor | None = None) -> Scene:
