@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import cached_property
 from threading import RLock
 from typing import Any, Literal
 
@@ -64,42 +63,47 @@ class Device:
         self.lock = RLock()
         self.retired = Retired()
         self._programs: dict[tuple[Any, ...], Program] = {}
+        self._open: tuple[cl.Context, cl.CommandQueue] | None = None
 
     def __repr__(self) -> str:
         return f"Device({self.name!r}, {self.platform!r}, {self.kind}, {self.variant} kernels)"
 
-    @cached_property
+    @property
     def context(self) -> cl.Context:
         """The context of this device alone.
 
         Raises:
             DeviceError: the driver refuses to open the device: it is in use, or broken.
         """
-        if os.environ.get(CORRECT_CPU_NAME) == "1":
-            correct_cpu_name(self._handle)
-        try:
-            return cl.Context([self._handle])
-        except cl.Error as error:
-            raise self._not_opened(error) from error
+        return self._opened()[0]
 
-    @cached_property
+    @property
     def queue(self) -> cl.CommandQueue:
         """The queue of this device, in which work runs in order.
 
         Raises:
             DeviceError: as for `context`.
         """
-        try:
-            return cl.CommandQueue(self.context)
-        except cl.Error as error:
-            raise self._not_opened(error) from error
+        return self._opened()[1]
 
-    def _not_opened(self, error: cl.Error) -> DeviceError:
-        return DeviceError(
-            f"the device {self.name!r} could not be opened: {error}",
-            where=self.platform,
-            fix="choose another device; `stereogs doctor` lists them",
-        )
+    def _opened(self) -> tuple[cl.Context, cl.CommandQueue]:
+        if self._open is None:
+            with self.lock:  # or two threads would open it twice
+                self._open = self._open or self._open_it()
+        return self._open
+
+    def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:
+        if os.environ.get(CORRECT_CPU_NAME) == "1":
+            correct_cpu_name(self._handle)
+        try:
+            context = cl.Context([self._handle])
+            return context, cl.CommandQueue(context)
+        except cl.Error as error:
+            raise DeviceError(
+                f"the device {self.name!r} could not be opened: {error}",
+                where=self.platform,
+                fix="choose another device; `stereogs doctor` lists them",
+            ) from error
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""
