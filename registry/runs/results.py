@@ -14,7 +14,7 @@ from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
 from .folder import RunFolder
 from .memory import peak_memory_mb
-from .provenance import describe_device
+from .origin.provenance import describe_device
 
 if TYPE_CHECKING:
     from .run import Run

@@ -24,8 +24,8 @@ from ..training.checkpoint import Checkpoint, save_checkpoint
 from ..training.threads import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate
 from .folder import RunFolder
-from .inputs import input_digests
-from .provenance import provenance
+from .origin.inputs import input_digests
+from .origin.provenance import provenance
 from .results import finish
 
 CHECKPOINT = "checkpoint"

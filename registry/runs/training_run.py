@@ -22,9 +22,9 @@ from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, maps_of
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
-from .inputs import changed_inputs, input_digests, listed
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
+from .origin.inputs import changed_inputs, input_digests, listed
 from .progress import TrainingProgress
 from .results import finish
 from .run import CHECKPOINT, Run, Stages

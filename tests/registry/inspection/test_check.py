@@ -13,13 +13,7 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
-from registry.inspection.scene_facts import (
-    facts,
-    points_in_view,
-    summary,
-    typical_depth,
-    warnings,
-)
+from registry.inspection.scene_facts import facts, points_in_view, summary, typical_depth, warnings
 from registry.inspection.scene_picture import TEST_COLOR, TRAIN_COLOR, WIDTH, scene_picture
 from registry.inspection.scene_source import recognize
 from registry.inspection.top_view import make_plan, round_step

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.runs.source_code import checkout
+from registry.runs.origin.source_code import checkout
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -19,8 +19,8 @@ from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
+from registry.runs.origin.source_code import checkout
 from registry.runs.run import Run
-from registry.runs.source_code import checkout
 from registry.runs.training_run import open_run, resume, start
 from tests.registry.toy_plugin import ToyPoints, ToyScene
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from core_rasterizer import Device
 
-from ..pipeline.pipeline import Pipeline
+from ...pipeline.pipeline import Pipeline
 from .source_code import checkout
 
 _PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "pluggy", "pydantic")

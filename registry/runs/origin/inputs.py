@@ -11,8 +11,8 @@ from torch import Tensor
 
 from core_rasterizer import Camera
 
-from ..contract.scene import Scene, View
-from ..pipeline.pipeline import Pipeline
+from ...contract.scene import Scene, View
+from ...pipeline.pipeline import Pipeline
 
 _DIGEST_BYTES = 16
 _HASH_SETTING = "sha256"

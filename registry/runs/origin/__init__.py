@@ -1,0 +1,1 @@
+"""Where a result comes from: versions and commit, and digests of what was read."""
