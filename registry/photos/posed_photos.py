@@ -55,7 +55,8 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
     import numpy as np
     import torch
 
-    pixels = decoder.read(find_image(photo.path))
+    path = find_image(photo.path)
+    pixels, alpha = decoder.read(path), decoder.read_alpha(path)
     height, width = pixels.shape[:2]
     distorted = photo.lens.resized(width, height, photo.where)
     lens, pixels = undistort(distorted, pixels, photo.where)
@@ -63,9 +64,12 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
     if photo.mask is not None:
         _, white = undistort(distorted, read_mask(photo.mask, (width, height)), photo.where)
         mask = torch.from_numpy(white == 255)
+    if alpha is not None:
+        _, alpha = undistort(distorted, alpha, photo.where)
     return View(
         name=photo.name,
         camera=lens.camera(photo.world_to_camera, photo.where),
         image=torch.from_numpy(pixels.astype(np.float32) / 255),
         mask=mask,
+        alpha=None if alpha is None else torch.from_numpy(alpha.astype(np.float32) / 255),
     )

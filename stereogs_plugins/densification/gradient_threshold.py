@@ -35,8 +35,6 @@ class GradientThresholdSettings(Settings):
 class GradientThreshold(Densification[GradientThresholdSettings]):
     """The rules of 3DGS for when to clone, split and prune; when it is due, the pipeline says."""
 
-    Settings = GradientThresholdSettings
-
     def refine(self, step: Step) -> Edit:
         """Return the edit, empty masks included, so that statistics start anew each time."""
         from core_rasterizer import Edit

@@ -31,7 +31,6 @@ class PlyInitializer(Initializer[PlySettings]):
     Nothing checks where the points come from: a cloud made from all photographs knows the test views.
     """
 
-    Settings = PlySettings
     ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:

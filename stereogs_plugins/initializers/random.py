@@ -24,7 +24,6 @@ class RandomInitializer(Initializer[RandomSettings]):
     between those of the scene's bounds, so that near things get their share.
     """
 
-    Settings = RandomSettings
     ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:

@@ -35,7 +35,6 @@ class DepthWithinSettings(DepthErrorSettings):
 class DepthError(ViewMetric[DepthErrorSettings]):
     """Mean absolute relative error |d - t| / t of rendered depth; a hole counts as depth 0, so as 1."""
 
-    Settings = DepthErrorSettings
     higher_is_better = False
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
@@ -46,8 +45,6 @@ class DepthError(ViewMetric[DepthErrorSettings]):
 
 class DepthWithin(ViewMetric[DepthWithinSettings]):
     """Share, 0 to 1, of rendered depths within `percent` of the truth; a hole is never within."""
-
-    Settings = DepthWithinSettings
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
         """Return the share of the pixels, or points, with a known truth inside the view's mask."""

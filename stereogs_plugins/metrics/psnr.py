@@ -17,7 +17,6 @@ MIN_ERROR = 1e-10
 class PSNR(Metric[ImageMetricSettings]):
     """Over all pixels and channels; with a mask, over the pixels inside it."""
 
-    Settings = ImageMetricSettings
     unit = "dB"
     average_error_role = "peak_signal_to_noise_ratio"
 

@@ -28,8 +28,6 @@ class DropoutSettings(Settings):
 class Dropout(Modifier[DropoutSettings]):
     """Opacity factors of 0 for a random share, 1 or 1 / (1 - rate) for the rest."""
 
-    Settings = DropoutSettings
-
     def opacity_scale(self, step: Step) -> Tensor:
         """Return `[N]` factors."""
         import torch

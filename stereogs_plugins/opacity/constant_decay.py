@@ -18,7 +18,6 @@ class ConstantDecaySettings(Settings):
 class ConstantDecay(OpacityPolicy[ConstantDecaySettings]):
     """alpha <- factor * alpha; the optimizer's moments stay as they are."""
 
-    Settings = ConstantDecaySettings
     # 3DGS resets every 3,000 of 30,000 iterations, in their first half.
     ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
 

@@ -21,8 +21,6 @@ class OpacityResetSettings(Settings):
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
     """alpha <- min(alpha, ceiling); the optimizer forgets the opacities' moments."""
 
-    Settings = OpacityResetSettings
-
     def update(self, step: Step) -> OpacityUpdate | None:
         """Return the lowered opacities, or None too close to the end of training."""
         if step.iterations - step.iteration < self.settings.recovery:

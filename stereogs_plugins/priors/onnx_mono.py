@@ -57,8 +57,6 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         PluginError: see `OnnxModel`; or a graph that does not take one image.
     """
 
-    Settings = OnnxMonoSettings
-
     def __init__(self, settings: OnnxMonoSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._family = FAMILIES[settings.family]

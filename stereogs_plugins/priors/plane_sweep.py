@@ -78,8 +78,6 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         PluginError: the file of features cannot be used, see `LearnedFeatures`.
     """
 
-    Settings = PlaneSweepSettings
-
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
         from registry import LearnedFeatures
 

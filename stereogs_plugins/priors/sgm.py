@@ -63,8 +63,6 @@ class SgmPrior(StereoPrior[SgmSettings]):
             cost has one; see `LearnedFeatures` for the file.
     """
 
-    Settings = SgmSettings
-
     def __init__(self, settings: SgmSettings, context: Context) -> None:
         from core_rasterizer.matching import Penalties
         from registry import LearnedFeatures

@@ -59,7 +59,6 @@ class BlenderSettings(Settings):
 class BlenderScene(SceneLoader[BlenderSettings]):
     """Reads a NeRF synthetic scene: transparent renders with exact cameras."""
 
-    Settings = BlenderSettings
     recognized_by: ClassVar[str] = "transforms_train.json"
 
     @classmethod

@@ -40,7 +40,6 @@ class ColmapSettings(SplitSettings, ImageSourceSettings):
 class ColmapScene(SceneLoader[ColmapSettings]):
     """Reads a COLMAP model. Distorted photographs are undistorted; principal points stay off-centre."""
 
-    Settings = ColmapSettings
     recognized_by: ClassVar[str] = "sparse/0 with a COLMAP model"
 
     @classmethod

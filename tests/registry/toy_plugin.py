@@ -28,8 +28,6 @@ class ToySceneSettings(r.Settings):
 class ToyScene(r.SceneLoader[ToySceneSettings]):
     """Two training views and one test view."""
 
-    Settings = ToySceneSettings
-
     def load(self) -> r.Scene:
         if self.settings.mode == "missing":
             raise r.SceneError("no photographs", where="folder/x", fix="add some")
@@ -44,8 +42,6 @@ class ToyPointsSettings(r.Settings):
 
 
 class ToyPoints(r.Initializer[ToyPointsSettings]):
-    Settings = ToyPointsSettings
-
     def initialize(self, scene: r.TrainingScene, priors: Mapping[str, Any]) -> r.PointCloud:
         points = scene.points
         assert points is not None
@@ -74,8 +70,6 @@ class _Refuse(torch.autograd.Function):
 
 class ToyTerm(r.Regularizer[ToyTermSettings]):
     """Pulls alpha towards a target; counts calls for each Gaussian."""
-
-    Settings = ToyTermSettings
 
     def __init__(self, settings: ToyTermSettings, context: r.Context) -> None:
         super().__init__(settings, context)
@@ -127,8 +121,6 @@ class ToyGrowthSettings(r.Settings):
 class ToyGrowth(r.Densification[ToyGrowthSettings]):
     """Clones, splits and prunes at random."""
 
-    Settings = ToyGrowthSettings
-
     def refine(self, step: r.Step) -> Edit | None:
         count = step.model.count
         if self.settings.empty:
@@ -150,8 +142,6 @@ class ToyFadeSettings(r.Settings):
 
 
 class ToyFade(r.OpacityPolicy[ToyFadeSettings]):
-    Settings = ToyFadeSettings
-
     def update(self, step: r.Step) -> r.OpacityUpdate | None:
         opacities = step.model.opacities() * self.settings.factor
         if self.settings.value is not None:

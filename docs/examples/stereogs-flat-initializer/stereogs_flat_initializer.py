@@ -26,8 +26,6 @@ class FlatSettings(registry.Settings):
 class FlatInitializer(registry.Initializer[FlatSettings]):
     """Points at one depth; useful as an ablation floor."""
 
-    Settings = FlatSettings
-
     def initialize(
         self, scene: registry.TrainingScene, priors: Mapping[str, registry.Prior[Any]]
     ) -> registry.PointCloud:

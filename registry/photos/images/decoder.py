@@ -15,6 +15,7 @@ from ..reading import decoding
 from .resized_cache import remembered
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import numpy as np
@@ -65,26 +66,62 @@ class Decoder:
 
         with decoding("the image", path, _FIX), Image.open(path) as file:
             _check_mode(file, path)
-            stored = upright_size(file) if self.upright else file.size
-            size = self.size(*stored)
-            if size == stored:
-                return np.asarray(self._opaque(file))
-            treatment = f"{size} {self.resize_filter} {self.background} {self.upright}"
-            resample = Image.Resampling[self.resize_filter.upper()]
-            image = remembered(path, treatment, lambda: self._opaque(file).resize(size, resample))
-            return np.asarray(image)
+            return np.asarray(self._resized(file, path, self._opaque, str(self.background)))
 
-    def _opaque(self, file: Image.Image) -> Image.Image:
+    def read_alpha(self, path: Path) -> Pixels | None:
+        """`[H, W]` uint8, how much each pixel of that picture covers; None if it is opaque.
+
+        Raises:
+            SceneError: as `read`.
+        """
+        import numpy as np
+        from PIL import Image
+
+        with decoding("the image", path, _FIX), Image.open(path) as file:
+            _check_mode(file, path)
+            if not file.has_transparency_data:
+                return None
+            return np.asarray(self._resized(file, path, _alpha, "alpha"))
+
+    def _resized(
+        self,
+        file: Image.Image,
+        path: Path,
+        select: Callable[[Image.Image], Image.Image],
+        selection: str,
+    ) -> Image.Image:
+        """What `select` takes from a photograph, upright and at the size that is wanted.
+
+        Args:
+            selection: what the answer of `select` depends on beside the file.
+        """
         from PIL import Image, ImageOps
 
-        if self.upright:
-            file = ImageOps.exif_transpose(file)
+        stored = upright_size(file) if self.upright else file.size
+        size = self.size(*stored)
+
+        def selected() -> Image.Image:
+            return select(ImageOps.exif_transpose(file) if self.upright else file)
+
+        if size == stored:
+            return selected()
+        resample = Image.Resampling[self.resize_filter.upper()]
+        treatment = f"{size} {self.resize_filter} {selection} {self.upright}"
+        return remembered(path, treatment, lambda: selected().resize(size, resample))
+
+    def _opaque(self, file: Image.Image) -> Image.Image:
+        from PIL import Image
+
         if not file.has_transparency_data:
             return file.convert("RGB")
         color = tuple(round(255 * channel) for channel in self.background)
         below = Image.new("RGBA", file.size, (*color, 255))
         below.alpha_composite(file.convert("RGBA"))
         return below.convert("RGB")
+
+
+def _alpha(file: Image.Image) -> Image.Image:
+    return file.convert("RGBA").getchannel("A")
 
 
 def read_mask(path: Path, size: Size) -> Pixels:

@@ -43,4 +43,4 @@ def _read(folder: Path) -> Image.Image:
     from PIL import Image
 
     with Image.open(folder / _FILE) as file:
-        return file.convert("RGB")
+        return file.copy()

@@ -73,11 +73,10 @@ class ConsistencyDenseSettings(Settings):
 class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     """Points from a multi-view depth prior, filtered by agreement between the views."""
 
-    Settings = ConsistencyDenseSettings
     ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return at least one point, with facts and a picture for each training view.
+        """Return at least one point, with facts, a picture and the confirmed depth of each training view.
 
         Raises:
             PluginError: the pipeline has no multi-view depth prior, or several and `prior` is null.
@@ -220,6 +219,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             pictures={
                 f"{view.view.name.removesuffix('.png')}_depth": view.picture() for view in views
             },
+            maps={view.view.name: view.confirmed_map() for view in views},
         )
 
 

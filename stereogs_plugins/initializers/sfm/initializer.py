@@ -40,8 +40,6 @@ class SfmSettings(Settings):
 class SfmInitializer(Initializer[SfmSettings]):
     """The scene's own points, or points triangulated at the known poses from the training views."""
 
-    Settings = SfmSettings
-
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point.
 

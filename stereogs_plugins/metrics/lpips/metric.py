@@ -69,7 +69,6 @@ class LPIPSSettings(ImageMetricSettings):
 class LPIPS(Metric[LPIPSSettings]):
     """On colours in [0, 1], as papers on sparse views measure it; with a mask, white outside it."""
 
-    Settings = LPIPSSettings
     higher_is_better = False
     average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
     proper: ClassVar[bool] = False

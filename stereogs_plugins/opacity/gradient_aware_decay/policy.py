@@ -42,7 +42,6 @@ class GradientAwareDecaySettings(Settings):
 class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     """alpha <- gamma(gradient) * alpha; the optimizer's moments stay as they are."""
 
-    Settings = GradientAwareDecaySettings
     # 3DGS resets every 3,000 of 30,000 iterations, in their first half.
     ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
 

@@ -51,8 +51,6 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         PluginError: see `OnnxModel`; or a graph that does not have the family's form.
     """
 
-    Settings = OnnxMvsSettings
-
     def __init__(self, settings: OnnxMvsSettings, context: Context) -> None:
         super().__init__(settings, context)
         family = FAMILIES[settings.family]

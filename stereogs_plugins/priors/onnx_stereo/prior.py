@@ -71,8 +71,6 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         PluginError: see `OnnxModel`; or a graph that does not have the family's form.
     """
 
-    Settings = OnnxStereoSettings
-
     def __init__(self, settings: OnnxStereoSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._family = _family(settings)

@@ -78,8 +78,6 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     without a pixel to trust).
     """
 
-    Settings = StereoDepthSettings
-
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
         from .lazy_refresh import LazyRefresh
 

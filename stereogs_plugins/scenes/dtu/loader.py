@@ -60,7 +60,6 @@ class DTUSettings(Settings):
 class DTUScene(SceneLoader[DTUSettings]):
     """Reads a DTU scan: 49 photographs, calibrated cameras or a COLMAP model, object masks."""
 
-    Settings = DTUSettings
     recognized_by: ClassVar[str] = "cameras_sphere.npz"
 
     @classmethod

@@ -45,7 +45,6 @@ class LLFFSettings(SplitSettings, ImageSourceSettings):
 class LLFFScene(SceneLoader[LLFFSettings]):
     """Reads an LLFF scene folder: `poses_bounds.npy`, `images_N/` and, if present, points."""
 
-    Settings = LLFFSettings
     recognized_by: ClassVar[str] = "poses_bounds.npy"
 
     @classmethod

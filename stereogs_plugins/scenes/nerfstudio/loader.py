@@ -45,7 +45,6 @@ class NerfstudioSettings(SplitSettings):
 class NerfstudioScene(SceneLoader[NerfstudioSettings]):
     """Reads `transforms.json`. Distorted photographs are undistorted; the world stays the file's."""
 
-    Settings = NerfstudioSettings
     recognized_by: ClassVar[str] = "transforms.json"
 
     @classmethod

@@ -51,7 +51,6 @@ class PhotosScene(SceneLoader[PhotosSettings]):
     Found cameras are kept in the user's cache folder. The world has no known unit or horizon.
     """
 
-    Settings = PhotosSettings
     recognized_by: ClassVar[str] = "pictures and nothing else"
 
     @classmethod

@@ -62,8 +62,6 @@ class ProceduralSettings(Settings):
 class ProceduralScene(SceneLoader[ProceduralSettings]):
     """A room of textured boxes, balls and posters with exact poses and depths."""
 
-    Settings = ProceduralSettings
-
     def load(self) -> Scene:
         """Return the scene; the same settings give the same bits."""
         import numpy as np

@@ -21,7 +21,6 @@ class Settings(registry.Settings):
 
 
 class Small(registry.SceneLoader[Settings]):
-    Settings = Settings
 
     @classmethod
     def recognizes(cls, folder):

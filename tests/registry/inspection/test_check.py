@@ -39,7 +39,6 @@ class Settings(registry.Settings):
 class Marked(registry.SceneLoader[Settings]):
     """Reads folders that hold MARKER."""
 
-    Settings = Settings
     recognized_by = "MARKER"
 
     @classmethod

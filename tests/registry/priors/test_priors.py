@@ -41,8 +41,6 @@ class ShiftSettings(Settings):
 class BestShift(StereoPrior[ShiftSettings]):
     """The one shift that explains the whole image best, at every pixel."""
 
-    Settings = ShiftSettings
-
     def estimate(self, left: Tensor, right: Tensor) -> Tensor:
         width = left.shape[1]
         errors = [

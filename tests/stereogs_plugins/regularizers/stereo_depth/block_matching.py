@@ -32,7 +32,6 @@ class BlockMatcher(StereoPrior[BlockMatcherSettings]):
         asked: how many pairs it was asked about.
     """
 
-    Settings = BlockMatcherSettings
     asked = 0
 
     @property
