@@ -19,7 +19,15 @@ TOY_NAMES = (
 TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
 TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]
 DOOR_NAMES = (
-    *("toy_target", "toy_exposure", "toy_noise", "toy_shape", "toy_picture", "toy_twin"),
+    *(
+        "toy_target",
+        "toy_pose",
+        "toy_exposure",
+        "toy_noise",
+        "toy_shape",
+        "toy_picture",
+        "toy_twin",
+    ),
     *("toy_guide", "toy_peek", "toy_guided", "toy_move"),
 )
 DOORS = [EntryPoint(name, "tests.registry.toy_doors", GROUP) for name in DOOR_NAMES]

@@ -63,6 +63,25 @@ class ToyExposure(r.Appearance[ExposureSettings]):
         return self.factor * rgb
 
 
+class ToyPose(r.Sampler[r.Settings]):
+    """Looks a little from the right at what is seen from the true place, and learns to go back."""
+
+    def __init__(self, settings: r.Settings, context: r.Context) -> None:
+        super().__init__(settings, context)
+        self.offset = torch.tensor([0.05, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
+
+    def parameters(self) -> Sequence[r.ParameterGroup]:
+        return [r.ParameterGroup("offset", [self.offset], 2e-3)]
+
+    def sample(self, step: r.Step, sample: r.Sample) -> r.Sample:
+        step.log("offset", float(self.offset.detach().norm()))
+        target = step.render(sample.camera, gradient=False).rgb.clamp(0, 1)
+        pose = sample.camera.world_to_camera.clone()
+        pose[:3, 3] += self.offset
+        camera = replace(sample.camera, world_to_camera=pose)
+        return replace(sample, camera=camera, target=target)
+
+
 class NoiseSettings(r.Settings):
     wrong: bool = False
 
@@ -223,8 +242,9 @@ def stereogs_register_initializers(register: r.Register[ToyGuided]) -> None:
 
 
 @r.hookimpl
-def stereogs_register_samplers(register: r.Register[ToyTarget]) -> None:
+def stereogs_register_samplers(register: r.Register[Any]) -> None:
     register("toy_target", ToyTarget)
+    register("toy_pose", ToyPose)
 
 
 @r.hookimpl

@@ -99,6 +99,18 @@ def test_a_plugins_parameters_are_saved_with_their_moments(make: Make) -> None:
     assert whole.model.digest() == second.model.digest()
 
 
+# Refined cameras.
+
+
+def test_a_sampler_refines_the_camera_by_its_gradient(make: Make) -> None:
+    names = ("position", "position_final", "sh_constant", "sh_rest", "opacity", "scale", "rotation")
+    still = [f"training.learning_rates.{name}=0" for name in names]
+    trainer = make("samplers: [toy_pose]\n", "training.iterations=60", *still)
+    done = train(trainer)
+    assert done[0].logged["offset"] == pytest.approx(0.05)
+    assert done[-1].logged["offset"] < 0.01
+
+
 # Losses on parameters, terms stepped alone, parameters left alone.
 
 
