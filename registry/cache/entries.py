@@ -13,6 +13,7 @@ import hashlib
 import logging
 import os
 import shutil
+import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, TypeVar
 
@@ -53,14 +54,9 @@ class Cache:
             return None
         entry = self.folder / key
         try:
-            if (entry / CHECKSUM).read_text("utf-8") != _checksum(entry):
-                raise ValueError("its checksum is another")
-            answer = read(entry)
-        except Exception as error:  # every library has errors of its own for damaged files
-            if entry.is_dir():  # else another process has just made room
-                _log.warning("the cached %s is damaged (%s); computing anew", entry, error)
-                shutil.rmtree(entry, ignore_errors=True)
-            return None
+            answer = _read_whole(entry, read)
+        except Exception:  # every library has errors of its own for damaged files
+            return _read_aside(entry, read)
         with suppress(OSError):  # a cache that may only be read
             os.utime(entry)  # the least recently used entry is the first to go
         return answer
@@ -86,6 +82,38 @@ class Cache:
                 _log.warning("%s could not be cached: %s", entry, error)
             return
         make_room(self.folder.parent, entry)
+
+
+def _read_whole(entry: Path, read: Callable[[Path], Answer]) -> Answer:
+    if (entry / CHECKSUM).read_text("utf-8") != _checksum(entry):
+        raise ValueError("its checksum is another")
+    return read(entry)
+
+
+def _read_aside(entry: Path, read: Callable[[Path], Answer]) -> Answer | None:
+    """Look a second time, where no other process can make room or save anew meanwhile.
+
+    What is then still damaged is reported and removed.
+    """
+    aside = entry.with_name(f".{entry.name}.{os.getpid()}-{threading.get_ident()}.partial")
+    try:
+        entry.rename(aside)
+    except FileNotFoundError:  # another process has just made room
+        return None
+    except OSError as error:
+        _log.warning("the cached %s cannot be read and not be removed: %s", entry, error)
+        return None
+    try:
+        answer = _read_whole(aside, read)
+    except Exception as error:
+        _log.warning("the cached %s is damaged (%s); computing anew", entry, error)
+        shutil.rmtree(aside, ignore_errors=True)
+        return None
+    try:
+        aside.rename(entry)
+    except OSError:  # another process has saved it again
+        shutil.rmtree(aside, ignore_errors=True)
+    return answer
 
 
 def _checksum(folder: Path) -> str:

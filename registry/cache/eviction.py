@@ -6,16 +6,16 @@ too, a home folder for example, loses nothing.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import threading
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
 
 from .place import size_limit
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CHECKSUM = "checksum.txt"
 """The file that marks a folder as an entry."""
@@ -103,9 +103,8 @@ def _used(path: Path) -> float:
 
 def _size(folder: Path) -> int:
     total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.stat().st_size
-        except OSError:  # gone meanwhile
-            continue
+    for place, _, names in os.walk(folder):  # which passes over folders that are gone meanwhile
+        for name in names:
+            with suppress(FileNotFoundError):
+                total += Path(place, name).stat().st_size
     return total
