@@ -325,7 +325,12 @@ class Field:
             part: gives the tensors of one kind.
         """
         self.optimizer.restore(part("optimizer"))
-        self.model.restore_statistics(part("statistics")["screen"])
+        screen = part("statistics")["screen"]
+        if screen.shape != (2, self.model.count):
+            raise RunError(
+                f"the statistics of {self.model.count} Gaussians are {tuple(screen.shape)}"
+            )
+        self.model.restore_statistics(screen)
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))

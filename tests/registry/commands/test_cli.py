@@ -63,7 +63,7 @@ def test_train_eval_render(pipeline: Path, capsys: Capture) -> None:
 
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     assert main(["train", "toy.yaml", "--out", "here"]) == 0
-    assert main(["train", "--resume", "here"]) == 0
+    assert main(["resume", "here"]) == 0
     assert "going on after iteration 5 of 5" in capsys.readouterr().out
     provenance = json.loads(Path("here/provenance.json").read_text())
     assert provenance["plugins"]["scene.toy_scene"] == "toys 1.5"
@@ -74,8 +74,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
         (["train"], "nothing to train", "command line"),
-        (["train", "--resume", "none"], "not a run folder", "none"),
-        (["train", "toy.yaml", "--resume", "x"], "unchanged", "command line"),
+        (["resume", "none"], "not a run folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
         (["train", "toy.yaml", "--set", "training.seed=x"], "whole number", "--set training"),
@@ -143,8 +142,8 @@ def test_interrupted_during_training(
     with monkeypatch.context() as patch:
         patch.setattr(ToyTerm, "loss", loss)
         assert main(["train", "toy.yaml", "--out", "run"]) == 130
-    assert "stereogs train --resume run" in capsys.readouterr().out
-    assert main(["train", "--resume", "run"]) == 0
+    assert "stereogs resume run" in capsys.readouterr().out
+    assert main(["resume", "run"]) == 0
     assert "going on after iteration 1 of 5" in capsys.readouterr().out
 
 
@@ -194,7 +193,7 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
     assert "passed" in output
 
 
-@pytest.mark.parametrize("verb", ["train", "eval", "render", "plugins", "doctor", "demo"])
+@pytest.mark.parametrize("verb", ["train", "resume", "eval", "render", "plugins", "doctor", "demo"])
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
         build_parser().parse_args([verb, "--help"])
