@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from .output import Verbs, add_device, add_verb, console
+from .output import Verbs, add_device, add_verb, console, error_console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ..runs.run import Run
 
+FAILED = 1
+"""Exit status of a run that is finished, but a metric, an exporter or a report failed."""
 INTERRUPTED = 130
 
 _EPILOG = """\
@@ -56,7 +58,7 @@ def add(verbs: Verbs) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train; 0 at the end, 130 after Ctrl-C."""
+    """Train; 0 at the end, 1 if something failed after training, 130 after Ctrl-C."""
     from ..pipeline.pipeline import load_pipeline
     from ..plugins import Plugins
     from ..session import train
@@ -103,4 +105,19 @@ def conclude(run: Run, output: Console) -> int:
     for file in results["reports"]:
         output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")
-    return 0
+    return tell_failures(results, folder.path)
+
+
+def tell_failures(results: dict[str, Any], folder: Path) -> int:
+    """Tell which metrics, exporters and reports failed; returns the exit status."""
+    failures = results["failures"]
+    output = error_console()
+    for failure in failures:
+        output.print(f"stereogs: {failure['component']}: {failure['what']}")
+        output.print(f"  where  {failure['where']}")
+    if failures:
+        output.print(
+            "What did not fail is kept. Once it is mended, this scores, exports and reports again:\n"
+            f"  stereogs eval {folder}"
+        )
+    return FAILED if failures else 0

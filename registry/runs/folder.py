@@ -223,12 +223,13 @@ def _read_json(path: Path) -> dict[str, Any]:
     """The content of a JSON file; empty if there is none."""
     if not path.is_file():
         return {}
+    fix = "bring it back from a copy; a results.json may be removed, `stereogs eval` writes it anew"
     try:
         content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise RunError(f"{path.name} is damaged: {error}", where=str(path)) from error
+        raise RunError(f"{path.name} is damaged: {error}", where=str(path), fix=fix) from error
     if not isinstance(content, dict):
-        raise RunError(f"{path.name} is damaged: it holds no JSON object", where=str(path))
+        raise RunError(f"{path.name} is damaged: it holds no JSON object", where=str(path), fix=fix)
     return content
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -28,8 +29,10 @@ from .metrics_log import MetricsLog
 from .origin.inputs import changed_inputs, input_digests, listed
 from .origin.unedited import check_unedited
 from .progress import TrainingProgress
-from .results import finish
+from .results import check_recorded_hash, finish
 from .run import CHECKPOINT, Run, Stages
+
+_log = logging.getLogger(__name__)
 
 Observer = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
@@ -159,6 +162,9 @@ def open_run(
     with explain_misfit(path / CHECKPOINT):
         gaussians = Gaussians(**checkpoint.part("model"))
         model = new_model(gaussians, pipeline.training, device)
+    recorded = folder.results()
+    if recorded.get("iterations") == checkpoint.iteration:
+        check_recorded_hash(recorded, model.digest(), path)
     return Run(
         pipeline,
         parts,
@@ -257,6 +263,8 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
             if _due(done.number, settings.evaluate_every):
                 scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
                 metrics.write({"iteration": done.number, "test": scores.mean})
+                for error in scores.failures.values():
+                    _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)
             wanted = observer is None or observer(done) is not False
             if stop.requested or not wanted:
                 break
