@@ -28,6 +28,7 @@ from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .checkpoint import Checkpoint
 from .field import Field, Surroundings
+from .guard import in_iteration
 from .initial_model import new_model
 from .view_order import ViewOrder
 
@@ -96,7 +97,8 @@ class Trainer:
                 step is taken then, and training cannot go on with these Gaussians.
         """
         while self.iteration < self.settings.iterations:
-            loss = self._iterate(self.iteration + 1)
+            with in_iteration(self.iteration + 1):
+                loss = self._iterate(self.iteration + 1)
             self.iteration += 1
             yield Iteration(self.iteration, loss, self.model.count, self._logged())
 
