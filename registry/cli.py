@@ -14,7 +14,19 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, resume, train
+from .commands import (
+    ablate,
+    check,
+    compare,
+    demo,
+    doctor,
+    evaluate,
+    plugins,
+    render,
+    replay,
+    resume,
+    train,
+)
 from .commands.output import error_console
 from .suggestions import did_you_mean, listing
 
@@ -30,6 +42,7 @@ VERBS = {
     "check": check,
     "train": train,
     "resume": resume,
+    "replay": replay,
     "eval": evaluate,
     "render": render,
     "compare": compare,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from time import monotonic
@@ -12,7 +12,7 @@ from rich.console import Console
 
 from core_rasterizer import Device, Gaussians
 
-from ..contract.scene import Scene, validate
+from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
@@ -26,9 +26,10 @@ from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
-from .origin.inputs import changed_inputs, input_digests, listed
+from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
 from .origin.unedited import check_unedited
 from .progress import TrainingProgress
+from .replay import keep_failure
 from .results import check_recorded_hash, finish
 from .run import CHECKPOINT, Run, Stages
 
@@ -152,12 +153,8 @@ def open_run(
     loading = monotonic() - begin
     before, _ = folder.inputs()
     changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
-    if changed and not accept_changed_inputs:
-        raise RunError(
-            f"the run was made from other inputs; changed: {listed(changed)}",
-            where=str(path),
-            fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
-        )
+    if not accept_changed_inputs:
+        refuse_changed(changed, path)
     facts = folder.initialization()
     with explain_misfit(path / CHECKPOINT):
         gaussians = Gaussians(**checkpoint.part("model"))
@@ -199,13 +196,6 @@ def _check_own(
             where=str(folder.path / CHECKPOINT),
             fix="bring the run's own checkpoint back, or train anew into another folder",
         )
-
-
-def load_scene(parts: Parts) -> Scene:
-    """Let the scene loader load, and validate what it returns."""
-    loader = parts.one("scene")
-    with blame(loader.item):
-        return validate(loader.component.load())
 
 
 def _begun(
@@ -255,7 +245,7 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
         TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
     ):
         begin = monotonic()
-        for done in trainer.run():
+        for done in _iterations(run, trainer):
             run.seconds.training += monotonic() - begin
             run.iteration = done.number
             progress.update(done.number, done.loss, done.gaussians)
@@ -274,6 +264,15 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
         run.save_checkpoint()
     if run.finished and run.folder is not None:
         finish(run)
+
+
+def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
+    """Train; what is needed to repeat an iteration that fails is kept."""
+    try:
+        yield from trainer.run()
+    except Exception as error:
+        keep_failure(run, trainer.iteration + 1, error)
+        raise
 
 
 class _Autosave:

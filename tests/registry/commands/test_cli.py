@@ -147,6 +147,26 @@ def test_interrupted_during_training(
     assert "going on after iteration 1 of 5" in capsys.readouterr().out
 
 
+def test_an_iteration_that_failed_is_repeated(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.registry.toy_plugin import ToyTerm
+
+    def loss(self: ToyTerm, step: object) -> object:
+        raise ZeroDivisionError("boom")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ToyTerm, "loss", loss)
+        assert main(["train", "toy.yaml", "--out", "run"]) == 2
+        told = capsys.readouterr().err
+        assert "stereogs replay run/failures/iteration-0000001" in told
+        assert main(["replay", "run/failures/iteration-0000001"]) == 2
+        assert capsys.readouterr().err.splitlines()[0] == told.splitlines()[0]
+    assert main(["replay", "run/failures/iteration-0000001"]) == 0
+    assert "goes through; when it was kept, it failed: the" in capsys.readouterr().out
+    assert main(["resume", "run"]) == 0
+
+
 def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
     assert main(["plugins", "--check"]) == 0
     assert "10 components, no fault" in capsys.readouterr().out
@@ -193,7 +213,9 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
     assert "passed" in output
 
 
-@pytest.mark.parametrize("verb", ["train", "resume", "eval", "render", "plugins", "doctor", "demo"])
+@pytest.mark.parametrize(
+    "verb", ["train", "resume", "replay", "eval", "render", "plugins", "doctor", "demo"]
+)
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
         build_parser().parse_args([verb, "--help"])
