@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -98,6 +99,11 @@ class Run:
     kept: int | None = None
     _scores: tuple[int, dict[str, Scores]] | None = None
 
+    @cached_property
+    def pipeline_text(self) -> str:
+        """The pipeline as YAML, every default written out."""
+        return self.pipeline.to_yaml()
+
     @property
     def finished(self) -> bool:
         """Whether the last iteration of the pipeline is complete."""
@@ -185,7 +191,7 @@ class Run:
 
         folder = RunFolder(path)
         digests = input_digests(self.scene, self.pipeline)
-        folder.create(self.pipeline.to_yaml(), origin, digests, fill)
+        folder.create(self.pipeline_text, origin, digests, fill)
         self.folder, self.kept = folder, self.iteration
 
     def keep_changes(self) -> None:

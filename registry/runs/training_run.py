@@ -295,8 +295,10 @@ class _Autosave:
 
 
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
-    state, pipeline = trainer.state(), run.pipeline.to_yaml()
-    return Checkpoint(trainer.iteration, run.seconds.training, state, pipeline, run.identity)
+    state = trainer.state()
+    return Checkpoint(
+        trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
+    )
 
 
 def _due(iteration: int, every: int) -> bool:

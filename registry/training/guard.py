@@ -79,7 +79,7 @@ def backward(
         _refuse_loss(terms, iteration)
     with in_iteration(iteration):
         try:
-            loss.backward(retain_graph=True)  # type: ignore[no-untyped-call]
+            loss.backward(retain_graph=True)
             check()
         except Exception:
             _take_apart(terms, colors, iteration, forget, check)
@@ -124,13 +124,13 @@ def _take_apart(
         forget()
         if term.item is not None:
             with blame(term.item, iteration):
-                term.value.backward(retain_graph=True)  # type: ignore[no-untyped-call]
+                term.value.backward(retain_graph=True)
                 check()
             continue
         for step in reversed(colors):
             with blame(step.item, iteration):
                 _differentiate_colors(term.value, step)
-        term.value.backward(retain_graph=True)  # type: ignore[no-untyped-call]
+        term.value.backward(retain_graph=True)
         check()
 
 
