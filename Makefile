@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress lint types docs bench-engine bench-error bench-priors fuzz results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-priors fuzz results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ test: $(VENV)/.dev ## the test suite
 
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
+
+kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed, new ones each time
+	KILLS=50 $(BIN)/python -m pytest -s tests/registry/runs/test_kills.py --timeout 7200
 
 fuzz: $(VENV)/.dev ## 100,000 damaged files a format through the scene loaders, hours
 	FUZZ_FILES=100000 $(BIN)/python -m pytest tests/stereogs_plugins/scenes/test_fuzz.py --timeout 36000

@@ -14,7 +14,19 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
+from .commands import (
+    ablate,
+    check,
+    compare,
+    demo,
+    doctor,
+    evaluate,
+    plugins,
+    render,
+    replay,
+    resume,
+    train,
+)
 from .commands.output import error_console
 from .suggestions import did_you_mean, listing
 
@@ -29,6 +41,8 @@ PROGRESS = "stereogs"
 VERBS = {
     "check": check,
     "train": train,
+    "resume": resume,
+    "replay": replay,
     "eval": evaluate,
     "render": render,
     "compare": compare,
@@ -43,6 +57,7 @@ examples:
   stereogs demo                               three photographs to a scored scene, in minutes
   stereogs check FOLDER                       what is in a folder of photographs or data
   stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
+  stereogs resume runs/3dgs-fern
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
@@ -63,7 +78,7 @@ environment:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status.
 
-    0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C.
+    0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C or SIGTERM.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = build_parser()

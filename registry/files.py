@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
+import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+_LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.partial")
+"""What temporary files and folders are called: after what they become, and who writes them."""
 
 
 @contextmanager
@@ -21,11 +27,27 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
+        flush(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def flush(file: Path) -> None:
+    """Have the disk hold what was written to a file."""
+    with file.open("rb+") as opened:
+        os.fsync(opened.fileno())
+
+
+def flush_folder(folder: Path) -> None:
+    """Have the disk hold a folder's list of files, and with it the renames in it; not on Windows."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -56,9 +78,40 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(
-        prefix=f".{path.name}.", suffix=".partial", dir=path.parent, ignore_cleanup_errors=True
+        prefix=f".{path.name}.",
+        suffix=f".{os.getpid()}.partial",
+        dir=path.parent,
+        ignore_cleanup_errors=True,
     ) as temporary:
-        inside = Path(temporary, "run")  # TemporaryDirectory's own folder is private (mode 700)
+        inside = Path(temporary, "inside")  # TemporaryDirectory's own folder is private (mode 700)
         inside.mkdir()
         yield inside
         inside.rename(path)
+
+
+def remove_leftovers(folder: Path, of: str = "") -> None:
+    """Remove what processes that were killed had begun to write; what living ones write stays.
+
+    Args:
+        of: only what would have become the file or folder of this name.
+    """
+    for path in folder.glob(f".{glob.escape(of)}*.partial"):
+        found = _LEFTOVER.fullmatch(path.name)
+        if found is None or _is_alive(int(found["process"])):
+            continue
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":  # where signal 0 is a Ctrl-C
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True

@@ -6,13 +6,15 @@ import argparse
 from pathlib import Path
 
 from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from .train import tell_failures
 
 _EPILOG = """\
 examples:
   stereogs eval runs/3dgs-fern
 
 Renders the training and test views from the newest checkpoint, renews the scores in results.json and
-the pictures, and prints the table. A run that was stopped is scored where it stands.
+the pictures, and prints the table. Of a finished run the exports and reports are renewed too; one that was
+stopped is scored where it stands.
 """
 
 
@@ -38,7 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     from ..comparing.run_table import results_table
     from ..runs.results import RENDERS, renew
 
-    output.print(results_table(renew(run)), soft_wrap=False)
+    results = renew(run)
+    output.print(results_table(results), soft_wrap=False)
     if run.scene.test:
         output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
-    return 0
+    return tell_failures(results, arguments.run_folder)

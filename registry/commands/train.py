@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from .output import Verbs, add_device, add_verb, console, error_console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ..runs.run import Run
 
+FAILED = 1
+"""Exit status of a run that is finished, but a metric, an exporter or a report failed."""
 INTERRUPTED = 130
 
 _EPILOG = """\
@@ -21,10 +23,9 @@ examples:
   stereogs train pipelines/3dgs.yaml
   stereogs train pipelines/3dgs.yaml --set scene.path=photos --set training.iterations=5000
   stereogs train pipelines/3dgs.yaml --disable opacity_reset --out runs/without-reset
-  stereogs train --resume runs/3dgs-fern
 
-Ctrl-C stops after the current iteration and leaves a checkpoint; --resume goes on from it to the
-same result.
+Ctrl-C or SIGTERM stops after the current iteration and leaves a checkpoint; `stereogs resume` goes on
+from it to the same result.
 """
 
 
@@ -52,42 +53,17 @@ def add(verbs: Verbs) -> None:
         metavar="NAME",
         help="switch a component off",
     )
-    parser.add_argument(
-        "--resume", type=Path, metavar="RUN", help="go on with a run that was stopped"
-    )
-    add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train; 0 at the end, 130 after Ctrl-C."""
+    """Train; 0 at the end, 1 if something failed after training, 130 after Ctrl-C."""
     from ..pipeline.pipeline import load_pipeline
     from ..plugins import Plugins
-    from ..session import resume, train
+    from ..session import train
 
     output = console()
-    if arguments.resume is not None:
-        given = [arguments.pipeline, arguments.out, *arguments.set, *arguments.disable]
-        if any(value is not None for value in given):
-            raise RunError(
-                "--resume goes on with the run's own pipeline, unchanged",
-                where="the command line",
-                fix=f"only: stereogs train --resume {arguments.resume}",
-            )
-        run = resume(
-            arguments.resume,
-            progress=output,
-            device=arguments.device,
-            accept_changed_inputs=arguments.accept_changed_inputs,
-        )
-        return conclude(run, output)
-    if arguments.accept_changed_inputs:
-        raise RunError(
-            "a new run has no inputs that could have changed",
-            where="--accept-changed-inputs",
-            fix="give it with --resume, or leave it out",
-        )
     if arguments.pipeline is None:
         raise RunError(
             "there is nothing to train",
@@ -111,8 +87,7 @@ def conclude(run: Run, output: Console) -> int:
     folder = run.folder_or_refuse()
     if not run.finished:
         output.print(
-            f"stopped; the checkpoint is complete. Go on with\n"
-            f"  stereogs train --resume {folder.path}"
+            f"stopped; the checkpoint is complete. Go on with\n  stereogs resume {folder.path}"
         )
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
@@ -130,4 +105,19 @@ def conclude(run: Run, output: Console) -> int:
     for file in results["reports"]:
         output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")
-    return 0
+    return tell_failures(results, folder.path)
+
+
+def tell_failures(results: dict[str, Any], folder: Path) -> int:
+    """Tell which metrics, exporters and reports failed; returns the exit status."""
+    failures = results["failures"]
+    output = error_console()
+    for failure in failures:
+        output.print(f"stereogs: {failure['component']}: {failure['what']}")
+        output.print(f"  where  {failure['where']}")
+    if failures:
+        output.print(
+            "What did not fail is kept. Once it is mended, this scores, exports and reports again:\n"
+            f"  stereogs eval {folder}"
+        )
+    return FAILED if failures else 0

@@ -83,7 +83,7 @@ def read_run(path: Path) -> FinishedRun:
         raise RunError(
             "the run has no results.json: it has not ended",
             where=str(path),
-            fix=f"stereogs train --resume {path}",
+            fix=f"stereogs resume {path}",
         )
     missing = [key for key in _NEEDED if key not in results]
     if "facts" not in results.get("scene", {}):

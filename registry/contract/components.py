@@ -17,7 +17,7 @@ from .component import Component, SettingsType
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import Edit, GaussianModel, Rendering
+    from core_rasterizer import Edit, GaussianReader, Rendering
 
     from .prior import Prior
     from .scene import PointCloud, Scene, TrainingScene, View
@@ -205,8 +205,12 @@ class Exporter(Component[SettingsType], ABC):
     """Writes the trained Gaussians for other programs."""
 
     @abstractmethod
-    def export(self, model: GaussianModel, scene: Scene, folder: Path) -> list[Path]:
-        """Write into `folder`, which exists, and return the files written."""
+    def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
+        """Write into `folder`, which exists, and return the files written.
+
+        Args:
+            model: the Gaussians, to be read.
+        """
 
 
 class Report(Component[SettingsType], ABC):

@@ -221,7 +221,7 @@ def validate(scene: Scene) -> Scene:
 
 def _validate_view(view: View, scene_name: str) -> None:
     where = f"{scene_name}, view {view.name!r}"
-    if not _is_plain(view.name):
+    if not is_file_name(view.name):
         raise SceneError("a view's name must be a plain file name", where=where)
     _validate_camera(view.camera, where)
     camera, image = view.camera, view.image
@@ -238,7 +238,7 @@ def _validate_view(view: View, scene_name: str) -> None:
     _validate_maps(view, where)
 
 
-def _is_plain(name: str) -> bool:
+def is_file_name(name: str) -> bool:
     """Whether a name can be a file's, with an ending added, on any usual system."""
     separators = "/" in name or "\\" in name
     return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200

@@ -63,6 +63,7 @@ class TrainingSettings(Settings):
     max_gaussians: Positive | None = None
     """No densification goes beyond this number; null means no limit."""
     checkpoint_every: Count = 0
-    """Iterations between checkpoints; 0 writes one at the end only."""
+    """Iterations between checkpoints, beside those at the beginning, now and then by the clock, and at
+    the end; 0 for none."""
     evaluate_every: Count = 0
     """Iterations between evaluations of the test views; 0 evaluates at the end only."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import get_args
 
 import torch
 
-from core_rasterizer import Camera, GaussianModel, Rendering
+from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
 from ..contract.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
@@ -31,10 +32,23 @@ class Scores:
     Args:
         views: each view's scores by metric; None where a metric is not available.
         unavailable: why, by metric; the first view's reason stands for all.
+        failures: what went wrong, by the qualified name of each metric that failed or answered no
+            number; the first view's error stands for all.
     """
 
     views: dict[str, dict[str, float | None]]
     unavailable: dict[str, str] = field(default_factory=dict)
+    failures: dict[str, ExplainedError] = field(default_factory=dict)
+
+    @property
+    def infinite(self) -> dict[str, list[str]]:
+        """The views for which a metric is infinite, by metric: JSON has no number for that."""
+        found: dict[str, list[str]] = {}
+        for view, row in self.views.items():
+            for name, score in row.items():
+                if score is not None and math.isinf(score):
+                    found.setdefault(name, []).append(view)
+        return found
 
     @property
     def mean(self) -> dict[str, float | None]:
@@ -53,23 +67,21 @@ def evaluate(
 ) -> Scores:
     """Render views and score them, colours clamped to [0, 1].
 
-    A view that has a score in each role of the average error also gets `avge` (`average_error`).
+    A view that has a score in each role of the average error also gets `avge` (`average_error`). A metric
+    that fails keeps no other from being measured; `Scores.failures` holds its error.
 
     Args:
         metrics: the pipeline's metric components.
         pictures: a folder for `save_view_pictures`; None writes none.
-
-    Raises:
-        PluginError: a metric failed, or its answer is no number.
     """
     scores: dict[str, dict[str, float | None]] = {}
     unavailable: dict[str, str] = {}
+    failures: dict[str, ExplainedError] = {}
     for view in views:
         rendering = render_view(model, scene, view)
         row: dict[str, float | None] = {}
         for part in metrics:
-            with blame(part.item):
-                score = check_score(part.component.measure_view(rendering, view, scene))
+            score = _measured(part, rendering, view, scene, failures)
             if isinstance(score, Unavailable):
                 unavailable.setdefault(part.item.name, score.reason)
                 row[part.item.name] = None
@@ -78,7 +90,23 @@ def evaluate(
         scores[view.name] = row | _average_error(row, metrics)
         if pictures is not None:
             save_view_pictures(rendering, view, pictures)
-    return Scores(scores, unavailable)
+    return Scores(scores, unavailable, failures)
+
+
+def _measured(
+    part: Part,
+    rendering: Rendering,
+    view: View,
+    scene: Scene,
+    failures: dict[str, ExplainedError],
+) -> float | Unavailable:
+    """A metric's score of a view; of one that fails, why there is none."""
+    try:
+        with blame(part.item):
+            return check_score(part.component.measure_view(rendering, view, scene))
+    except ExplainedError as error:
+        failures.setdefault(part.item.qualified_name, error)
+        return Unavailable(error.what)
 
 
 def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:

@@ -5,22 +5,26 @@ provenance.json   versions, commit, device, platform, seed, command line
 inputs.json       digests of what it was made from, see inputs.py
 initialization/   what the initializer reports: facts.json and pictures
 metrics.jsonl     one line every few iterations
-checkpoint/       to resume from (see checkpoint.py)
+checkpoint/       the two newest moments to resume from (see training/checkpoint.py)
 renders/          the test views; exports/  what the exporters wrote
+failures/         iterations that failed, to be repeated (see replay.py)
 results.json      scores and measurements, once training has ended
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from ..files import new_folder, write_json, write_text
+from ..files import new_folder, remove_leftovers, write_json, write_text
+from .lock import locked
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -31,6 +35,8 @@ INITIALIZATION = "initialization"
 METRICS = "metrics.jsonl"
 INPUTS = "inputs.json"
 RESULTS = "results.json"
+
+_log = logging.getLogger(__name__)
 
 
 class RunFolder:
@@ -70,7 +76,7 @@ class RunFolder:
             raise RunError(
                 "the folder is not empty",
                 where=str(path),
-                fix=f"choose another --out, or continue with `stereogs train --resume {path}`",
+                fix=f"choose another --out, or continue with `stereogs resume {path}`",
             )
         if path.exists() and not path.is_dir():
             raise RunError("a file is in the way", where=str(path), fix="choose another --out")
@@ -83,12 +89,17 @@ class RunFolder:
             )
 
     def create(
-        self, pipeline_yaml: str, provenance: dict[str, Any], inputs: Mapping[str, str]
+        self,
+        pipeline_yaml: str,
+        provenance: dict[str, Any],
+        inputs: Mapping[str, str],
+        fill: Callable[[RunFolder], None],
     ) -> None:
-        """Make the folder with its first three files; all or nothing.
+        """Make the folder with its first files; all or nothing.
 
         Args:
             inputs: digests by name, see `write_inputs`.
+            fill: writes what else the folder must never be without, above all the first checkpoint.
 
         Raises:
             RunError: see `check_vacant`; or the disk refused.
@@ -99,12 +110,35 @@ class RunFolder:
                 write_text(folder / PIPELINE, pipeline_yaml)
                 write_json(folder / PROVENANCE, provenance)
                 write_json(folder / INPUTS, {"digests": inputs, "changed": []})
+                fill(RunFolder(folder))
+            remove_leftovers(self.path.parent, of=self.path.name)
         except OSError as error:
             raise RunError(
                 f"the run folder cannot be created: {error.strerror or error}",
                 where=str(self.path),
                 fix="choose another --out",
             ) from error
+
+    @contextmanager
+    def to_itself(self) -> Iterator[None]:
+        """Keep other processes from training or scoring this run; clear away what a kill has left.
+
+        Raises:
+            RunError: another process works on it, or nothing can be written there.
+        """
+        with locked(self.path) as lock:
+            if lock.taken_over is not None:
+                _log.warning(
+                    "process %d was killed while it worked in %s", lock.taken_over, self.path
+                )
+            for folder in (self.path, *(path for path in self.path.rglob("*") if path.is_dir())):
+                remove_leftovers(folder)
+            yield
+
+    @property
+    def identity(self) -> str:
+        """What tells this run from others that were made alike; "" for one of an older version."""
+        return str(_read_json(self.path / PROVENANCE).get("run", ""))
 
     @property
     def pipeline(self) -> Path:
@@ -161,9 +195,21 @@ class RunFolder:
         return _read_json(self.path / INITIALIZATION / "facts.json")
 
     def append_metrics(self, line: dict[str, Any]) -> None:
-        """Add one line to metrics.jsonl."""
-        with (self.path / METRICS).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        """Add one line to metrics.jsonl.
+
+        Raises:
+            RunError: the disk refused.
+        """
+        path = self.path / METRICS
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"the metrics cannot be written: {error.strerror or error}",
+                where=str(path),
+                fix=f"free some disk space; `stereogs resume {self.path}` goes on",
+            ) from error
 
     def forget_metrics_after(self, iteration: int) -> None:
         """Drop the lines of iterations that a resumed run will do again."""
@@ -178,10 +224,13 @@ def _read_json(path: Path) -> dict[str, Any]:
     """The content of a JSON file; empty if there is none."""
     if not path.is_file():
         return {}
+    fix = "bring it back from a copy; a results.json may be removed, `stereogs eval` writes it anew"
     try:
-        content: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
-        raise RunError(f"{path.name} is damaged: {error}", where=str(path)) from error
+        content = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise RunError(f"{path.name} is damaged: {error}", where=str(path), fix=fix) from error
+    if not isinstance(content, dict):
+        raise RunError(f"{path.name} is damaged: it holds no JSON object", where=str(path), fix=fix)
     return content
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C between iterations instead of in the middle of one."""
+"""Ctrl-C and SIGTERM between iterations instead of in the middle of one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
@@ -18,9 +20,10 @@ class StopRequest:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C within the block into a request; a second one interrupts as usual.
+    """Turn the first Ctrl-C or SIGTERM within the block into a request; a second one ends as usual.
 
-    Outside the main thread, where signals cannot be caught, Ctrl-C works as usual.
+    Schedulers of clusters and containers send SIGTERM before they kill. Outside the main thread, where
+    signals cannot be caught, both work as usual.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -30,9 +33,11 @@ def stop_on_interrupt() -> Iterator[StopRequest]:
     def note(number: int, frame: FrameType | None) -> None:
         request.requested = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
-    previous = signal.signal(signal.SIGINT, note)
+    previous = {number: signal.signal(number, note) for number in _SIGNALS}
     try:
         yield request
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)

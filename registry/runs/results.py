@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from core_rasterizer import ExplainedError
+
 from ..contract.scene import Scene
+from ..errors import PluginError, RunError
 from ..files import jsonable
 from ..pipeline.blame import blame
+from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
@@ -22,16 +28,18 @@ if TYPE_CHECKING:
 RENDERS = "renders"
 EXPORTS = "exports"
 
+_log = logging.getLogger(__name__)
+
 
 def finish(run: Run) -> None:
-    """Evaluate, export, write results.json, and let the reports do their work, all in its folder."""
+    """Evaluate, export, write results.json, and let the reports do their work, all in its folder.
+
+    A metric, an exporter or a report that fails keeps no other from its work; "failures" in the results
+    tell of it.
+    """
     folder = run.folder_or_refuse()
+    before = folder.results()
     scores = score(run)
-    exported: list[str] = []
-    for part in run.parts["exporters"]:
-        with blame(part.item):
-            written = part.component.export(run.model, run.scene, folder.folder(EXPORTS))
-        exported += [_inside(folder, file) for file in written]
     stages = run.seconds.rounded()
     results = jsonable(
         {
@@ -42,30 +50,104 @@ def finish(run: Run) -> None:
             "stages": stages,
             "iterations_per_second": round(run.iteration / max(run.seconds.training, 1e-9), 3),
             "peak_memory_mb": peak_memory_mb(),
-            "exports": exported,
-            "reports": [],
             "changed_inputs": folder.inputs()[1],
             **scores,
         }
     )
-    folder.write_results(results)  # reports read it
-    for part in run.parts["reports"]:
-        with blame(part.item):
-            written = part.component.write(folder.path, run.scene)
-        results["reports"] += [_inside(folder, file) for file in written]
-    folder.write_results(results)
+    if before.get("hash", results["hash"]) != results["hash"]:
+        _log.warning("the hash was %s when the run was finished before", before["hash"])
+    _write_with_outputs(run, results)
 
 
 def renew(run: Run) -> dict[str, Any]:
-    """Score a run anew where it stands, in its results.json and its pictures; returns the results."""
+    """Score a run anew where it stands, in its results.json and its pictures; returns the results.
+
+    Of a finished run the exports and reports are made anew too.
+
+    Raises:
+        RunError: another process works on the run; or results.json is of a later iteration.
+    """
     folder = run.folder_or_refuse()
-    run.keep_changes()
-    changed = {"changed_inputs": folder.inputs()[1]}
-    results: dict[str, Any] = jsonable(
-        {**folder.results(), **describe(run), **changed, **score(run)}
-    )
-    folder.write_results(results)
+    with folder.to_itself():
+        before = folder.results()
+        if int(before.get("iterations", 0)) > run.iteration:
+            raise RunError(
+                f"results.json is of iteration {before['iterations']}, "
+                f"the newest whole checkpoint of {run.iteration}",
+                where=str(folder.path),
+                fix=f"train to the end again: stereogs resume {folder.path}",
+            )
+        run.keep_changes()
+        changed = {"changed_inputs": folder.inputs()[1]}
+        results: dict[str, Any] = jsonable({**before, **describe(run), **changed, **score(run)})
+        if run.finished:
+            _write_with_outputs(run, results)
+        else:
+            folder.write_results(results)
     return results
+
+
+def check_recorded_hash(recorded: Mapping[str, Any], digest: str, path: Path) -> None:
+    """Refuse Gaussians that are not those whose scores results.json holds.
+
+    Args:
+        recorded: what it holds, of the same iteration; empty if there is none.
+        digest: of the checkpoint's Gaussians.
+        path: the run folder.
+
+    Raises:
+        RunError: the hashes differ.
+    """
+    if recorded.get("hash", digest) != digest:
+        raise RunError(
+            f"the Gaussians of the checkpoint, {digest[:12]}..., are not those that results.json "
+            f"was written for, {str(recorded['hash'])[:12]}...",
+            where=str(path),
+            fix="bring the changed file back; or, if the checkpoint is right, remove results.json "
+            f"and call `stereogs eval {path}`",
+        )
+
+
+def _write_with_outputs(run: Run, results: dict[str, Any]) -> None:
+    """Write results.json, before anything else can fail; then export, report, and write it again."""
+    folder = run.folder_or_refuse()
+    results |= {"exports": [], "reports": []}
+    folder.write_results(results)
+    for part in run.parts["exporters"]:
+        place = folder.folder(EXPORTS)
+        export = partial(part.component.export, run.model.reader(), run.scene, place)
+        results["exports"] += _written(part, folder, results["failures"], export)
+    folder.write_results(results)  # reports read it
+    for part in run.parts["reports"]:
+        report = partial(part.component.write, folder.path, run.scene)
+        results["reports"] += _written(part, folder, results["failures"], report)
+    folder.write_results(results)
+
+
+def _written(
+    part: Part, folder: RunFolder, failures: list[dict[str, str]], write: Callable[[], Any]
+) -> list[str]:
+    """The files that an exporter or a report has written; none, and a failure noted, if it failed."""
+    try:
+        with blame(part.item):
+            return [_inside(folder, file) for file in _existing(write())]
+    except ExplainedError as error:
+        failures.append(_told(part.item.qualified_name, error))
+        return []
+
+
+def _existing(answer: Any) -> list[Path]:
+    """What an exporter or a report says it wrote: paths of files that are there."""
+    if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
+        raise PluginError(f"the answer is {answer!r}, expected a list of paths")
+    missing = [file for file in answer if not file.is_file()]
+    if missing:
+        raise PluginError(f"it says that it wrote {missing[0]}, and there is no such file")
+    return list(answer)
+
+
+def _told(component: str, error: ExplainedError) -> dict[str, str]:
+    return {"component": component, "what": error.what, "where": error.where, "fix": error.fix}
 
 
 def describe(run: Run) -> dict[str, Any]:
@@ -88,11 +170,14 @@ def score(run: Run) -> dict[str, Any]:
     """Score both splits and picture the test views; the part of results.json that `eval` renews."""
     scores = run.evaluate(run.folder_or_refuse().folder(RENDERS) if run.scene.test else None)
     test, train = scores["test"], scores["train"]
+    failures = {**train.failures, **test.failures}
     return {
         "test": test.mean,
         "train": train.mean,
         "views": {"test": test.views, "train": train.views},
         "unavailable": {**train.unavailable, **test.unavailable},
+        "infinite": {"test": test.infinite, "train": train.infinite},
+        "failures": [_told(name, error) for name, error in failures.items()],
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -78,6 +79,8 @@ class Run:
         metrics: what metrics.jsonl holds, line by line; of a run read from a folder, nothing.
         folder: where the run is kept; None: in memory only.
         changed: inputs that are not those that the run began with, and were accepted.
+        identity: what tells its folder from those of other runs; "" without a folder.
+        kept: the iteration of the newest checkpoint in the folder.
     """
 
     pipeline: Pipeline
@@ -92,7 +95,14 @@ class Run:
     metrics: list[dict[str, Any]] = field(default_factory=list)
     folder: RunFolder | None = None
     changed: tuple[str, ...] = ()
+    identity: str = ""
+    kept: int | None = None
     _scores: tuple[int, dict[str, Scores]] | None = None
+
+    @cached_property
+    def pipeline_text(self) -> str:
+        """The pipeline as YAML, every default written out."""
+        return self.pipeline.to_yaml()
 
     @property
     def finished(self) -> bool:
@@ -145,7 +155,8 @@ class Run:
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write the run folder that training with `out=folder` would have left, and keep the run there.
 
-        A run that is not finished is saved too, and can be resumed.
+        Of its checkpoints it has the newest alone. A run that is not finished is saved too, and can be
+        resumed.
 
         Raises:
             RunError: the run is kept in a folder already, or this one has content.
@@ -157,27 +168,31 @@ class Run:
                 fix="copy that folder; a run folder can be moved",
             )
         self.keep_in(Path(folder).expanduser())
-        for line in self.metrics:
-            self.folder_or_refuse().append_metrics(line)
-        self.save_checkpoint()
-        if self.finished:
-            finish(self)
-        return self.folder_or_refuse().path
+        kept_in = self.folder_or_refuse()
+        with kept_in.to_itself():
+            for line in self.metrics:
+                kept_in.append_metrics(line)
+            if self.finished:
+                finish(self)
+        return kept_in.path
 
     def keep_in(self, path: Path) -> None:
-        """Create the run folder with what is known at the beginning; the rest goes there too.
+        """Create the run folder, with a checkpoint of where the run is; the rest goes there too.
 
         Raises:
             RunError: the folder has content, is a file, or cannot be written.
         """
+        origin = provenance(self.pipeline, self.model.device)
+        self.identity = origin["run"]
+
+        def fill(folder: RunFolder) -> None:
+            folder.write_initialization(self.initialization, self.pictures)
+            save_checkpoint(self.checkpoint(), folder.folder(CHECKPOINT))
+
         folder = RunFolder(path)
-        folder.create(
-            self.pipeline.to_yaml(),
-            provenance(self.pipeline, self.model.device),
-            input_digests(self.scene, self.pipeline),
-        )
-        folder.write_initialization(self.initialization, self.pictures)
-        self.folder = folder
+        digests = input_digests(self.scene, self.pipeline)
+        folder.create(self.pipeline_text, origin, digests, fill)
+        self.folder, self.kept = folder, self.iteration
 
     def keep_changes(self) -> None:
         """Write down which inputs have changed, once something is made from them."""
@@ -193,9 +208,10 @@ class Run:
             self.folder.append_metrics(line)
 
     def save_checkpoint(self) -> None:
-        """Replace the checkpoint in the folder; does nothing without one."""
-        if self.folder is not None:
+        """Keep a checkpoint in the folder, if there is one, unless its newest is of this iteration."""
+        if self.folder is not None and self.kept != self.iteration:
             save_checkpoint(self.checkpoint(), self.folder.folder(CHECKPOINT))
+            self.kept = self.iteration
 
     def folder_or_refuse(self) -> RunFolder:
         """The folder.

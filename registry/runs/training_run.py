@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from time import monotonic
 
@@ -10,29 +12,37 @@ from rich.console import Console
 
 from core_rasterizer import Device, Gaussians
 
-from ..contract.scene import Scene, validate
+from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
-from ..training.checkpoint import Checkpoint, load_checkpoint
+from ..training.checkpoint import Checkpoint, explain_misfit, load_checkpoint
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.trainer import Iteration, Trainer, maps_of
+from ..training.trainer import Iteration, Trainer, resumed
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
-from .origin.inputs import changed_inputs, input_digests, listed
+from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
+from .origin.unedited import check_unedited
 from .progress import TrainingProgress
-from .results import finish
+from .replay import keep_failure
+from .results import check_recorded_hash, finish
 from .run import CHECKPOINT, Run, Stages
+
+_log = logging.getLogger(__name__)
 
 Observer = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
+AUTOMATIC_SECONDS = 30.0
+"""A checkpoint is saved when the newest is so old, whatever the pipeline says about checkpoints,"""
+AUTOMATIC_SHARE = 0.005
+"""and when saving has taken no more of the time than this."""
 
 
 def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
@@ -71,7 +81,8 @@ def start(
         run.keep_in(out if isinstance(out, Path) else out(pipeline, run.scene))
     writing = f"; writing {run.folder.path}" if run.folder else ""
     console.print(f"{run.initialization['points']:,} points; {device.name}{writing}")
-    _train_to_end(run, trainer, console, observer)
+    with run.folder.to_itself() if run.folder else nullcontext():
+        _train_to_end(run, trainer, console, observer)
     return run
 
 
@@ -91,26 +102,27 @@ def resume(
         accept_changed_inputs: go on with other photographs, cameras or model files than it began with.
 
     Raises:
-        ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
+        ExplainedError: the folder is no run, has no checkpoint, another process works on it, or
+            whatever goes wrong later.
     """
-    run = open_run(
-        path,
-        plugins=plugins,
-        device=device,
-        scene=scene,
-        accept_changed_inputs=accept_changed_inputs,
-    )
-    run.keep_changes()
-    checkpoint = run.checkpoint()
-    maps = maps_of(checkpoint.part("maps"))
-    trainer = Trainer(run.pipeline.training, run.parts, run.scene, run.model, maps)
-    trainer.restore(checkpoint.iteration, checkpoint.part)
-    run.checkpoint = lambda: _checkpoint(run, trainer)
-    run.folder_or_refuse().forget_metrics_after(checkpoint.iteration)
-    console.print(
-        f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
-    )
-    _train_to_end(run, trainer, console, observer)
+    with RunFolder.existing(path).to_itself():
+        run = open_run(
+            path,
+            plugins=plugins,
+            device=device,
+            scene=scene,
+            accept_changed_inputs=accept_changed_inputs,
+        )
+        checkpoint = run.checkpoint()
+        with explain_misfit(path / CHECKPOINT):
+            trainer = resumed(checkpoint, run.pipeline.training, run.parts, run.scene, run.model)
+        run.keep_changes()
+        run.checkpoint = lambda: _checkpoint(run, trainer)
+        run.folder_or_refuse().forget_metrics_after(checkpoint.iteration)
+        console.print(
+            f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
+        )
+        _train_to_end(run, trainer, console, observer)
     return run
 
 
@@ -128,44 +140,62 @@ def open_run(
         scene: in place of what the pipeline's loader would load; valid.
 
     Raises:
-        ExplainedError: one of them cannot be read, or the scene or a model file is another than when
-            the run began, and that was not accepted.
+        ExplainedError: one of them cannot be read; the pipeline or the checkpoint is not the run's own;
+            or the scene or a model file is another than when the run began, and that was not accepted.
     """
     folder = RunFolder.existing(path)
     pipeline = load_pipeline(folder.pipeline, plugins)
     checkpoint = load_checkpoint(path / CHECKPOINT)
+    _check_own(folder, checkpoint, pipeline, plugins)
     parts = Parts(pipeline, device)
     begin = monotonic()
     scene = scene or load_scene(parts)
     loading = monotonic() - begin
     before, _ = folder.inputs()
     changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
-    if changed and not accept_changed_inputs:
-        raise RunError(
-            f"the run was made from other inputs; changed: {listed(changed)}",
-            where=str(path),
-            fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
-        )
+    if not accept_changed_inputs:
+        refuse_changed(changed, path)
     facts = folder.initialization()
+    with explain_misfit(path / CHECKPOINT):
+        gaussians = Gaussians(**checkpoint.part("model"))
+        model = new_model(gaussians, pipeline.training, device)
+    recorded = folder.results()
+    if recorded.get("iterations") == checkpoint.iteration:
+        check_recorded_hash(recorded, model.digest(), path)
     return Run(
         pipeline,
         parts,
         scene,
-        new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device),
+        model,
         checkpoint=lambda: checkpoint,
         iteration=checkpoint.iteration,
         initialization=facts,
         seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
         folder=folder,
         changed=changed,
+        identity=folder.identity,
+        kept=checkpoint.iteration,
     )
 
 
-def load_scene(parts: Parts) -> Scene:
-    """Let the scene loader load, and validate what it returns."""
-    loader = parts.one("scene")
-    with blame(loader.item):
-        return validate(loader.component.load())
+def _check_own(
+    folder: RunFolder, checkpoint: Checkpoint, pipeline: Pipeline, plugins: Plugins
+) -> None:
+    """Refuse a checkpoint that this run, with this pipeline, cannot have written."""
+    if "" not in (folder.identity, checkpoint.run) and folder.identity != checkpoint.run:
+        raise RunError(
+            "the checkpoint is another run's",
+            where=str(folder.path / CHECKPOINT),
+            fix="bring the run's own checkpoint back; provenance.json and manifest.json name the run",
+        )
+    check_unedited(folder.pipeline, pipeline, checkpoint.pipeline, plugins)
+    if checkpoint.iteration > pipeline.training.iterations:
+        raise RunError(
+            f"the checkpoint says iteration {checkpoint.iteration}, "
+            f"and the run has {pipeline.training.iterations}",
+            where=str(folder.path / CHECKPOINT),
+            fix="bring the run's own checkpoint back, or train anew into another folder",
+        )
 
 
 def _begun(
@@ -209,12 +239,13 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
     """Train, observe, and write the results if the end was reached and there is a folder for them."""
     settings = run.pipeline.training
     metrics = MetricsLog(run.add_metrics)
+    autosave = _Autosave(run)
     with (
         stop_on_interrupt() as stop,
         TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
     ):
         begin = monotonic()
-        for done in trainer.run():
+        for done in _iterations(run, trainer):
             run.seconds.training += monotonic() - begin
             run.iteration = done.number
             progress.update(done.number, done.loss, done.gaussians)
@@ -222,19 +253,52 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
             if _due(done.number, settings.evaluate_every):
                 scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
                 metrics.write({"iteration": done.number, "test": scores.mean})
+                for error in scores.failures.values():
+                    _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)
             wanted = observer is None or observer(done) is not False
             if stop.requested or not wanted:
                 break
-            if _due(done.number, settings.checkpoint_every):
-                run.save_checkpoint()
+            if _due(done.number, settings.checkpoint_every) or autosave.due():
+                autosave.save()
             begin = monotonic()
         run.save_checkpoint()
     if run.finished and run.folder is not None:
         finish(run)
 
 
+def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
+    """Train; what is needed to repeat an iteration that fails is kept."""
+    try:
+        yield from trainer.run()
+    except Exception as error:
+        keep_failure(run, trainer.iteration + 1, error)
+        raise
+
+
+class _Autosave:
+    """Checkpoints by the clock, so that a run that is killed loses little."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._last, self._cost = monotonic(), 0.0
+
+    def due(self) -> bool:
+        """Whether the newest checkpoint is old."""
+        return monotonic() - self._last > max(AUTOMATIC_SECONDS, self._cost / AUTOMATIC_SHARE)
+
+    def save(self) -> None:
+        """Save one now."""
+        begin = monotonic()
+        self._run.save_checkpoint()
+        self._last = monotonic()
+        self._cost = self._last - begin
+
+
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
-    return Checkpoint(trainer.iteration, run.seconds.training, trainer.state())
+    state = trainer.state()
+    return Checkpoint(
+        trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
+    )
 
 
 def _due(iteration: int, every: int) -> bool:

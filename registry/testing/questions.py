@@ -169,7 +169,7 @@ def _ask_metric(bench: Bench, built: Any) -> Any:
 def _ask_exporter(bench: Bench, built: Any) -> Any:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files = built.export(bench.model(), bench.scene, folder)
+        files = built.export(bench.model().reader(), bench.scene, folder)
         require_files(files)
         return [(file.name, file.read_bytes()) for file in sorted(files)]
 

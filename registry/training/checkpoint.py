@@ -1,14 +1,25 @@
-"""Checkpoints: tensors in safetensors, the rest in a JSON manifest that is written last.
+"""Checkpoints: everything that the next iteration depends on, whole or absent, and checked when read.
 
-`manifest.json` names the tensor file that belongs to it. Both are written beside their place and
-renamed, the manifest after the tensors, so that at every moment the folder holds one whole
-checkpoint: the old one or the new one.
+    iteration-0000500/
+        manifest.json          the iteration, the other files' SHA-256, and a SHA-256 of itself
+        pipeline.yaml          what was trained, every default written out
+        tensors.safetensors    all state
+
+Such a folder is written beside its place, flushed, and renamed. The one before it is kept, so that a
+damaged file costs a few iterations and not the run.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass
+import logging
+import math
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +27,16 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from ..errors import RunError
-from ..files import replacing, write_json
+from core_rasterizer import ExplainedError
 
-FORMAT = 1
+from ..errors import RunError
+from ..files import flush, flush_folder, new_folder, write_json, write_text
+
+FORMAT = 2
 """Raised when older checkpoints can no longer be read."""
-_MANIFEST = "manifest.json"
+_MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
+_NAME = re.compile(r"iteration-[0-9]{7,}(-[0-9]+)?")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +44,20 @@ class Checkpoint:
     """A moment between two iterations.
 
     Args:
-        iteration: the last one that is complete.
+        iteration: the last one that is complete; 0 before the first.
         seconds: spent training until then.
         tensors: all state, by slash-separated names such as "model/means".
+        pipeline: the resolved pipeline as YAML.
+        run: what tells its run from others; "" for a run that has no folder.
+        notes: what else belongs to it, as plain JSON values.
     """
 
     iteration: int
     seconds: float
     tensors: dict[str, Tensor]
+    pipeline: str
+    run: str = ""
+    notes: Mapping[str, Any] = field(default_factory=dict)
 
     def part(self, prefix: str) -> dict[str, Tensor]:
         """The tensors whose names begin with `prefix/`, without it."""
@@ -45,59 +66,174 @@ class Checkpoint:
 
 
 def save_checkpoint(checkpoint: Checkpoint, folder: Path) -> None:
-    """Replace the checkpoint in `folder`, which exists.
+    """Add a checkpoint to those in `folder`, and remove all but it and the one before it.
+
+    Args:
+        folder: created if need be.
 
     Raises:
-        RunError: the disk refused; an older checkpoint is still whole.
+        RunError: the disk refused; what was there before is whole.
     """
-    name = f"iteration-{checkpoint.iteration:07d}.safetensors"
-    manifest = {
-        "format": FORMAT,
-        "iteration": checkpoint.iteration,
-        "seconds": checkpoint.seconds,
-        "tensors": name,
-    }
-    try:
-        with replacing(folder / name) as temporary:
-            save_file({k: v.contiguous() for k, v in checkpoint.tensors.items()}, temporary)
-        write_json(folder / _MANIFEST, manifest)
-    except (OSError, SafetensorError) as error:
-        raise RunError(
-            f"the checkpoint cannot be written: {error}",
-            where=str(folder),
-            fix="free some disk space; the checkpoint before it is still whole",
-        ) from error
-    for old in folder.glob("iteration-*.safetensors"):
-        if old.name != name:
-            old.unlink(missing_ok=True)
+    name = f"iteration-{checkpoint.iteration:07d}"
+    place, number = folder / name, 1
+    while place.exists():  # damaged, or of a run that had got further before it went on from here
+        number += 1
+        place = folder / f"{name}-{number}"
+    write_checkpoint(checkpoint, place)
+    places = _places(folder)
+    here = places.index(place)
+    for superseded in (*places[: max(0, here - 1)], *places[here + 1 :]):
+        shutil.rmtree(superseded, ignore_errors=True)
 
 
 def load_checkpoint(folder: Path) -> Checkpoint:
-    """Read the checkpoint in `folder`.
+    """Read the newest checkpoint in `folder` that is whole; damaged ones are warned of.
 
     Raises:
-        RunError: there is none, or it is damaged or of another format.
+        RunError: there is none, or none is whole; says what is wrong with the newest.
     """
-    path = folder / _MANIFEST
+    refused: RunError | None = None
+    for place in reversed(_places(folder)):
+        try:
+            checkpoint = read_checkpoint(place)
+        except RunError as error:
+            refused = refused or error
+            continue
+        if refused is not None:
+            _log.warning(
+                "%s (%s); going on from the one before, after iteration %d",
+                refused.what,
+                refused.where,
+                checkpoint.iteration,
+            )
+        return checkpoint
+    raise refused or RunError(
+        "the run has no checkpoint to continue from",
+        where=str(folder),
+        fix="train it anew into another folder",
+    )
+
+
+def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
+    """Write one checkpoint to a place that does not exist yet: whole or not at all.
+
+    Raises:
+        RunError: the disk refused.
+    """
     try:
-        manifest: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        with new_folder(place) as inside:
+            tensors = {name: value.contiguous() for name, value in checkpoint.tensors.items()}
+            save_file(tensors, inside / _TENSORS)
+            flush(inside / _TENSORS)
+            write_text(inside / _PIPELINE, checkpoint.pipeline)
+            manifest = {
+                "format": FORMAT,
+                "iteration": checkpoint.iteration,
+                "seconds": checkpoint.seconds,
+                "run": checkpoint.run,
+                "notes": dict(checkpoint.notes),
+                "files": {name: _sha256(inside / name) for name in (_PIPELINE, _TENSORS)},
+            }
+            write_json(inside / _MANIFEST, {**manifest, "sha256": _digest(manifest)})
+            flush_folder(inside)
+        flush_folder(place.parent)
+    except (OSError, SafetensorError) as error:
+        before = "; the one before it is whole" if _places(place.parent) else ""
+        raise RunError(
+            f"the checkpoint cannot be written: {error}",
+            where=str(place),
+            fix=f"free some disk space, or see who may write there{before}",
+        ) from error
+
+
+def read_checkpoint(place: Path) -> Checkpoint:
+    """Read one checkpoint, and check every bit of it.
+
+    Raises:
+        RunError: it is none, it is damaged, or it has another format.
+    """
+    try:
+        manifest = json.loads((place / _MANIFEST).read_bytes())
         if manifest["format"] != FORMAT:
             raise RunError(
-                f"the checkpoint has format {manifest['format']}, this version reads {FORMAT}",
-                where=str(path),
+                f"the checkpoint has format {manifest['format']!r}, this version reads {FORMAT}",
+                where=str(place),
                 fix="resume it with the version that wrote it; provenance.json says which",
             )
-        tensors = load_file(folder / Path(manifest["tensors"]).name)
-        return Checkpoint(int(manifest["iteration"]), float(manifest["seconds"]), tensors)
-    except FileNotFoundError as error:
+        if manifest.pop("sha256") != _digest(manifest):
+            raise ValueError(f"{_MANIFEST} was changed after it was written")
+        for name in (_PIPELINE, _TENSORS):
+            if manifest["files"][name] != _sha256(place / name):
+                raise ValueError(f"{name} was changed after it was written")
+        return Checkpoint(
+            iteration=_count(manifest["iteration"]),
+            seconds=_duration(manifest["seconds"]),
+            tensors=load_file(place / _TENSORS),
+            pipeline=(place / _PIPELINE).read_text("utf-8"),
+            run=str(manifest["run"]),
+            notes=dict(manifest["notes"]),
+        )
+    except RunError:
+        raise
+    except Exception as error:  # json, safetensors and the disk have many errors for damaged files
         raise RunError(
-            "the run has no checkpoint to continue from",
-            where=str(folder),
-            fix="train it anew into another folder",
+            f"the checkpoint is damaged: {_first_line(error)}",
+            where=str(place),
+            fix="bring the file back from a copy, or train anew into another folder",
         ) from error
-    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+
+
+@contextmanager
+def explain_misfit(place: Path) -> Iterator[None]:
+    """Explain whatever goes wrong in the block, which takes a checkpoint's state back.
+
+    Raises:
+        ExplainedError: a part says itself what does not fit; the place is added.
+        RunError: anything else.
+    """
+    try:
+        yield
+    except ExplainedError as error:
+        error.where = f"{error.where}; from {place}" if error.where else str(place)
+        raise
+    except Exception as error:
         raise RunError(
-            f"the checkpoint cannot be read: {error}",
-            where=str(folder),
-            fix="the file is damaged; train anew into another folder",
+            f"the checkpoint does not hold what this pipeline needs: "
+            f"{type(error).__name__}: {_first_line(error)}",
+            where=str(place),
+            fix="resume it with the version that wrote it; provenance.json says which",
         ) from error
+
+
+def _places(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the newest last."""
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def _digest(manifest: Mapping[str, Any]) -> str:
+    """Of what a manifest says, however it is laid out."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
+
+
+def _count(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError(f"the iteration is {value!r}")
+    return value
+
+
+def _duration(value: Any) -> float:
+    seconds = float(value)
+    if not 0 <= seconds < math.inf:
+        raise ValueError(f"the seconds are {value!r}")
+    return seconds
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]

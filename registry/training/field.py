@@ -6,9 +6,9 @@ Each method is one stage of an iteration; `trainer.py` says in which order they 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import torch
@@ -35,9 +35,10 @@ from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .component_parameters import ComponentParameters
 from .growth_limit import limited
+from .guard import Recolored, Term, backward
 from .learning_rates import learning_rates
 from .losses import photometric_term, regularizing_terms, term_alone
-from .step_rendering import StepRenderer, backward
+from .step_rendering import StepRenderer
 
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""
@@ -125,9 +126,8 @@ class Field:
                 continue
             self._forget_gradients()
             step.rendered(cache(lambda: step.render(step.sample.camera)))
-            loss, skip = term_alone(part, step)
-            backward(loss, step.iteration)
-            self.parameters.check_gradients(step.iteration)
+            term, skip = term_alone(part, step)
+            self._backward([term])
             self.optimizer.step(step.learning_rates, self._bands, skip=skip)
             self.parameters.step()
             step.rendered(None)
@@ -169,11 +169,10 @@ class Field:
         """
         step = self._step
         step.others = others
-        loss = photometric_term(self._settings, self._colors(), step, self.model.device)
-        loss = regularizing_terms(loss, self.parts, step)
-        backward(loss, step.iteration)
-        self.parameters.check_gradients(step.iteration)
-        return float(loss.detach())
+        colors = self._colors()
+        shown = colors[-1].after if colors else self._rendering.rgb
+        photometric = photometric_term(self._settings, shown, step, self.model.device)
+        return self._backward([photometric, *regularizing_terms(self.parts, step)], colors)
 
     def update_opacities(self) -> None:
         """Ask the opacity policies, in the pipeline's order."""
@@ -238,13 +237,27 @@ class Field:
     def _statistics_wanted(self, iteration: int) -> bool:
         return any(not p.item.schedule.over(iteration) for p in self.parts["densification"])
 
-    def _colors(self) -> Tensor:
-        """The rendered colours, as appearances change them."""
-        colors = self._rendering.rgb
+    def _colors(self) -> list[Recolored]:
+        """The rendered colours, as one appearance after the other changes them."""
+        steps: list[Recolored] = []
+        before = self._rendering.rgb
         for part in self.parts.due("appearances", self._step.iteration):
             with blame(part.item, self._step.iteration):
-                colors = check_colors(part.component.colors(self._step, colors), colors.shape)
-        return colors
+                after = check_colors(part.component.colors(self._step, before), before.shape)
+            steps.append(Recolored(part.item, before, after))
+            before = after
+        return steps
+
+    def _backward(self, terms: Sequence[Term], colors: Sequence[Recolored] = ()) -> float:
+        """The backward pass of a loss; returns the loss."""
+        iteration = self._step.iteration
+        return backward(
+            terms,
+            iteration,
+            colors=colors,
+            forget=self._forget_gradients,
+            check=partial(self.parameters.check_gradients, iteration),
+        )
 
     def _refine(self) -> bool:
         """Ask the densification policies; whether Gaussians came or went."""
@@ -325,7 +338,12 @@ class Field:
             part: gives the tensors of one kind.
         """
         self.optimizer.restore(part("optimizer"))
-        self.model.restore_statistics(part("statistics")["screen"])
+        screen = part("statistics")["screen"]
+        if screen.shape != (2, self.model.count):
+            raise RunError(
+                f"the statistics of {self.model.count} Gaussians are {tuple(screen.shape)}"
+            )
+        self.model.restore_statistics(screen)
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
-from ..contract.scene import PointCloud
+from ..contract.scene import PointCloud, is_file_name
 from ..errors import SceneError
 from ..pipeline.training_settings import TrainingSettings
 
@@ -25,7 +25,8 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
         points: at least one.
 
     Raises:
-        SceneError: there is no point, or one with a position, colour, scale or opacity that cannot be.
+        SceneError: there is no point; one with a position, colour, scale or opacity that cannot be; or a
+            picture whose name is not a file's.
     """
     _check(points)
     count = len(points)
@@ -75,6 +76,9 @@ def mean_squared_distances(positions: Tensor) -> Tensor:
 
 
 def _check(points: PointCloud) -> None:
+    for name in points.pictures:
+        if not is_file_name(name):
+            raise SceneError(f"the picture {name!r} has no plain file name")
     count = len(points)
     if count == 0:
         raise SceneError(

@@ -13,11 +13,12 @@ from ..errors import RunError
 from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts
 from ..pipeline.training_settings import TrainingSettings
+from .guard import Term
 
 
 def photometric_term(
     settings: TrainingSettings, colors: Tensor, step: Step, device: Device
-) -> Tensor:
+) -> Term:
     """L1 and D-SSIM between the colours and the iteration's target.
 
     Raises:
@@ -38,22 +39,23 @@ def photometric_term(
             fix="lower the learning rates; the last checkpoint, if any, is whole",
         ) from error
     step.log("photometric", float(loss.detach()))
-    return loss
+    return Term(None, loss)
 
 
-def regularizing_terms(loss: Tensor, parts: Parts, step: Step) -> Tensor:
-    """The loss with the terms that are due and join it."""
-    for part in parts.due("regularizers", step.iteration):
-        if part.item.host.step == "together":
-            loss = loss + _term(part, step)
-    return loss
+def regularizing_terms(parts: Parts, step: Step) -> list[Term]:
+    """The terms that are due and join the loss."""
+    return [
+        _term(part, step)
+        for part in parts.due("regularizers", step.iteration)
+        if part.item.host.step == "together"
+    ]
 
 
-def term_alone(part: Part, step: Step) -> tuple[Tensor, tuple[str, ...]]:
+def term_alone(part: Part, step: Step) -> tuple[Term, tuple[str, ...]]:
     """A term that is stepped alone.
 
     Returns:
-        The loss, and the parameter groups that its step leaves alone.
+        The term, and the parameter groups that its step leaves alone.
     """
     with blame(part.item, step.iteration):
         moves = check_moves(part.component.moves, PARAMETER_GROUPS)
@@ -61,9 +63,9 @@ def term_alone(part: Part, step: Step) -> tuple[Tensor, tuple[str, ...]]:
     return _term(part, step), skip
 
 
-def _term(part: Part, step: Step) -> Tensor:
+def _term(part: Part, step: Step) -> Term:
     """A regularizer's term times its weight."""
     with blame(part.item, step.iteration):
         term = check_loss(part.component.loss(step))
     step.log(part.item.qualified_name, float(term.detach()))
-    return part.item.host.weight * term
+    return Term(part.item, part.item.host.weight * term)

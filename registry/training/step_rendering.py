@@ -1,4 +1,4 @@
-"""Renders and the backward pass within one iteration."""
+"""Renders within one iteration."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from collections.abc import Collection, Sequence
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
+from core_rasterizer import Camera, GaussianModel, Rendering
 
 from ..contract.step import Sample
-from ..errors import PluginError
 
 
 class StepRenderer:
@@ -44,23 +43,3 @@ class StepRenderer:
                 opacity_scale=opacity_scale,
                 detach=detach,
             )
-
-
-def backward(loss: Tensor, iteration: int) -> None:
-    """The backward pass of the total loss.
-
-    Raises:
-        ExplainedError: a gradient with respect to a rendered image is not finite, though the loss is.
-        PluginError: a regularizer's part of it failed; torch does not say whose.
-    """
-    try:
-        loss.backward()
-    except ExplainedError as error:
-        error.where = f"{error.where}; iteration {iteration}"
-        raise
-    except Exception as error:
-        raise PluginError(
-            f"the backward pass of the loss failed: {type(error).__name__}: {error}",
-            where=f"iteration {iteration}",
-            fix="switch regularizers off one by one with --disable to find which one it is",
-        ) from error

@@ -26,7 +26,9 @@ from ..contract.step import OtherField
 from ..pipeline.parts import Parts
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
+from .checkpoint import Checkpoint
 from .field import Field, Surroundings
+from .guard import in_iteration
 from .initial_model import new_model
 from .view_order import ViewOrder
 
@@ -95,7 +97,8 @@ class Trainer:
                 step is taken then, and training cannot go on with these Gaussians.
         """
         while self.iteration < self.settings.iterations:
-            loss = self._iterate(self.iteration + 1)
+            with in_iteration(self.iteration + 1):
+                loss = self._iterate(self.iteration + 1)
             self.iteration += 1
             yield Iteration(self.iteration, loss, self.model.count, self._logged())
 
@@ -154,6 +157,27 @@ class Trainer:
                 model = new_model(gaussians, self.settings, self.model.device)
                 one = self.fields[index] = Field(self._around, one.parts, model, index)
             one.restore(partial(_below, part, prefix))
+
+
+def resumed(
+    checkpoint: Checkpoint,
+    settings: TrainingSettings,
+    parts: Parts,
+    scene: Scene,
+    model: GaussianModel,
+) -> Trainer:
+    """A trainer that goes on after a checkpoint.
+
+    Args:
+        model: holds the checkpoint's Gaussians.
+
+    Raises:
+        ExplainedError: the checkpoint holds something else than these parts need; or a component cannot
+            take its state back.
+    """
+    trainer = Trainer(settings, parts, scene, model, maps_of(checkpoint.part("maps")))
+    trainer.restore(checkpoint.iteration, checkpoint.part)
+    return trainer
 
 
 def _prefix(index: int) -> str:

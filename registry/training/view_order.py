@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from ..errors import RunError
+
 
 class ViewOrder:
     """Draws every view once before any comes again (3DGS).
@@ -33,6 +35,14 @@ class ViewOrder:
         return {"generator": self._generator.get_state(), "left": self._left.clone()}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Take back what `state` returned.
+
+        Raises:
+            RunError: it names views that there are not.
+        """
+        left = state["left"].clone()
+        numbers = left.tolist()
+        if left.ndim != 1 or not set(numbers) <= set(range(self._count)):
+            raise RunError(f"the views that are left, {numbers}, are not of these {self._count}")
         self._generator.set_state(state["generator"])
-        self._left = state["left"].clone()
+        self._left = left

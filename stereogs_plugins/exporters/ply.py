@@ -9,13 +9,13 @@ from registry import Exporter, Register, Scene, Settings, hookimpl
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from core_rasterizer import GaussianModel
+    from core_rasterizer import GaussianReader
 
 
 class PlyExporter(Exporter[Settings]):
     """Writes scene.ply: means, spherical harmonics, opacity logits, log-scales, quaternions."""
 
-    def export(self, model: GaussianModel, scene: Scene, folder: Path) -> list[Path]:
+    def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
         from core_rasterizer import save_ply
 

@@ -69,7 +69,7 @@ def test_help_version_listing_and_mistakes_load_nothing_slow(tmp_path: Path) -> 
     assert version[1].startswith("stereogs 0.")
     assert mistyped[0] == 2
     assert "did you mean 'train'?" in mistyped[1]
-    assert "--resume" in verb_help[1]
+    assert "--disable" in verb_help[1]
     assert "stereo_depth" in listed[1]
     assert [answer[2] for answer in (bare, help_, version, mistyped, verb_help, listed)] == [[]] * 6
 
@@ -82,7 +82,7 @@ def test_pipelines_are_refused_without_anything_slow(tmp_path: Path) -> None:
     lines += [
         ["train", str(broken)],
         ["train", str(tmp_path / "none.yaml")],
-        ["train", "--resume", str(tmp_path)],
+        ["resume", str(tmp_path)],
         ["eval", str(tmp_path)],
         ["compare", str(tmp_path)],
         ["check", str(tmp_path / "none")],

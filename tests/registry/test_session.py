@@ -64,7 +64,11 @@ def test_saving_later_leaves_what_training_into_a_folder_leaves() -> None:
     late.save("late")
     assert early.hash == late.hash
     names = [
-        sorted(str(file.relative_to(folder)) for file in Path(folder).rglob("*"))
+        sorted(
+            str(file.relative_to(folder))
+            for file in Path(folder).rglob("*")
+            if "iteration-0000000" not in file.parts
+        )
         for folder in ("early", "late")
     ]
     assert names[0] == names[1]

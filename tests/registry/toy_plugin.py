@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import registry as r
-from core_rasterizer import Edit, GaussianModel
+from core_rasterizer import Edit, GaussianReader
 from registry.testing import tiny_scene
 
 
@@ -160,7 +160,7 @@ class ToyPsnr(r.Metric[r.Settings]):
 
 
 class ToyExporter(r.Exporter[r.Settings]):
-    def export(self, model: GaussianModel, scene: r.Scene, folder: Path) -> list[Path]:
+    def export(self, model: GaussianReader, scene: r.Scene, folder: Path) -> list[Path]:
         file = folder / "count.txt"
         file.write_text(str(model.count), "utf-8")
         return [file]

@@ -8,7 +8,6 @@ ablation.txt, ablation.csv, index.html
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,12 +15,8 @@ from typing import Any
 
 from ...errors import RunError
 from ...runs.folder import RunFolder
+from ...runs.lock import locked
 from ..planning.plan import PlannedRun
-
-try:
-    import fcntl
-except ImportError:  # Windows has no such lock; nothing guards against a second process there
-    fcntl = None  # type: ignore[assignment]
 
 RUNS = "runs"
 
@@ -63,26 +58,11 @@ class AblationFolder:
         """
         try:
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise RunError(
                 f"nothing can be written there: {error.strerror or error}",
                 where=str(self.path),
                 fix="choose another --out",
             ) from error
-        if fcntl is None:
-            os.close(descriptor)
-            yield None
-            return
-        try:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise RunError(
-                    "the folder is in use by another process, or by a training that one has left behind",
-                    where=str(self.path),
-                    fix="wait until it has ended, or choose another --out",
-                ) from error
-            yield descriptor
-        finally:
-            os.close(descriptor)
+        with locked(self.path) as lock:
+            yield lock.descriptor

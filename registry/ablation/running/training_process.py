@@ -1,4 +1,4 @@
-"""One run of an ablation: `stereogs train` in a process of its own."""
+"""One run of an ablation: `stereogs train` or `resume` in a process of its own."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TrainingProcess:
     ) -> None:
         self.planned, self.run = planned, run
         self.log = run.path.with_name(f"{run.path.name}.log")
-        command = [sys.executable, "-m", "registry", "train", *training_arguments(planned, run)]
+        command = [sys.executable, "-m", "registry", *training_arguments(planned, run)]
         command += [] if device is None else ["--device", device]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -86,17 +86,17 @@ class TrainingProcess:
 
 
 def training_arguments(planned: PlannedRun, run: RunFolder) -> list[str]:
-    """What `stereogs train` is told: go on from the run's checkpoint if it has a usable one, else anew.
+    """What `stereogs` is told: go on from the run's checkpoint if it has a usable one, else anew.
 
     For a new start, what lies there is removed and the pipeline is written beside the folder.
     """
     if _can_resume(planned, run):
-        return ["--resume", str(run.path)]
+        return ["resume", str(run.path)]
     if run.path.exists():
         shutil.rmtree(run.path)
     pipeline = run.path.with_name(f"{run.path.name}.yaml")
     write_text(pipeline, planned.pipeline.to_yaml())
-    return [str(pipeline), "--out", str(run.path)]
+    return ["train", str(pipeline), "--out", str(run.path)]
 
 
 def _can_resume(planned: PlannedRun, run: RunFolder) -> bool:

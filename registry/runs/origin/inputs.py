@@ -5,19 +5,30 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from core_rasterizer import Camera
 
-from ...contract.scene import Scene, View
+from ...contract.scene import Scene, View, validate
+from ...errors import RunError
+from ...pipeline.blame import blame
+from ...pipeline.parts import Parts
 from ...pipeline.pipeline import Pipeline
 
 _DIGEST_BYTES = 16
 _HASH_SETTING = "sha256"
 """How settings end that name a file by its content."""
 _SHOWN = 5
+
+
+def load_scene(parts: Parts) -> Scene:
+    """Let the scene loader load, and validate what it returns."""
+    loader = parts.one("scene")
+    with blame(loader.item):
+        return validate(loader.component.load())
 
 
 def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
@@ -47,6 +58,24 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
     """What is another, new or missing, as `input_digests` calls it."""
     return tuple(name for name in {**before, **now} if before.get(name) != now.get(name))
+
+
+def refuse_changed(changed: tuple[str, ...], where: Path) -> None:
+    """Refuse to go on with other inputs.
+
+    Args:
+        changed: what `changed_inputs` found.
+        where: the run's folder.
+
+    Raises:
+        RunError: something has changed.
+    """
+    if changed:
+        raise RunError(
+            f"the run was made from other inputs; changed: {listed(changed)}",
+            where=str(where),
+            fix="bring back what it was made from, train anew, or go on with --accept-changed-inputs",
+        )
 
 
 def listed(names: tuple[str, ...]) -> str:

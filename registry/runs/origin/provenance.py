@@ -7,6 +7,7 @@ import sys
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+from uuid import uuid4
 
 from core_rasterizer import Device
 
@@ -19,6 +20,7 @@ _PACKAGES = ("stereogs-plugins", "torch", "pyopencl", "onnxruntime", "numpy", "p
 def provenance(pipeline: Pipeline, device: Device) -> dict[str, Any]:
     """Facts that are needed to repeat a run, as plain JSON values; the command line as typed."""
     return {
+        "run": uuid4().hex,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
         "seed": pipeline.training.seed,

@@ -49,7 +49,7 @@ def read_run(folder: Path) -> RunFiles:
         raise RunError(
             "the run has no results.json to report about",
             where=str(folder),
-            fix="let the training come to its end: stereogs train --resume",
+            fix=f"let the training come to its end: stereogs resume {folder}",
         )
     pipeline, metrics = folder / "pipeline.yaml", folder / "metrics.jsonl"
     lines = metrics.read_text("utf-8").splitlines() if metrics.is_file() else []

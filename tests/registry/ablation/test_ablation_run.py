@@ -156,9 +156,11 @@ def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run)
     assert folder.results(run) == {}
-    assert training_arguments(run, place) == ["--resume", str(place.path)]
-    next(place.path.glob("checkpoint/*.safetensors")).write_bytes(b"damaged")
-    pipeline, *out = training_arguments(run, place)
+    assert training_arguments(run, place) == ["resume", str(place.path)]
+    for file in place.path.glob("checkpoint/*/tensors.safetensors"):
+        file.write_bytes(b"damaged")
+    verb, pipeline, *out = training_arguments(run, place)
+    assert verb == "train"
     assert out == ["--out", str(place.path)]
     assert Path(pipeline).read_text() == run.pipeline.to_yaml()
     assert not place.path.exists()

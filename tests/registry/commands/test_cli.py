@@ -63,7 +63,7 @@ def test_train_eval_render(pipeline: Path, capsys: Capture) -> None:
 
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     assert main(["train", "toy.yaml", "--out", "here"]) == 0
-    assert main(["train", "--resume", "here"]) == 0
+    assert main(["resume", "here"]) == 0
     assert "going on after iteration 5 of 5" in capsys.readouterr().out
     provenance = json.loads(Path("here/provenance.json").read_text())
     assert provenance["plugins"]["scene.toy_scene"] == "toys 1.5"
@@ -74,8 +74,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
         (["train"], "nothing to train", "command line"),
-        (["train", "--resume", "none"], "not a run folder", "none"),
-        (["train", "toy.yaml", "--resume", "x"], "unchanged", "command line"),
+        (["resume", "none"], "not a run folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
         (["train", "toy.yaml", "--set", "training.seed=x"], "whole number", "--set training"),
@@ -143,9 +142,29 @@ def test_interrupted_during_training(
     with monkeypatch.context() as patch:
         patch.setattr(ToyTerm, "loss", loss)
         assert main(["train", "toy.yaml", "--out", "run"]) == 130
-    assert "stereogs train --resume run" in capsys.readouterr().out
-    assert main(["train", "--resume", "run"]) == 0
+    assert "stereogs resume run" in capsys.readouterr().out
+    assert main(["resume", "run"]) == 0
     assert "going on after iteration 1 of 5" in capsys.readouterr().out
+
+
+def test_an_iteration_that_failed_is_repeated(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.registry.toy_plugin import ToyTerm
+
+    def loss(self: ToyTerm, step: object) -> object:
+        raise ZeroDivisionError("boom")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ToyTerm, "loss", loss)
+        assert main(["train", "toy.yaml", "--out", "run"]) == 2
+        told = capsys.readouterr().err
+        assert "stereogs replay run/failures/iteration-0000001" in told
+        assert main(["replay", "run/failures/iteration-0000001"]) == 2
+        assert capsys.readouterr().err.splitlines()[0] == told.splitlines()[0]
+    assert main(["replay", "run/failures/iteration-0000001"]) == 0
+    assert "goes through; when it was kept, it failed: the" in capsys.readouterr().out
+    assert main(["resume", "run"]) == 0
 
 
 def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
@@ -194,7 +213,9 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
     assert "passed" in output
 
 
-@pytest.mark.parametrize("verb", ["train", "eval", "render", "plugins", "doctor", "demo"])
+@pytest.mark.parametrize(
+    "verb", ["train", "resume", "replay", "eval", "render", "plugins", "doctor", "demo"]
+)
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
         build_parser().parse_args([verb, "--help"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -98,11 +99,26 @@ def test_the_mean_goes_over_the_views_that_have_the_score(device: Device) -> Non
     assert scores.unavailable == {"of_view": "no depth in tiny"}
 
 
-@pytest.mark.parametrize("answer", [float("nan"), "high", None])
-def test_what_is_no_score_names_the_metric(device: Device, answer: Any) -> None:
-    with pytest.raises(r.PluginError) as caught:
-        scored(device, answering("bad", answer, device))
-    assert "metric 'bad'" in caught.value.where
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [(math.nan, "not a number"), ("high", "is a str, expected"), (None, "is a NoneType, expected")],
+)
+def test_what_is_no_score_is_a_gap_and_names_the_metric(
+    device: Device, answer: Any, why: str
+) -> None:
+    scores = scored(device, answering("bad", answer, device), answering("good", 1.0, device))
+    assert scores.views == {view: {"bad": None, "good": 1.0} for view in ("view0", "view2")}
+    assert why in scores.unavailable["bad"]
+    assert list(scores.failures) == ["metrics.bad"]
+    assert "metric 'bad'" in scores.failures["metrics.bad"].where
+    assert "a.yaml:3" in scores.failures["metrics.bad"].where
+
+
+def test_an_infinite_score_is_one_and_its_views_are_named(device: Device) -> None:
+    scores = scored(device, answering("psnr", math.inf, device))
+    assert scores.mean == {"psnr": math.inf}
+    assert scores.infinite == {"psnr": ["view0", "view2"]}
+    assert (scores.failures, scores.unavailable) == ({}, {})
 
 
 def test_the_average_error_is_the_geometric_mean_of_three() -> None:

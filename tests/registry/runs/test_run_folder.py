@@ -1,16 +1,17 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 from registry import RunError
 from registry.files import new_folder, replacing, write_text
 from registry.runs.folder import RunFolder, default_folder
 from registry.runs.metrics_log import MetricsLog
-from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from registry.training.trainer import Iteration
 
 
@@ -20,27 +21,29 @@ def names(folder: Path) -> list[str]:
 
 def test_a_run_folder_has_its_files_or_does_not_exist(tmp_path: Path) -> None:
     run = RunFolder(tmp_path / "deep" / "run")
-    run.create("name: x\n", {"seed": 1}, {"the points": "ab"})
-    assert sorted(p.name for p in run.path.iterdir()) == [
-        "inputs.json",
-        "pipeline.yaml",
-        "provenance.json",
-    ]
+
+    def fill(folder: RunFolder) -> None:
+        assert not run.path.exists()
+        (folder.path / "first").touch()
+
+    run.create("name: x\n", {"seed": 1, "run": "ab"}, {"the points": "ab"}, fill)
+    assert names(run.path) == ["first", "inputs.json", "pipeline.yaml", "provenance.json"]
+    assert run.identity == "ab"
     assert run.inputs() == ({"the points": "ab"}, [])
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["run"]
     other = RunFolder(tmp_path / "other")
     with pytest.raises(TypeError):
-        other.create("name: x\n", {"seed": object()}, {})
+        other.create("name: x\n", {"seed": object()}, {}, fill)
     assert [p.name for p in tmp_path.iterdir()] == ["deep"]
 
 
 def test_an_empty_folder_is_taken_and_a_full_one_refused(tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    RunFolder(empty).create("name: x\n", {}, {})
+    RunFolder(empty).create("name: x\n", {}, {}, lambda folder: None)
     with pytest.raises(RunError, match="not empty") as caught:
-        RunFolder(empty).create("name: x\n", {}, {})
-    assert "--resume" in caught.value.fix
+        RunFolder(empty).create("name: x\n", {}, {}, lambda folder: None)
+    assert "stereogs resume" in caught.value.fix
 
 
 def test_places_where_nothing_can_be_written(tmp_path: Path) -> None:
@@ -92,6 +95,39 @@ def test_a_folder_that_fails_vanishes(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
+def ended_process() -> int:
+    """The number of a process that is no more."""
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    return child.pid
+
+
+def test_what_killed_processes_had_begun_is_cleared_away(tmp_path: Path) -> None:
+    dead = ended_process()
+    leftovers = [tmp_path / f".a.png.{dead}.partial", tmp_path / "deep" / f".b.x1.{dead}.partial"]
+    kept = [tmp_path / f".a.png.{os.getpid()}.partial", tmp_path / ".mine", tmp_path / "a.partial"]
+    leftovers[1].mkdir(parents=True)
+    (leftovers[1] / "half").touch()
+    for file in (leftovers[0], *kept):
+        file.touch()
+    with RunFolder(tmp_path).to_itself():
+        assert not any(path.exists() for path in leftovers)
+        assert all(path.exists() for path in kept)
+
+
+def test_a_creation_that_was_killed_leaves_nothing_once_it_is_done_again(tmp_path: Path) -> None:
+    (tmp_path / f".run.x1.{ended_process()}.partial").mkdir()
+    RunFolder(tmp_path / "run").create("name: x\n", {}, {}, lambda folder: None)
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_full_disk_is_told_with_how_to_go_on(tmp_path: Path) -> None:
+    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+    with pytest.raises(RunError, match="No space left") as caught:
+        RunFolder(tmp_path).append_metrics({"iteration": 1})
+    assert "stereogs resume" in caught.value.fix
+
+
 def test_metrics_lines_are_averages_and_json(tmp_path: Path) -> None:
     log = MetricsLog(RunFolder(tmp_path).append_metrics)
     for number in range(1, 76):
@@ -120,57 +156,3 @@ def test_damaged_results_are_explained(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text("{")
     with pytest.raises(RunError, match="damaged"):
         RunFolder(tmp_path).results()
-
-
-def checkpoint(iteration: int) -> Checkpoint:
-    tensors = {"model/means": torch.full((2, 3), float(iteration)), "views/left": torch.arange(3)}
-    return Checkpoint(iteration, 1.5, tensors)
-
-
-def test_checkpoints_replace_one_another(tmp_path: Path) -> None:
-    for iteration in (10, 20):
-        save_checkpoint(checkpoint(iteration), tmp_path)
-    assert names(tmp_path) == ["iteration-0000020.safetensors", "manifest.json"]
-    loaded = load_checkpoint(tmp_path)
-    assert (loaded.iteration, loaded.seconds) == (20, 1.5)
-    assert list(loaded.part("model")) == ["means"]
-    assert torch.equal(loaded.part("views")["left"], torch.arange(3))
-
-
-def test_a_write_that_breaks_off_leaves_the_old_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    save_checkpoint(checkpoint(10), tmp_path)
-
-    def full_disk(source: Path, target: Path) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full_disk)
-    with pytest.raises(RunError, match="No space left"):
-        save_checkpoint(checkpoint(20), tmp_path)
-    assert load_checkpoint(tmp_path).iteration == 10
-
-
-@pytest.mark.parametrize(
-    ("file", "content", "message"),
-    [
-        ("manifest.json", b"{", "cannot be read"),
-        ("manifest.json", b'{"format": 99}', "format 99"),
-        ("manifest.json", b'{"format": 1}', "cannot be read"),
-        ("manifest.json", b"[]", "cannot be read"),
-        ("iteration-0000010.safetensors", b"", "cannot be read"),
-        ("iteration-0000010.safetensors", b"\xff" * 100, "cannot be read"),
-    ],
-)
-def test_damaged_checkpoints_are_explained(
-    tmp_path: Path, file: str, content: bytes, message: str
-) -> None:
-    save_checkpoint(checkpoint(10), tmp_path)
-    (tmp_path / file).write_bytes(content)
-    with pytest.raises(RunError, match=message):
-        load_checkpoint(tmp_path)
-
-
-def test_no_checkpoint(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="no checkpoint"):
-        load_checkpoint(tmp_path)

@@ -16,7 +16,8 @@ from registry.plugins import Plugins
 from registry.testing import tiny_scene
 from registry.training.checkpoint import Checkpoint
 from registry.training.initial_model import initial_gaussians, new_model
-from registry.training.trainer import Iteration, Trainer, maps_of
+from registry.training.trainer import Iteration, Trainer
+from registry.training.trainer import resumed as go_on
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_guided\n"
 Make = Callable[..., Trainer]
@@ -46,13 +47,11 @@ def resumed(make: Make, text: str, *overrides: str, stop: int = 3) -> tuple[Trai
     for done in first.run():
         if done.number == stop:
             break
-    held = Checkpoint(first.iteration, 0.0, first.state())
+    held = Checkpoint(first.iteration, 0.0, first.state(), "")
     for name, values in held.part("model").items():
         assert values.shape[0] == first.model.count, name
     model = new_model(first.model.gaussians(), second.settings, second.model.device)
-    maps = maps_of(held.part("maps"))
-    second = Trainer(second.settings, second.parts, second.scene, model, maps)
-    second.restore(held.iteration, held.part)
+    second = go_on(held, second.settings, second.parts, second.scene, model)
     train(second)
     return whole, second
 

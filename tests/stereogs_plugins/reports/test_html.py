@@ -153,4 +153,4 @@ def test_an_unfinished_run_and_damaged_files_are_explained(run: RunFolder) -> No
     (run.path / "results.json").unlink()
     with pytest.raises(RunError, match=r"no results\.json") as caught:
         written(run)
-    assert "--resume" in caught.value.fix
+    assert "stereogs resume" in caught.value.fix

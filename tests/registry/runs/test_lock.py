@@ -1,0 +1,67 @@
+"""One process at a time in a run folder, and a lock that dies with its process."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from registry import RunError
+from registry.runs.folder import RunFolder
+from registry.runs.lock import locked
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from registry.runs.lock import locked
+with locked(Path(sys.argv[1])):
+    print("locked", flush=True)
+    time.sleep(60)
+"""
+
+
+@contextmanager
+def other_process(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that has the folder; killed in the end."""
+    command = [sys.executable, "-c", HOLD, str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "locked\n"
+        yield process
+        process.kill()
+
+
+def test_a_second_process_is_refused_and_a_dead_one_succeeded(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = RunFolder(tmp_path)
+    with other_process(tmp_path) as other:
+        with pytest.raises(RunError, match=f"in use by another process, number {other.pid}"):
+            run.to_itself().__enter__()
+        other.kill()
+        other.wait()
+        with caplog.at_level(logging.WARNING), run.to_itself():
+            pass
+    assert f"process {other.pid} was killed" in caplog.text
+    caplog.clear()
+    with run.to_itself():
+        pass
+    assert caplog.text == ""
+
+
+def test_an_error_leaves_no_word_about_a_kill(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), locked(tmp_path):
+        raise ZeroDivisionError
+    with locked(tmp_path) as lock:
+        assert lock.taken_over is None
+
+
+def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="nothing can be written") as caught:
+        locked(tmp_path / "none").__enter__()
+    assert str(tmp_path) in caught.value.where

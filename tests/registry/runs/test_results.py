@@ -1,0 +1,181 @@
+"""The end of a run: what fails there is told, and loses nothing else."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from rich.console import Console
+
+from core_rasterizer import Device
+from registry import RunError, SceneError
+from registry.commands.train import FAILED, conclude
+from registry.pipeline.pipeline import parse_pipeline
+from registry.plugins import Plugins
+from registry.runs.folder import RunFolder
+from registry.runs.results import renew
+from registry.runs.run import Run
+from registry.runs.training_run import open_run, resume, start
+from registry.training.checkpoint import read_checkpoint, write_checkpoint
+from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
+
+TEXT = """\
+name: toy
+scene: toy_scene
+initializer: toy_points
+metrics: [psnr]
+exporters: [toy_files]
+reports: [toy_report]
+training: {iterations: 2, sh_degree: 0}
+"""
+
+
+@pytest.fixture
+def train(toys: Plugins, device: Device, tmp_path: Path) -> Callable[[], Run]:
+    """Train in a few moments, into a folder."""
+
+    def train() -> Run:
+        pipeline = parse_pipeline(TEXT, toys, source="toy.yaml")
+        return start(pipeline, device=device, out=tmp_path / "run", console=quiet())
+
+    return train
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO())
+
+
+def boom(self: object, *arguments: object) -> Any:
+    raise ZeroDivisionError("boom")
+
+
+NONSENSE: dict[str, tuple[type, str, Any, str, str]] = {
+    "a metric fails": (ToyPsnr, "measure", boom, "metrics.psnr", "boom"),
+    "an exporter fails": (ToyExporter, "export", boom, "exporters.toy_files", "boom"),
+    "a report fails": (ToyReport, "write", boom, "reports.toy_report", "boom"),
+    "no answer": (ToyExporter, "export", lambda *_: None, "exporters.toy_files", "is None"),
+    "names, not paths": (ToyReport, "write", lambda *_: ["a"], "reports.toy_report", "of paths"),
+    "no such file": (
+        ToyExporter,
+        "export",
+        lambda self, model, scene, folder: [folder / "scene.ply"],
+        "exporters.toy_files",
+        "no such file",
+    ),
+    "it writes the model": (
+        ToyExporter,
+        "export",
+        lambda self, model, scene, folder: model.write("means", torch.zeros(model.count, 3)),
+        "exporters.toy_files",
+        "no attribute 'write'",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", NONSENSE.values(), ids=list(NONSENSE))
+def test_what_fails_after_training_is_told_and_loses_nothing(
+    train: Callable[[], Run],
+    toys: Plugins,
+    device: Device,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    fault: tuple[type, str, Any, str, str],
+) -> None:
+    component, method, broken, name, what = fault
+    with monkeypatch.context() as patch:
+        patch.setattr(component, method, broken)
+        run = train()
+    folder = run.folder_or_refuse()
+    results = folder.results()
+    assert results["hash"] == run.hash
+    (failure,) = results["failures"]
+    assert failure["component"] == name
+    assert what in failure["what"]
+    assert "toy.yaml:" in failure["where"]
+    assert results["exports"] == ([] if component is ToyExporter else ["exports/count.txt"])
+    assert results["reports"] == ([] if component is ToyReport else ["report.txt"])
+    assert (results["test"]["psnr"] is None) == (component is ToyPsnr)
+    assert ("psnr" in results["unavailable"]) == (component is ToyPsnr)
+    assert conclude(run, quiet()) == FAILED
+    said = capsys.readouterr().err
+    assert f"stereogs: {name}: " in said
+    assert f"stereogs eval {folder.path}" in said.replace("\n", "")
+    mended = renew(open_run(folder.path, plugins=toys, device=device))
+    assert mended["failures"] == []
+    assert (mended["exports"], mended["reports"]) == (["exports/count.txt"], ["report.txt"])
+    assert mended["test"]["psnr"] > 0
+    assert mended["seconds"] == results["seconds"]
+    assert conclude(run, quiet()) == 0
+
+
+def test_an_infinite_score_is_null_and_its_views_are_named(
+    train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ToyPsnr, "measure", lambda *_: float("inf"))
+    results = train().folder_or_refuse().results()
+    assert results["test"] == {"psnr": None}
+    assert results["infinite"] == {
+        "test": {"psnr": ["view1"]},
+        "train": {"psnr": ["view0", "view2"]},
+    }
+    assert results["failures"] == []
+
+
+def other_gaussians(folder: RunFolder) -> None:
+    """A newest checkpoint that is whole and of other Gaussians."""
+    place = max((folder.path / "checkpoint").iterdir())
+    checkpoint = read_checkpoint(place)
+    checkpoint.tensors["model/means"] = checkpoint.tensors["model/means"] + 1
+    place.rename(folder.path / "aside")
+    write_checkpoint(checkpoint, place)
+
+
+def test_eval_refuses_gaussians_that_were_not_scored(
+    train: Callable[[], Run], toys: Plugins, device: Device
+) -> None:
+    folder = train().folder_or_refuse()
+    before = (folder.path / "results.json").read_text()
+    other_gaussians(folder)
+    with pytest.raises(RunError, match="not those that results"):
+        open_run(folder.path, plugins=toys, device=device)
+    assert (folder.path / "results.json").read_text() == before
+
+
+def test_eval_does_not_go_back_to_an_earlier_iteration(
+    train: Callable[[], Run], toys: Plugins, device: Device
+) -> None:
+    folder = train().folder_or_refuse()
+    before = folder.results()
+    (max((folder.path / "checkpoint").iterdir()) / "manifest.json").unlink()
+    run = open_run(folder.path, plugins=toys, device=device)
+    assert run.iteration == 0
+    with pytest.raises(
+        RunError, match="of iteration 2, the newest whole checkpoint of 0"
+    ) as caught:
+        renew(run)
+    assert "stereogs resume" in caught.value.fix
+    assert folder.results() == before
+    assert resume(folder.path, plugins=toys, device=device, console=quiet()).finished
+    assert folder.results()["hash"] == before["hash"]
+
+
+@pytest.mark.parametrize("name", ["../../evil", "a/b", "", "..", "a\nb", "c\\d"])
+def test_a_picture_outside_the_run_folder_is_refused(
+    train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    initialize = ToyPoints.initialize
+
+    def drawing(self: ToyPoints, *arguments: Any) -> Any:
+        points = initialize(self, *arguments)
+        points.__dict__["pictures"] = {name: torch.zeros(2, 2, 3)}
+        return points
+
+    monkeypatch.setattr(ToyPoints, "initialize", drawing)
+    with pytest.raises(SceneError, match="no plain file name") as caught:
+        train()
+    assert "initializer 'toy_points'" in caught.value.where
+    assert list(tmp_path.iterdir()) == []
