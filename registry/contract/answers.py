@@ -22,7 +22,7 @@ from .step import Sample
 
 
 def check_loss(loss: Any) -> Tensor:
-    """A regularizer's term: one finite number."""
+    """A regularizer's term: one finite number, which moves something unless it is 0."""
     tensor = _tensor("the loss", loss)
     if tensor.numel() != 1 or not tensor.is_floating_point():
         raise PluginError(
@@ -30,6 +30,12 @@ def check_loss(loss: Any) -> Tensor:
         )
     tensor = tensor.reshape(())
     _finite("the loss", tensor)
+    if not tensor.requires_grad and float(tensor) != 0:
+        raise PluginError(
+            f"the loss is {float(tensor):g} and has no gradient: it would change nothing",
+            fix="compute it from step.rendering, step.render(...) or step.parameter(...); "
+            "step.model.read(...), .detach() and torch.no_grad() cut gradients off",
+        )
     return tensor
 
 

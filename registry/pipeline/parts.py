@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from ..calls.loan import NOTHING, Loan
 from ..contract.component import Component, Context
 from ..contract.hook_points import HOOK_POINTS
 from ..contract.prior import Prior
 from ..errors import RunError
-from .blame import blame
+from .blame import at_work
 from .pipeline import Item, Pipeline
 from .seeding import derived_seed
 
@@ -31,6 +34,12 @@ class Part:
     item: Item
     component: Any
     """Of the class that the item's hook point names."""
+
+    def at_work(
+        self, iteration: int | None = None, lent: Loan = NOTHING
+    ) -> AbstractContextManager[None]:
+        """A block in which the component is called; see `registry.pipeline.blame.at_work`."""
+        return at_work(self.item, self.component.context.seed, iteration, lent)
 
 
 class Parts:
@@ -94,7 +103,7 @@ class Parts:
     def carry(self, source: Tensor, fresh: Tensor, iteration: int) -> None:
         """Tell every component that Gaussians came or went; see `Component.carry`."""
         for part in self:
-            with blame(part.item, iteration):
+            with part.at_work(iteration):
                 part.component.carry(source, fresh)
 
     def state(self, iteration: int) -> dict[str, Tensor]:
@@ -103,7 +112,7 @@ class Parts:
         for part in self:
             name = part.item.qualified_name
             state[f"{name}/generator"] = part.component.generator.get_state()
-            with blame(part.item, iteration):
+            with part.at_work(iteration):
                 own: Mapping[str, Tensor] = part.component.state()
                 state |= {f"{name}/state/{key}": value.clone() for key, value in own.items()}
         return state
@@ -128,7 +137,7 @@ class Parts:
                 for key, value in state.items()
                 if key.startswith(f"{start}state/")
             }
-            with blame(part.item):
+            with part.at_work():
                 part.component.restore(own)
 
 
@@ -142,7 +151,8 @@ def build_part(item: Item, seed: int, device: Device, *, field: int = 0) -> Part
         PluginError: it failed while it was built.
     """
     name = f"{item.qualified_name}/{field}" if field else item.qualified_name
-    context = Context(item.name, derived_seed(seed, name), device)
-    with blame(item):
+    own_seed = derived_seed(seed, name)
+    context = Context(item.name, own_seed, device, partial(at_work, item, own_seed))
+    with context.at_work():
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)

@@ -11,11 +11,11 @@ import torch
 
 from core_rasterizer import Camera, GaussianModel, Rendering
 
+from ..calls.loan import of_rendering, of_view
 from ..contract.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..drawing.pictures import save_view_pictures
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR, average_error
@@ -67,8 +67,9 @@ def evaluate(
     for view in views:
         rendering = render_view(model, scene, view)
         row: dict[str, float | None] = {}
+        lent = of_view(view) + of_rendering(rendering)
         for part in metrics:
-            with blame(part.item):
+            with part.at_work(lent=lent):
                 score = check_score(part.component.measure_view(rendering, view, scene))
             if isinstance(score, Unavailable):
                 unavailable.setdefault(part.item.name, score.reason)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..calls.loan import Loan, of_scene
 from ..contract.scene import Scene
 from ..files import jsonable
-from ..pipeline.blame import blame
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
@@ -28,8 +28,9 @@ def finish(run: Run) -> None:
     folder = run.folder_or_refuse()
     scores = score(run)
     exported: list[str] = []
+    lent = of_scene(run.scene) + Loan(models=(run.model,))
     for part in run.parts["exporters"]:
-        with blame(part.item):
+        with part.at_work(lent=lent):
             written = part.component.export(run.model, run.scene, folder.folder(EXPORTS))
         exported += [_inside(folder, file) for file in written]
     stages = run.seconds.rounded()
@@ -50,7 +51,7 @@ def finish(run: Run) -> None:
     )
     folder.write_results(results)  # reports read it
     for part in run.parts["reports"]:
-        with blame(part.item):
+        with part.at_work(lent=of_scene(run.scene)):
             written = part.component.write(folder.path, run.scene)
         results["reports"] += [_inside(folder, file) for file in written]
     folder.write_results(results)

@@ -10,10 +10,10 @@ from rich.console import Console
 
 from core_rasterizer import Device, Gaussians
 
+from ..calls.loan import of_scene
 from ..contract.scene import Scene, validate
 from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
-from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
@@ -164,7 +164,7 @@ def open_run(
 def load_scene(parts: Parts) -> Scene:
     """Let the scene loader load, and validate what it returns."""
     loader = parts.one("scene")
-    with blame(loader.item):
+    with loader.at_work():
         return validate(loader.component.load())
 
 
@@ -180,8 +180,9 @@ def _begun(
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer = parts.one("initializer")
-    with blame(initializer.item):
-        points = initializer.component.initialize(scene.for_training(), parts.priors)
+    known = scene.for_training()
+    with initializer.at_work(lent=of_scene(known)):
+        points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
     model = new_model(gaussians, pipeline.training, device)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, photometric_loss
 from core_rasterizer.layout import PARAMETER_GROUPS
 
+from ..calls.loan import Loan
 from ..contract.answers import check_loss, check_moves
 from ..contract.step import Step
 from ..errors import RunError
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts
 from ..pipeline.training_settings import TrainingSettings
 
+Log = Callable[[str, float], None]
+"""Records a number of the host's own."""
+
 
 def photometric_term(
-    settings: TrainingSettings, colors: Tensor, step: Step, device: Device
+    settings: TrainingSettings, colors: Tensor, step: Step, device: Device, log: Log
 ) -> Tensor:
     """L1 and D-SSIM between the colours and the iteration's target.
 
@@ -37,33 +42,40 @@ def photometric_term(
             where=f"iteration {step.iteration}, view {step.view.name!r}",
             fix="lower the learning rates; the last checkpoint, if any, is whole",
         ) from error
-    step.log("photometric", float(loss.detach()))
+    log("photometric", float(loss.detach()))
     return loss
 
 
-def regularizing_terms(loss: Tensor, parts: Parts, step: Step) -> Tensor:
-    """The loss with the terms that are due and join it."""
+def regularizing_terms(loss: Tensor, parts: Parts, step: Step, lent: Loan, log: Log) -> Tensor:
+    """The loss with the terms that are due and join it.
+
+    Args:
+        lent: what they are shown.
+    """
     for part in parts.due("regularizers", step.iteration):
         if part.item.host.step == "together":
-            loss = loss + _term(part, step)
+            loss = loss + _term(part, step, lent, log)
     return loss
 
 
-def term_alone(part: Part, step: Step) -> tuple[Tensor, tuple[str, ...]]:
+def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Tensor, tuple[str, ...]]:
     """A term that is stepped alone.
+
+    Args:
+        lent: what it is shown.
 
     Returns:
         The loss, and the parameter groups that its step leaves alone.
     """
-    with blame(part.item, step.iteration):
+    with part.at_work(step.iteration, lent):
         moves = check_moves(part.component.moves, PARAMETER_GROUPS)
     skip = () if moves is None else tuple(name for name in PARAMETER_GROUPS if name not in moves)
-    return _term(part, step), skip
+    return _term(part, step, lent, log), skip
 
 
-def _term(part: Part, step: Step) -> Tensor:
+def _term(part: Part, step: Step, lent: Loan, log: Log) -> Tensor:
     """A regularizer's term times its weight."""
-    with blame(part.item, step.iteration):
+    with part.at_work(step.iteration, lent):
         term = check_loss(part.component.loss(step))
-    step.log(part.item.qualified_name, float(term.detach()))
+    log(part.item.qualified_name, float(term.detach()))
     return part.item.host.weight * term
