@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, NamedTuple
 
 from ..errors import PluginError
@@ -32,6 +33,18 @@ class Shared(NamedTuple):
     read: Callable[[], Any]
     put_back: Callable[[Any], None]
     fix: str
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except OSError:  # it was removed
+        return ""
+
+
+_PLACE = Shared(
+    "the working directory", _folder, os.chdir, "give paths in full instead of os.chdir"
+)
 
 
 @contextmanager
@@ -123,22 +136,21 @@ def _random_states() -> dict[str, Any]:
 def _numpy_state() -> Any:
     import numpy as np
 
-    generator: Any = np.random.get_bit_generator()
+    generator: Any = np.random.get_bit_generator()  # type: ignore[attr-defined]
     if type(generator) is np.random.MT19937:
         # A hundred times as fast as get_state(), which makes numbers of it.
         return ctypes.string_at(generator.ctypes.state_address, _MT19937_BYTES)
     return generator.state
 
 
-def _shared() -> list[Shared]:
-    place = Shared(
-        "the working directory", _folder, os.chdir, "give paths in full instead of os.chdir"
-    )
+def _shared() -> tuple[Shared, ...]:
     torch = sys.modules.get("torch")
-    if torch is None:
-        return [place]
-    return [
-        place,
+    return (_PLACE,) if torch is None else (_PLACE, *_of_torch(torch))
+
+
+@cache
+def _of_torch(torch: Any) -> tuple[Shared, ...]:
+    return (
         Shared(
             "torch's gradient mode",
             torch.is_grad_enabled,
@@ -157,11 +169,4 @@ def _shared() -> list[Shared]:
             torch.set_num_threads,
             "leave it: sums would depend on it",
         ),
-    ]
-
-
-def _folder() -> str:
-    try:
-        return os.getcwd()
-    except OSError:  # it was removed
-        return ""
+    )

@@ -65,7 +65,9 @@ class Hang(BaseException):
     def explained(self) -> PluginError:
         """The same as an error for people."""
         return PluginError(
-            f"no answer came within {self.seconds:g} s", where=str(self.call), fix=_advice(self.call)
+            f"no answer came within {self.seconds:g} s",
+            where=str(self.call),
+            fix=_advice(self.call),
         )
 
 
@@ -93,12 +95,10 @@ class Watchdog:
 
         Args:
             who: whose text says who it is.
-            iteration: of training; None takes that of whoever asks.
+            iteration: of training; None outside the loop.
         """
         thread = threading.get_ident()
         caller = self._calls.get(thread)
-        if iteration is None and caller is not None:
-            iteration = caller.iteration
         if self._thread is None:
             self._start()
         self._calls[thread] = Call(who, iteration, time.monotonic(), caller)

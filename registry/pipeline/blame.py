@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Protocol
@@ -71,6 +71,7 @@ class _Asked:
 
     iteration: int | None = None
     lent: Loan = NOTHING
+    look: bool = True
 
 
 _ASKED: ContextVar[_Asked] = ContextVar("asked", default=_Asked())
@@ -78,7 +79,12 @@ _ASKED: ContextVar[_Asked] = ContextVar("asked", default=_Asked())
 
 @contextmanager
 def at_work(
-    item: Blamable, seed: int, iteration: int | None = None, lent: Loan = NOTHING
+    item: Blamable,
+    seed: int,
+    iteration: int | None = None,
+    lent: Loan = NOTHING,
+    *,
+    look: bool = True,
 ) -> Iterator[None]:
     """Everything that is done around a call into a component.
 
@@ -91,22 +97,32 @@ def at_work(
         seed: for the global generators.
         iteration: of training; None outside the loop, or for that of the component that asks.
         lent: what it is shown, beside what the component that asks was.
+        look: whether to look at the global generators within an iteration, which takes longer than all
+            the rest.
     """
     asked = _ASKED.get()
-    inner = _Asked(iteration if iteration is not None else asked.iteration, asked.lent + lent)
-    random = own_random_numbers(seed) if inner.iteration is None else no_global_random_numbers()
+    if iteration is None:
+        iteration, look = asked.iteration, look and asked.look
+    inner = _Asked(iteration, asked.lent + lent, look)
+    who = _culprit(item)
     token = _ASKED.set(inner)
     try:
         with (
             blame(item, iteration),
-            WATCHDOG.watching(_culprit(item), iteration),
-            left_as_found(_culprit(item)),
-            random,
+            WATCHDOG.watching(who, iteration),
+            left_as_found(who),
+            _random_numbers(seed, inner),
             inner.lent.kept(),
         ):
             yield
     finally:
         _ASKED.reset(token)
+
+
+def _random_numbers(seed: int, asked: _Asked) -> AbstractContextManager[None]:
+    if asked.iteration is None:
+        return own_random_numbers(seed)
+    return no_global_random_numbers() if asked.look else nullcontext()
 
 
 def _culprit(item: Blamable) -> str:
@@ -118,6 +134,4 @@ def _advice(item: Blamable) -> str:
     point, package = item.offer.point, item.offer.distribution
     if point.required or issubclass(point.base, Prior):
         return f"report it to the authors of {package}, or put another {point.title} in its place"
-    return (
-        f"report it to the authors of {package}, or switch it off with `--disable {item.offer.name}`"
-    )
+    return f"report it to the authors of {package}, or switch it off with `--disable {item.offer.name}`"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ..calls.loan import NOTHING, Loan
+from ..calls.loan import NOTHING, Loan, are_checked
 from ..contract.component import Component, Context
 from ..contract.hook_points import HOOK_POINTS
 from ..contract.prior import Prior
@@ -27,6 +27,10 @@ TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.sc
 """The sections whose components are asked within the training loop."""
 
 
+LOOK_EVERY = 10
+"""Iterations between two looks at the global random generators."""
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A component at work, and the item of the pipeline that it was built from."""
@@ -38,8 +42,16 @@ class Part:
     def at_work(
         self, iteration: int | None = None, lent: Loan = NOTHING
     ) -> AbstractContextManager[None]:
-        """A block in which the component is called; see `registry.pipeline.blame.at_work`."""
-        return at_work(self.item, self.component.context.seed, iteration, lent)
+        """A block in which the component is called; see `registry.pipeline.blame.at_work`.
+
+        Whether it touches global random generators is looked at in its first call of the loop and in
+        every tenth iteration; in each if plugins are checked.
+        """
+        schedule = self.item.schedule
+        number = iteration or 0
+        first = number < schedule.start + schedule.every
+        look = first or number % LOOK_EVERY == 0 or are_checked()
+        return at_work(self.item, self.component.context.seed, iteration, lent, look=look)
 
 
 class Parts:
