@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from .output import (
+    Verbs,
+    add_accept_changed_inputs,
+    add_device,
+    add_verb,
+    add_watching,
+    console,
+    watching,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -57,6 +65,7 @@ def add(verbs: Verbs) -> None:
     )
     add_accept_changed_inputs(parser)
     add_device(parser)
+    add_watching(parser)
     parser.set_defaults(run=run)
 
 
@@ -80,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=output,
             device=arguments.device,
             accept_changed_inputs=arguments.accept_changed_inputs,
+            **watching(arguments),
         )
         return conclude(run, output)
     if arguments.accept_changed_inputs:
@@ -99,7 +109,13 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from ..runs.training_run import in_runs
 
-    run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
+    run = train(
+        pipeline,
+        out=arguments.out or in_runs,
+        progress=output,
+        device=arguments.device,
+        **watching(arguments),
+    )
     return conclude(run, output)
 
 

@@ -74,7 +74,8 @@ class _Asked:
     look: bool = True
 
 
-_ASKED: ContextVar[_Asked] = ContextVar("asked", default=_Asked())
+_NOBODY = _Asked()
+_ASKED: ContextVar[_Asked] = ContextVar("asked")
 
 
 @contextmanager
@@ -100,7 +101,7 @@ def at_work(
         look: whether to look at the global generators within an iteration, which takes longer than all
             the rest.
     """
-    asked = _ASKED.get()
+    asked = _ASKED.get(_NOBODY)
     if iteration is None:
         iteration, look = asked.iteration, look and asked.look
     inner = _Asked(iteration, asked.lent + lent, look)

@@ -12,6 +12,7 @@ Observers (progress, logs, checkpoints, evaluation) come last: they run in whoev
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -29,6 +30,8 @@ from ..pipeline.training_settings import TrainingSettings
 from .field import Field, Surroundings
 from .initial_model import new_model
 from .view_order import ViewOrder
+
+_log = logging.getLogger("stereogs")
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,14 @@ class Trainer:
         for index in range(1, settings.fields):
             twin = new_model(model.gaussians(), settings, model.device)
             self.fields.append(Field(self._around, parts.for_field(index), twin, index))
+        for part in parts:
+            if part.item.point.scheduled and not part.item.schedule.ever_due(settings.iterations):
+                _log.warning(
+                    "%s at %s is never due in %d iterations",
+                    part.item.offer,
+                    part.item.place,
+                    settings.iterations,
+                )
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
 
     @property
