@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import PluginError
@@ -35,11 +36,11 @@ class Shared(NamedTuple):
     fix: str
 
 
-def _folder() -> str:
+def _folder() -> Path:
     try:
-        return os.getcwd()
+        return Path.cwd()
     except OSError:  # it was removed
-        return ""
+        return Path()
 
 
 _PLACE = Shared(

@@ -47,6 +47,13 @@ class Call:
     caller: Call | None
     told: int = 0
 
+    def chain(self) -> Iterator[Call]:
+        """This call, the one that made it, and so on."""
+        call: Call | None = self
+        while call is not None:
+            yield call
+            call = call.caller
+
     def __str__(self) -> str:
         return str(self.who) + (f", iteration {self.iteration}" if self.iteration else "")
 
@@ -135,11 +142,13 @@ class Watchdog:
     def look(self) -> None:
         """Tell of calls that take long, and ask those to end that take too long."""
         now = time.monotonic()
-        for call in list(self._calls.values()):
-            seconds = now - call.began
-            if seconds >= self._tell_after * 2**call.told:
+        for innermost in list(self._calls.values()):
+            call = next((c for c in innermost.chain() if now - c.began >= self._tell_after), None)
+            if call is not None and now - call.began >= self._tell_after * 2**call.told:
                 call.told += 1
-                _log.warning("%s has been at work for %.0f s. %s", call, seconds, _advice(call))
+                _log.warning(
+                    "%s has been at work for %.0f s. %s", call, now - call.began, _advice(call)
+                )
         hung = self._hung()
         if hung is None:
             return
@@ -150,12 +159,11 @@ class Watchdog:
 
     def _hung(self) -> Call | None:
         """The innermost call of the main thread that takes too long."""
-        call = self._calls.get(_main_thread())
-        while call is not None and self._limit is not None:
-            if time.monotonic() - call.began > self._limit:
-                return call
-            call = call.caller
-        return None
+        innermost, limit = self._calls.get(_main_thread()), self._limit
+        if innermost is None or limit is None:
+            return None
+        now = time.monotonic()
+        return next((call for call in innermost.chain() if now - call.began > limit), None)
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
         hung = self._hung()
