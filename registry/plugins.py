@@ -14,7 +14,7 @@ from typing import Any
 import pluggy
 
 from .calls.process_state import left_as_found
-from .calls.watchdog import WATCHDOG
+from .calls.watchdog import WATCHDOG, Hang
 from .contract import hooks
 from .contract.component import Component, Settings
 from .contract.components import SceneLoader
@@ -140,7 +140,7 @@ class Plugins:
                 _check_hooks(module)
                 offers = list(self._collect(entry, module))
             self._check_entries(entry, offers)
-        except (Exception, SystemExit) as error:  # a stranger's module may raise anything
+        except (Exception, SystemExit, Hang) as error:  # a stranger's module may raise anything
             if self._manager.has_plugin(key):
                 self._manager.unregister(name=key)
             raise _unusable(entry, error) from error
@@ -301,6 +301,8 @@ def _key(entry: EntryPoint) -> str:
 
 
 def _unusable(entry: EntryPoint, error: BaseException) -> PluginError:
+    if isinstance(error, Hang):
+        error = error.explained()
     reason = error.what if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
     fix = error.fix if isinstance(error, PluginError) else ""
     distribution = _distribution(entry)[0]

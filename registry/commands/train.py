@@ -71,6 +71,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 130 after Ctrl-C."""
+    from ..calls.watchdog import WATCHDOG
     from ..pipeline.pipeline import load_pipeline
     from ..plugins import Plugins
     from ..session import resume, train
@@ -104,9 +105,10 @@ def run(arguments: argparse.Namespace) -> int:
             where="the command line",
             fix="give a pipeline file, for example pipelines/3dgs.yaml",
         )
-    pipeline = load_pipeline(
-        arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
-    )
+    with WATCHDOG.ending(arguments.hang_after):
+        pipeline = load_pipeline(
+            arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
+        )
     from ..runs.training_run import in_runs
 
     run = train(

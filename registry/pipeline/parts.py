@@ -112,20 +112,33 @@ class Parts:
         """The prior models by name."""
         return {part.item.name: part.component for part in self._parts["priors"]}
 
-    def carry(self, source: Tensor, fresh: Tensor, iteration: int) -> None:
-        """Tell every component that Gaussians came or went; see `Component.carry`."""
+    def carry(self, source: Tensor, fresh: Tensor, count: int, iteration: int) -> None:
+        """Tell every component that Gaussians came or went; see `Component.carry`.
+
+        Where plugins are checked, state of as many entries as there were Gaussians must follow.
+
+        Args:
+            count: how many there were.
+        """
+        from ..contract.answers import check_carried, check_state
+
         for part in self:
             with part.at_work(iteration):
+                before = check_state(part.component.state()) if are_checked() else None
                 part.component.carry(source, fresh)
+                if before is not None:
+                    check_carried(before, part.component.state(), count, len(source))
 
     def state(self, iteration: int) -> dict[str, Tensor]:
         """The running state of all components, and of their generators, by slashed names."""
+        from ..contract.answers import check_state
+
         state: dict[str, Tensor] = {}
         for part in self:
             name = part.item.qualified_name
             state[f"{name}/generator"] = part.component.generator.get_state()
             with part.at_work(iteration):
-                own: Mapping[str, Tensor] = part.component.state()
+                own = check_state(part.component.state())
                 state |= {f"{name}/state/{key}": value.clone() for key, value in own.items()}
         return state
 

@@ -275,9 +275,10 @@ class Field:
             if edit.empty:
                 self.model.reset_statistics()
                 continue
+            count = self.model.count
             with blame(part.item, step.iteration):
                 carried = apply_edit(self.model, self.optimizer, edit, self._topology)
-            self.parts.carry(carried.source, carried.fresh, step.iteration)
+            self.parts.carry(carried.source, carried.fresh, count, step.iteration)
             edited = True
         return edited
 
@@ -315,7 +316,7 @@ class Field:
         _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
         self._log_number("removed_not_finite", number)
         carried = apply_edit(self.model, self.optimizer, Edit(prune=broken), self._topology)
-        self.parts.carry(carried.source, carried.fresh, iteration)
+        self.parts.carry(carried.source, carried.fresh, len(broken), iteration)
         return True
 
     def _log_number(self, name: str, value: float) -> None:

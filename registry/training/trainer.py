@@ -105,6 +105,7 @@ class Trainer:
             ExplainedError: a component failed or answered nonsense, or the loss is not finite. No
                 step is taken then, and training cannot go on with these Gaussians.
         """
+        self.state()  # what cannot be saved is told now, and not at the first checkpoint
         while self.iteration < self.settings.iterations:
             loss = self._iterate(self.iteration + 1)
             self.iteration += 1
