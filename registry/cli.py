@@ -98,8 +98,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = str(error.filename or "")
         what = f"a file operation failed: {error.strerror or error}"
         return _explain(ExplainedError(what, where=where, fix="check the path and the free space"))
-    except KeyboardInterrupt:
-        error_console().print("stereogs: interrupted")
+    except KeyboardInterrupt as stop:
+        notes = getattr(stop, "__notes__", ())
+        error_console().print(" ".join(["stereogs: interrupted", *notes]))
         return INTERRUPTED
     return status
 

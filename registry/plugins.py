@@ -13,6 +13,8 @@ from typing import Any
 
 import pluggy
 
+from .calls.process_state import left_as_found
+from .calls.watchdog import WATCHDOG, Hang
 from .contract import hooks
 from .contract.component import Component, Settings
 from .contract.components import SceneLoader
@@ -101,8 +103,7 @@ class Plugins:
         for entry in alike:
             if _key(entry) in self.broken:
                 raise self.broken[_key(entry)]
-        self._load_all(self.entries)  # to say what there is
-        raise self._unknown(point, name)
+        raise self._silent(point, alike[0]) if alike else self._unknown(point, name)
 
     def all(self) -> Sequence[Offer]:
         """Every component of every plugin that can be loaded; imports them all. See `broken`."""
@@ -129,15 +130,17 @@ class Plugins:
 
     def _load(self, entry: EntryPoint) -> None:
         key = _key(entry)
+        who = f"the plugin {key}, while it is imported"
         try:
-            module = entry.load()
-            _check_api(entry, module)
-            if not self._manager.is_registered(module):  # by another entry of the same module
-                self._manager.register(module, name=key)
-            self._manager.check_pending()
-            offers = list(self._collect(entry, module))
+            with WATCHDOG.watching(who), left_as_found(who):
+                module = entry.load()
+                _check_api(entry, module)
+                if not self._manager.is_registered(module):  # by another entry of the same module
+                    self._manager.register(module, name=key)
+                _check_hooks(module)
+                offers = list(self._collect(entry, module))
             self._check_entries(entry, offers)
-        except Exception as error:  # a stranger's module may raise anything while it is imported
+        except (Exception, SystemExit, Hang) as error:  # a stranger's module may raise anything
             if self._manager.has_plugin(key):
                 self._manager.unregister(name=key)
             raise _unusable(entry, error) from error
@@ -173,18 +176,31 @@ class Plugins:
                 yield Offer(point, name, component, entry.name, distribution, version)
 
     def _unknown(self, point: HookPoint, name: str) -> PluginError:
-        known = sorted(offer.name for offer in self._offers if offer.point is point)
-        what = f"no plugin offers the {point.title} {name!r}{did_you_mean(name, known)}"
+        """No entry has that name. What others are called is known without importing any."""
+        known = [offered_name(entry) for entry in self.entries]
+        return PluginError(
+            f"no plugin offers the {point.title} {name!r}{did_you_mean(name, known)}",
+            fix="`stereogs plugins` lists what there is, and what cannot be loaded"
+            if self.entries
+            else f"install a plugin package, or unset {SELECTION}",
+        )
+
+    def _silent(self, point: HookPoint, entry: EntryPoint) -> PluginError:
+        """An entry of that name, whose module offers something else or nothing."""
+        name = offered_name(entry)
+        what = f"no plugin offers the {point.title} {name!r}"
         elsewhere = [offer.point for offer in self._offers if offer.name == name]
         if elsewhere:
-            what += f"; there is a {elsewhere[0].title} of that name, for {elsewhere[0].section!r}"
-        fix = f"use one of: {listing(known)}"
-        if self.broken:
-            reasons = (f"{key}: {error.what}" for key, error in self.broken.items())
-            fix += "\nthese plugins could not be loaded, and may offer it:\n" + "\n".join(reasons)
-        if not self.entries:
-            fix = f"install a plugin package, or unset {SELECTION}"
-        return PluginError(what, fix=fix)
+            section = elsewhere[0].section
+            return PluginError(
+                f"{what}; there is a {elsewhere[0].title} of that name, for {section!r}",
+                fix=f"move it to {section!r}; `stereogs plugins` lists what there is",
+            )
+        return PluginError(
+            f"{what}: the plugin {_key(entry)} is there, and registers nothing of that name",
+            where=f"entry point {GROUP}: {entry.name} = {entry.value}",
+            fix=f"does {point.hook} have its `@registry.hookimpl`, and register {name!r}?",
+        )
 
 
 def offered_name(entry: EntryPoint) -> str:
@@ -250,6 +266,19 @@ def _check_api(entry: EntryPoint, module: object) -> None:
         )
 
 
+def _check_hooks(module: object) -> None:
+    """Refuse a hook that nobody calls, because its name is misspelt."""
+    known = [point.hook for point in HOOK_POINTS]
+    for name, member in vars(module).items():
+        options = getattr(member, f"{hooks.PROJECT}_impl", None)
+        hook = (options.get("specname") or name) if isinstance(options, dict) else known[0]
+        if hook not in known:
+            raise PluginError(
+                f"there is no hook {hook!r}{did_you_mean(hook, known)}",
+                fix=f"hooks: {listing(known)}",
+            )
+
+
 def _distribution(entry: EntryPoint) -> tuple[str, str]:
     return _name_and_version(entry.dist) if entry.dist else ("unknown package", "?")
 
@@ -271,7 +300,9 @@ def _key(entry: EntryPoint) -> str:
     return f"{entry.name} ({' '.join(_distribution(entry))})"
 
 
-def _unusable(entry: EntryPoint, error: Exception) -> PluginError:
+def _unusable(entry: EntryPoint, error: BaseException) -> PluginError:
+    if isinstance(error, Hang):
+        error = error.explained()
     reason = error.what if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
     fix = error.fix if isinstance(error, PluginError) else ""
     distribution = _distribution(entry)[0]

@@ -14,11 +14,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .calls.loan import checked_plugins
+from .calls.watchdog import WATCHDOG
 from .contract.in_memory import IN_MEMORY
 from .contract.scene import PointCloud, Scene, View, validate
 from .errors import PipelineError, SceneError
@@ -156,6 +159,8 @@ def train(
     progress: bool | Console = True,
     callback: Callable[[Iteration], bool | None] | None = None,
     device: Device | str | None = None,
+    check_plugins: bool = False,
+    hang_after: float | None = None,
 ) -> Run:
     """Train a pipeline.
 
@@ -167,6 +172,9 @@ def train(
         progress: whether to print how it goes; or the console to print on.
         callback: called after each iteration; training stops after one for which it returns False.
         device: the OpenCL device, or part of its name; None chooses.
+        check_plugins: compare all that components are shown around each call; see `checked_plugins`.
+        hang_after: seconds, > 0, after which a call into a component is ended, with a PluginError; one
+            that does not heed that ends the process. In the main thread only; None ends none.
 
     Returns:
         The run. It is not `finished` if the callback or Ctrl-C stopped it.
@@ -183,9 +191,8 @@ def train(
             fix="give one, train(pipeline, scene=...), or write scene: {use: ..., path: ...}",
         )
     from .runs.training_run import start
-    from .training.threads import one_torch_thread
 
-    with one_torch_thread():
+    with _at_work(check_plugins, hang_after):
         return start(
             checked,
             device=_device(device),
@@ -204,6 +211,8 @@ def resume(
     callback: Callable[[Iteration], bool | None] | None = None,
     device: Device | str | None = None,
     accept_changed_inputs: bool = False,
+    check_plugins: bool = False,
+    hang_after: float | None = None,
 ) -> Run:
     """Go on with a run that was stopped, to the same end as if it had not been; arguments as `train`'s.
 
@@ -216,9 +225,8 @@ def resume(
     """
     path = _run_folder(folder)
     from .runs.training_run import resume as go_on
-    from .training.threads import one_torch_thread
 
-    with one_torch_thread():
+    with _at_work(check_plugins, hang_after):
         return go_on(
             path,
             plugins=Plugins(),
@@ -290,6 +298,15 @@ def results(folder: PathLike) -> dict[str, Any]:
     from .runs.folder import RunFolder
 
     return RunFolder.existing(Path(folder).expanduser()).results()
+
+
+@contextmanager
+def _at_work(check_plugins: bool, hang_after: float | None) -> Iterator[None]:
+    """What holds for all of a training."""
+    from .training.threads import one_torch_thread
+
+    with one_torch_thread(), checked_plugins(check_plugins), WATCHDOG.ending(hang_after):
+        yield
 
 
 def _loader(source: PipelineSource, changes: Sequence[str], format_name: str | None) -> FoundLoader:

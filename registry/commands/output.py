@@ -47,6 +47,33 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_watching(parser: argparse.ArgumentParser) -> None:
+    """The options --check-plugins and --hang-after; `watching` takes what they were given."""
+    parser.add_argument(
+        "--check-plugins",
+        action="store_true",
+        help="compare photographs, cameras and Gaussians around each call into a plugin (slower)",
+    )
+    parser.add_argument(
+        "--hang-after",
+        type=_seconds,
+        metavar="SECONDS",
+        help="end the run if one call into a plugin takes longer (default: only tell, after 60)",
+    )
+
+
+def watching(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of `stereogs.train` and `resume` from the options that `add_watching` adds."""
+    return {"check_plugins": arguments.check_plugins, "hang_after": arguments.hang_after}
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+    return value
+
+
 def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
     """The option --accept-changed-inputs."""
     parser.add_argument(

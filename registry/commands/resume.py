@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from .output import (
+    Verbs,
+    add_accept_changed_inputs,
+    add_device,
+    add_verb,
+    add_watching,
+    console,
+    watching,
+)
 from .train import conclude
 
 _EPILOG = """\
@@ -23,6 +31,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
     add_accept_changed_inputs(parser)
     add_device(parser)
+    add_watching(parser)
     parser.set_defaults(run=run)
 
 
@@ -36,5 +45,6 @@ def run(arguments: argparse.Namespace) -> int:
         progress=output,
         device=arguments.device,
         accept_changed_inputs=arguments.accept_changed_inputs,
+        **watching(arguments),
     )
     return conclude(run, output)

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from .output import Verbs, add_device, add_verb, console, error_console
+from .output import (
+    Verbs,
+    add_device,
+    add_verb,
+    add_watching,
+    console,
+    error_console,
+    watching,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -54,11 +62,13 @@ def add(verbs: Verbs) -> None:
         help="switch a component off",
     )
     add_device(parser)
+    add_watching(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 1 if something failed after training, 130 after Ctrl-C."""
+    from ..calls.watchdog import WATCHDOG
     from ..pipeline.pipeline import load_pipeline
     from ..plugins import Plugins
     from ..session import train
@@ -70,12 +80,19 @@ def run(arguments: argparse.Namespace) -> int:
             where="the command line",
             fix="give a pipeline file, for example pipelines/3dgs.yaml",
         )
-    pipeline = load_pipeline(
-        arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
-    )
+    with WATCHDOG.ending(arguments.hang_after):
+        pipeline = load_pipeline(
+            arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
+        )
     from ..runs.training_run import in_runs
 
-    run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
+    run = train(
+        pipeline,
+        out=arguments.out or in_runs,
+        progress=output,
+        device=arguments.device,
+        **watching(arguments),
+    )
     return conclude(run, output)
 
 

@@ -22,7 +22,7 @@ from .step import Sample
 
 
 def check_loss(loss: Any) -> Tensor:
-    """A regularizer's term: one finite number."""
+    """A regularizer's term: one finite number, which moves something unless it is 0."""
     tensor = _tensor("the loss", loss)
     if tensor.numel() != 1 or not tensor.is_floating_point():
         raise PluginError(
@@ -30,6 +30,12 @@ def check_loss(loss: Any) -> Tensor:
         )
     tensor = tensor.reshape(())
     _finite("the loss", tensor)
+    if not tensor.requires_grad and float(tensor) != 0:
+        raise PluginError(
+            f"the loss is {float(tensor):g} and has no gradient: it would change nothing",
+            fix="compute it from step.rendering, step.render(...) or step.parameter(...); "
+            "step.model.read(...), .detach() and torch.no_grad() cut gradients off",
+        )
     return tensor
 
 
@@ -130,6 +136,39 @@ def check_offsets(offsets: Any, read: Callable[[str], Tensor]) -> Mapping[str, T
             )
         _finite(f"the offset of {name!r}", tensor)
     return offsets
+
+
+def check_state(state: Any) -> Mapping[str, Tensor]:
+    """A component's running state: tensors by name, which a file can hold."""
+    if not isinstance(state, Mapping):
+        raise PluginError(f"the state is a {type(state).__name__}, expected tensors by name")
+    for name, value in state.items():
+        if not isinstance(value, Tensor) or value.layout != torch.strided:
+            raise PluginError(
+                f"the state {name!r} is a {type(value).__name__}, which no checkpoint can hold",
+                fix="keep it as a dense torch tensor",
+            )
+    return state
+
+
+def check_carried(
+    before: Mapping[str, Tensor], after: Mapping[str, Tensor], count: int, new_count: int
+) -> None:
+    """What a component keeps for each Gaussian must have followed a change of topology.
+
+    Args:
+        before, after: its state, before and after `carry`.
+        count, new_count: how many Gaussians there were and are.
+    """
+    for name, value in after.items():
+        earlier = before.get(name)
+        per_gaussian = earlier is not None and earlier.ndim > 0 and len(earlier) == count
+        if per_gaussian and (value.ndim == 0 or len(value) != new_count):
+            raise PluginError(
+                f"the state {name!r} has the shape {tuple(value.shape)} after an edit that made "
+                f"{new_count} Gaussians of {count}",
+                fix="implement carry(source, fresh): new Gaussian i comes from old Gaussian source[i]",
+            )
 
 
 def check_score(score: Any) -> float | Unavailable:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 
@@ -43,11 +44,14 @@ class Context:
         seed: derived from the run's seed and the name, so that toggling one component never shifts
             another's random numbers.
         device: the OpenCL device of the run.
+        at_work: a block within which errors are this component's, and not those of whoever asks it: for
+            priors, see `Prior`.
     """
 
     name: str
     seed: int
     device: Device
+    at_work: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @dataclass(frozen=True, eq=False)

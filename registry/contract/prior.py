@@ -17,6 +17,9 @@ class Prior(Component[SettingsType], ABC):
     `StereoPrior`, `MultiViewDepthPrior`, `MonocularDepthPrior`, `OpticalFlowPrior` and `MatchingPrior`;
     any other text is free for plugins that agree on it. A consumer asks for a capability
     (`StereoPrior.choose`), the pipeline names the prior.
+
+    What consumers call does its work within `with self.context.at_work():`, so that a failure names the
+    prior, its package and its line in the pipeline.
     """
 
     capability: ClassVar[str]

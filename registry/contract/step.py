@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from .prior import Prior
     from .scene import TrainingScene, TrainingView
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from core_rasterizer import Camera, GaussianReader, Rendering
-
 
 @dataclass(frozen=True, eq=False)
 class Sample:
@@ -89,7 +84,7 @@ class OtherField:
     render: Render
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Step:
     """One training iteration, as the components see it.
 
@@ -142,9 +137,12 @@ class Step:
             )
         return self._rendering()
 
-    def rendered(self, rendering: Callable[[], Rendering] | None) -> None:
-        """For the host: from now on there is a render, or there is none."""
-        self._rendering = rendering
+    def rendered(
+        self, rendering: Callable[[], Rendering] | None, others: tuple[OtherField, ...] = ()
+    ) -> None:
+        """For the host: from now on there is a render, and other fields' are, or there is none."""
+        object.__setattr__(self, "_rendering", rendering)
+        object.__setattr__(self, "others", others)
 
     def parameter(self, name: str) -> Tensor:
         """One parameter of all Gaussians, in autograd: a loss on it reaches the Gaussians.

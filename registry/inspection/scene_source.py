@@ -10,7 +10,6 @@ from ..contract.components import SceneLoader
 from ..contract.hook_points import HOOK_POINTS
 from ..contract.scene import validate
 from ..errors import SceneError
-from ..pipeline.blame import blame
 from ..pipeline.edits import apply_override, expand
 from ..pipeline.parts import build_part
 from ..pipeline.pipeline import Item, load_pipeline
@@ -72,7 +71,7 @@ def load(found: FoundLoader, device: Device) -> Scene:
         ExplainedError: what the loader says.
     """
     part = build_part(found.item, found.seed, device)
-    with blame(found.item):
+    with part.at_work():
         return validate(part.component.load())
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from ..calls.loan import NOTHING, Loan, are_checked
 from ..contract.component import Component, Context
 from ..contract.hook_points import HOOK_POINTS
 from ..contract.prior import Prior
 from ..errors import RunError
-from .blame import blame
+from .blame import at_work
 from .pipeline import Item, Pipeline
 from .seeding import derived_seed
 
@@ -24,6 +27,10 @@ TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.sc
 """The sections whose components are asked within the training loop."""
 
 
+LOOK_EVERY = 10
+"""Iterations between two looks at the global random generators."""
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A component at work, and the item of the pipeline that it was built from."""
@@ -31,6 +38,20 @@ class Part:
     item: Item
     component: Any
     """Of the class that the item's hook point names."""
+
+    def at_work(
+        self, iteration: int | None = None, lent: Loan = NOTHING
+    ) -> AbstractContextManager[None]:
+        """A block in which the component is called; see `registry.pipeline.blame.at_work`.
+
+        Whether it touches global random generators is looked at in its first call of the loop and in
+        every tenth iteration; in each if plugins are checked.
+        """
+        schedule = self.item.schedule
+        number = iteration or 0
+        first = number < schedule.start + schedule.every
+        look = first or number % LOOK_EVERY == 0 or are_checked()
+        return at_work(self.item, self.component.context.seed, iteration, lent, look=look)
 
 
 class Parts:
@@ -91,20 +112,33 @@ class Parts:
         """The prior models by name."""
         return {part.item.name: part.component for part in self._parts["priors"]}
 
-    def carry(self, source: Tensor, fresh: Tensor, iteration: int) -> None:
-        """Tell every component that Gaussians came or went; see `Component.carry`."""
+    def carry(self, source: Tensor, fresh: Tensor, count: int, iteration: int) -> None:
+        """Tell every component that Gaussians came or went; see `Component.carry`.
+
+        Where plugins are checked, state of as many entries as there were Gaussians must follow.
+
+        Args:
+            count: how many there were.
+        """
+        from ..contract.answers import check_carried, check_state
+
         for part in self:
-            with blame(part.item, iteration):
+            with part.at_work(iteration):
+                before = check_state(part.component.state()) if are_checked() else None
                 part.component.carry(source, fresh)
+                if before is not None:
+                    check_carried(before, part.component.state(), count, len(source))
 
     def state(self, iteration: int) -> dict[str, Tensor]:
         """The running state of all components, and of their generators, by slashed names."""
+        from ..contract.answers import check_state
+
         state: dict[str, Tensor] = {}
         for part in self:
             name = part.item.qualified_name
             state[f"{name}/generator"] = part.component.generator.get_state()
-            with blame(part.item, iteration):
-                own: Mapping[str, Tensor] = part.component.state()
+            with part.at_work(iteration):
+                own = check_state(part.component.state())
                 state |= {f"{name}/state/{key}": value.clone() for key, value in own.items()}
         return state
 
@@ -128,7 +162,7 @@ class Parts:
                 for key, value in state.items()
                 if key.startswith(f"{start}state/")
             }
-            with blame(part.item):
+            with part.at_work():
                 part.component.restore(own)
 
 
@@ -142,7 +176,8 @@ def build_part(item: Item, seed: int, device: Device, *, field: int = 0) -> Part
         PluginError: it failed while it was built.
     """
     name = f"{item.qualified_name}/{field}" if field else item.qualified_name
-    context = Context(item.name, derived_seed(seed, name), device)
-    with blame(item):
+    own_seed = derived_seed(seed, name)
+    context = Context(item.name, own_seed, device, partial(at_work, item, own_seed))
+    with context.at_work():
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)

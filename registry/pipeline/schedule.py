@@ -44,6 +44,12 @@ class Schedule(Settings):
         in_turn = (iteration - self.phase) % self.every == 0
         return in_turn and iteration >= self.start and not self.over(iteration)
 
+    def ever_due(self, iterations: int) -> bool:
+        """Whether the component is called at all in so many iterations."""
+        last = iterations if self.stop is None else min(iterations, self.stop)
+        first_turn = range(self.start, min(last, self.start + self.every - 1) + 1)
+        return any(self.due(iteration) for iteration in first_turn)
+
     def over(self, iteration: int) -> bool:
         """Whether neither this iteration nor a later one is due."""
         return self.stop is not None and iteration > self.stop

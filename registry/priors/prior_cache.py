@@ -5,21 +5,23 @@
                                  *.png                the answer as pictures
 
 The key is a hash over every bit of the input, the settings, the model file or device, and the code of
-the packages that compute the answer: a changed line of code asks again.
+all that the packages which compute the answer install: a changed line of code asks again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import Distribution, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache import Cache, content_key
 from ..drawing.pictures import save_png
 from ..files import write_json
+from ..plugins import GROUP
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -68,23 +70,41 @@ class PriorCache:
 
 
 def code_digest(component: type) -> str:
-    """A hash over the source of the component's package, of the host and of the engine."""
-    packages = {component.__module__.partition(".")[0], "registry", "core_rasterizer"}
+    """A hash over the source of all that the component's package installs, of the host and of the engine."""
+    modules = {*owned_modules(component.__module__), "registry", "core_rasterizer"}
     return content_key(
-        component.__qualname__, component.__module__, *(_package(p) for p in sorted(packages))
+        component.__qualname__, component.__module__, *(_source(name) for name in sorted(modules))
     )
 
 
+def owned_modules(module: str) -> frozenset[str]:
+    """The top-level modules of the plugin package that a module belongs to; of others, its own alone."""
+    top = module.partition(".")[0]
+    for package in {id(e.dist): e.dist for e in entry_points(group=GROUP)}.values():
+        names = _top_level(package) if package else frozenset[str]()
+        if top in names:
+            return names
+    return frozenset((top,))
+
+
+def _top_level(package: Distribution) -> frozenset[str]:
+    """What a package installs, by the list that setuptools writes, or by the list of its files."""
+    listed = package.read_text("top_level.txt")
+    if listed is not None:
+        return frozenset(listed.split())
+    files = [file for file in package.files or () if file.suffix == ".py"]
+    return frozenset(file.parts[0].removesuffix(".py") for file in files)
+
+
 @cache
-def _package(name: str) -> str:
-    file = getattr(sys.modules.get(name), "__file__", None)
-    if file is None:
-        return name
-    root = Path(file)
-    files = [root]
-    if root.name == "__init__.py":
-        files = sorted(p for p in root.parent.rglob("*") if p.suffix in _SOURCES)
-    digest = hashlib.sha256()
-    for path in files:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+def _source(name: str) -> str:
+    """A hash over a top-level module, or over every file of source in a package."""
+    spec = find_spec(name) if name != "__main__" else None
+    folders = list(spec.submodule_search_locations or ()) if spec else []
+    if spec and not folders and spec.origin:
+        return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
+    digest = hashlib.sha256(name.encode())
+    for folder in map(Path, folders):
+        for path in sorted(p for p in folder.rglob("*") if p.suffix in _SOURCES):
+            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

@@ -12,11 +12,11 @@ import torch
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
+from ..calls.loan import Loan, of_rendering, of_view
 from ..contract.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..drawing.pictures import save_view_pictures
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR, average_error
@@ -80,8 +80,9 @@ def evaluate(
     for view in views:
         rendering = render_view(model, scene, view)
         row: dict[str, float | None] = {}
+        lent = of_view(view) + of_rendering(rendering)
         for part in metrics:
-            score = _measured(part, rendering, view, scene, failures)
+            score = _measured(part, lent, rendering, view, scene, failures)
             if isinstance(score, Unavailable):
                 unavailable.setdefault(part.item.name, score.reason)
                 row[part.item.name] = None
@@ -95,6 +96,7 @@ def evaluate(
 
 def _measured(
     part: Part,
+    lent: Loan,
     rendering: Rendering,
     view: View,
     scene: Scene,
@@ -102,7 +104,7 @@ def _measured(
 ) -> float | Unavailable:
     """A metric's score of a view; of one that fails, why there is none."""
     try:
-        with blame(part.item):
+        with part.at_work(lent=lent):
             return check_score(part.component.measure_view(rendering, view, scene))
     except ExplainedError as error:
         failures.setdefault(part.item.qualified_name, error)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from core_rasterizer import ExplainedError
 
+from ..calls.loan import Loan, of_scene
 from ..contract.scene import Scene
 from ..errors import PluginError, RunError
 from ..files import jsonable
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
@@ -113,23 +113,30 @@ def _write_with_outputs(run: Run, results: dict[str, Any]) -> None:
     folder = run.folder_or_refuse()
     results |= {"exports": [], "reports": []}
     folder.write_results(results)
+    lent = of_scene(run.scene) + Loan(models=(run.model,))
     for part in run.parts["exporters"]:
         place = folder.folder(EXPORTS)
         export = partial(part.component.export, run.model.reader(), run.scene, place)
-        results["exports"] += _written(part, folder, results["failures"], export)
+        results["exports"] += _written(part, lent, folder, results["failures"], export)
     folder.write_results(results)  # reports read it
     for part in run.parts["reports"]:
         report = partial(part.component.write, folder.path, run.scene)
-        results["reports"] += _written(part, folder, results["failures"], report)
+        results["reports"] += _written(
+            part, of_scene(run.scene), folder, results["failures"], report
+        )
     folder.write_results(results)
 
 
 def _written(
-    part: Part, folder: RunFolder, failures: list[dict[str, str]], write: Callable[[], Any]
+    part: Part,
+    lent: Loan,
+    folder: RunFolder,
+    failures: list[dict[str, str]],
+    write: Callable[[], Any],
 ) -> list[str]:
     """The files that an exporter or a report has written; none, and a failure noted, if it failed."""
     try:
-        with blame(part.item):
+        with part.at_work(lent=lent):
             return [_inside(folder, file) for file in _existing(write())]
     except ExplainedError as error:
         failures.append(_told(part.item.qualified_name, error))

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from core_rasterizer import Device, Gaussians
 
+from ..calls.loan import of_scene
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
-from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins import Plugins
@@ -210,8 +210,9 @@ def _begun(
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer = parts.one("initializer")
-    with blame(initializer.item):
-        points = initializer.component.initialize(scene.for_training(), parts.priors)
+    known = scene.for_training()
+    with initializer.at_work(lent=of_scene(known)):
+        points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
     model = new_model(gaussians, pipeline.training, device)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)

@@ -68,10 +68,10 @@ class Bench:
         moment = self.begun()
         step = moment.step
         rendering = moment.model.render(step.view.camera, collect_statistics=True)
-        step.rendered(lambda: rendering)
         other = self.model()
         look = StepRenderer(other, step.sample, gradients=False)
-        step.others = (OtherField(1, other.reader(), look(step.view.camera), look),)
+        seen = OtherField(1, other.reader(), look(step.view.camera), look)
+        step.rendered(lambda: rendering, (seen,))
         return moment
 
     def differentiated(self) -> Moment:

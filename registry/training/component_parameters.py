@@ -29,7 +29,7 @@ class ComponentParameters:
     def __init__(self, parts: Parts) -> None:
         self._trained: list[tuple[Part, tuple[ParameterGroup, ...], torch.optim.Adam]] = []
         for part in parts:
-            with blame(part.item):
+            with part.at_work():
                 groups = tuple(part.component.parameters())
                 if groups:
                     check_groups(groups)

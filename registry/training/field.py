@@ -8,7 +8,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from core_rasterizer import Adam, Edit, GaussianModel, Rendering, apply_edit
 
+from ..calls.loan import Loan, are_checked, of_maps, of_rendering, of_scene
 from ..contract.answers import (
     check_colors,
     check_edit,
@@ -27,7 +29,7 @@ from ..contract.answers import (
 from ..contract.maps import DepthMap
 from ..contract.scene import TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
-from ..errors import RunError
+from ..errors import PluginError, RunError
 from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.schedule import active_sh_degree
@@ -42,6 +44,11 @@ from .step_rendering import StepRenderer
 
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""
+
+HOST_NUMBERS = frozenset(
+    ("iteration", "seconds", "gaussians", "loss", "photometric", "removed_not_finite", "test")
+)
+"""Names in metrics.jsonl that are not for components to log, beside those of the loss's terms."""
 
 HEALTH_CHECK_EVERY = 100
 """Iterations between two looks for Gaussians that are not finite."""
@@ -62,6 +69,11 @@ class Surroundings:
     settings: TrainingSettings
     scene: TrainingScene
     maps: Mapping[str, DepthMap]
+
+    @cached_property
+    def lent(self) -> Loan:
+        """What components are shown of it, and must leave as it is."""
+        return of_scene(self.scene) + of_maps(self.maps)
 
 
 class Field:
@@ -89,6 +101,7 @@ class Field:
         self._reader = model.reader()
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(around.settings.seed, name))
+        self._terms = {part.item.qualified_name for part in parts["regularizers"]}
         self._told_of_limit = False
         self._reset = self._edited = False
         self._step: Step
@@ -100,6 +113,7 @@ class Field:
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)
+        self._lent = self._around.lent + Loan(models=(self.model,) if are_checked() else ())
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -109,12 +123,12 @@ class Field:
             extent=self._extent,
             priors=self.parts.priors,
             render=StepRenderer(self.model, sample),
-            log=self._log_number,
+            log=self._log_for_component,
             maps=self._around.maps,
-            learning_rates=learning_rates(iteration, settings, self._extent),
+            learning_rates=MappingProxyType(learning_rates(iteration, settings, self._extent)),
         )
         for part in self.parts.due("samplers", iteration):
-            with blame(part.item, iteration):
+            with part.at_work(iteration, self._lent):
                 answer = part.component.sample(self._step, self._step.sample)
                 self._take(check_sample(answer, self.model.count))
 
@@ -126,10 +140,11 @@ class Field:
                 continue
             self._forget_gradients()
             step.rendered(cache(lambda: step.render(step.sample.camera)))
-            term, skip = term_alone(part, step)
-            self._backward([term])
-            self.optimizer.step(step.learning_rates, self._bands, skip=skip)
-            self.parameters.step()
+            term, skip = term_alone(part, step, self._lent, self._log_number)
+            if term.value.requires_grad:  # a term of zero may have none, and moves nothing
+                self._backward([term])
+                self.optimizer.step(step.learning_rates, self._bands, skip=skip)
+                self.parameters.step()
             step.rendered(None)
 
     def render(self) -> None:
@@ -144,6 +159,7 @@ class Field:
             smoothing=sample.smoothing,
             collect_statistics=self._statistics_wanted(step.iteration),
         )
+        self._lent += of_rendering(self._rendering) + Loan({"the target": sample.target})
         step.rendered(lambda: self._rendering)
 
     def seen_by_others(self) -> OtherField:
@@ -168,17 +184,18 @@ class Field:
             The total loss.
         """
         step = self._step
-        step.others = others
-        colors = self._colors()
+        step.rendered(lambda: self._rendering, others)
+        colors, log = self._colors(), self._log_number
         shown = colors[-1].after if colors else self._rendering.rgb
-        photometric = photometric_term(self._settings, shown, step, self.model.device)
-        return self._backward([photometric, *regularizing_terms(self.parts, step)], colors)
+        photometric = photometric_term(self._settings, shown, step, self.model.device, log)
+        terms = [photometric, *regularizing_terms(self.parts, step, self._lent, log)]
+        return self._backward(terms, colors)
 
     def update_opacities(self) -> None:
         """Ask the opacity policies, in the pipeline's order."""
         self._reset = False
         for part in self.parts.due("opacity", self._step.iteration):
-            with blame(part.item, self._step.iteration):
+            with part.at_work(self._step.iteration, self._lent):
                 answer = part.component.update(self._step)
                 update = check_opacity_update(answer, self.model.count)
             if update is not None:
@@ -207,7 +224,7 @@ class Field:
     def perturb(self) -> None:
         """Add what perturbations want to the parameters."""
         for part in self.parts.due("perturbations", self._step.iteration):
-            with blame(part.item, self._step.iteration):
+            with part.at_work(self._step.iteration, self._lent):
                 offsets = check_offsets(part.component.offsets(self._step), self.model.read)
             for name, offset in offsets.items():
                 self.model.write(name, self.model.read(name) + offset)
@@ -218,8 +235,7 @@ class Field:
         return int(-(-self._step.sample.sh_degree // 1))
 
     def _take(self, sample: Sample) -> None:
-        self._step.sample = sample
-        self._step.render = StepRenderer(self.model, sample)
+        self._step = replace(self._step, sample=sample, render=StepRenderer(self.model, sample))
 
     def _forget_gradients(self) -> None:
         self.model.zero_gradients()
@@ -228,7 +244,7 @@ class Field:
     def _opacity_scale(self) -> Tensor | None:
         product: Tensor | None = None
         for part in self.parts.due("modifiers", self._step.iteration):
-            with blame(part.item, self._step.iteration):
+            with part.at_work(self._step.iteration, self._lent):
                 answer = part.component.opacity_scale(self._step)
                 scale = check_opacity_scale(answer, self.model.count)
             product = scale if product is None else product * scale
@@ -242,7 +258,7 @@ class Field:
         steps: list[Recolored] = []
         before = self._rendering.rgb
         for part in self.parts.due("appearances", self._step.iteration):
-            with blame(part.item, self._step.iteration):
+            with part.at_work(self._step.iteration, self._lent):
                 after = check_colors(part.component.colors(self._step, before), before.shape)
             steps.append(Recolored(part.item, before, after))
             before = after
@@ -264,15 +280,18 @@ class Field:
         edited = False
         step = self._step
         for part in self.parts.due("densification", step.iteration):
-            with blame(part.item, step.iteration):
+            with part.at_work(step.iteration, self._lent):
                 wanted = check_edit(part.component.refine(step), self.model.count)
-                if wanted is None:
-                    continue
-                edit = self._within_limit(wanted)
-                if edit.empty:
-                    self.model.reset_statistics()
-                    continue
-                self._apply(edit)
+            if wanted is None:
+                continue
+            edit = self._within_limit(wanted)
+            if edit.empty:
+                self.model.reset_statistics()
+                continue
+            count = self.model.count
+            with blame(part.item, step.iteration):
+                carried = apply_edit(self.model, self.optimizer, edit, self._topology)
+            self.parts.carry(carried.source, carried.fresh, count, step.iteration)
             edited = True
         return edited
 
@@ -309,15 +328,21 @@ class Field:
             )
         _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
         self._log_number("removed_not_finite", number)
-        self._apply(Edit(prune=broken))
+        carried = apply_edit(self.model, self.optimizer, Edit(prune=broken), self._topology)
+        self.parts.carry(carried.source, carried.fresh, len(broken), iteration)
         return True
-
-    def _apply(self, edit: Edit) -> None:
-        carried = apply_edit(self.model, self.optimizer, edit, self._topology)
-        self.parts.carry(carried.source, carried.fresh, self._step.iteration)
 
     def _log_number(self, name: str, value: float) -> None:
         self.logged[name] = float(value)
+
+    def _log_for_component(self, name: str, value: float) -> None:
+        """`Step.log`."""
+        if name in HOST_NUMBERS or name in self._terms:
+            raise PluginError(
+                f"it logs {name!r}, which is a number of the host's",
+                fix="log it under a name of your own",
+            )
+        self._log_number(name, value)
 
     def state(self, iteration: int) -> dict[str, Mapping[str, Tensor]]:
         """Everything that its next iterations depend on, by kind."""

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, photometric_loss
 from core_rasterizer.layout import PARAMETER_GROUPS
 
+from ..calls.loan import Loan
 from ..contract.answers import check_loss, check_moves
 from ..contract.step import Step
 from ..errors import RunError
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts
 from ..pipeline.training_settings import TrainingSettings
 from .guard import Term
 
+Log = Callable[[str, float], None]
+"""Records a number of the host's own."""
+
 
 def photometric_term(
-    settings: TrainingSettings, colors: Tensor, step: Step, device: Device
+    settings: TrainingSettings, colors: Tensor, step: Step, device: Device, log: Log
 ) -> Term:
     """L1 and D-SSIM between the colours and the iteration's target.
 
@@ -38,34 +43,41 @@ def photometric_term(
             where=f"iteration {step.iteration}, view {step.view.name!r}",
             fix="lower the learning rates; the last checkpoint, if any, is whole",
         ) from error
-    step.log("photometric", float(loss.detach()))
+    log("photometric", float(loss.detach()))
     return Term(None, loss)
 
 
-def regularizing_terms(parts: Parts, step: Step) -> list[Term]:
-    """The terms that are due and join the loss."""
+def regularizing_terms(parts: Parts, step: Step, lent: Loan, log: Log) -> list[Term]:
+    """The terms that are due and join the loss.
+
+    Args:
+        lent: what they are shown.
+    """
     return [
-        _term(part, step)
+        _term(part, step, lent, log)
         for part in parts.due("regularizers", step.iteration)
         if part.item.host.step == "together"
     ]
 
 
-def term_alone(part: Part, step: Step) -> tuple[Term, tuple[str, ...]]:
+def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Term, tuple[str, ...]]:
     """A term that is stepped alone.
+
+    Args:
+        lent: what it is shown.
 
     Returns:
         The term, and the parameter groups that its step leaves alone.
     """
-    with blame(part.item, step.iteration):
+    with part.at_work(step.iteration, lent):
         moves = check_moves(part.component.moves, PARAMETER_GROUPS)
     skip = () if moves is None else tuple(name for name in PARAMETER_GROUPS if name not in moves)
-    return _term(part, step), skip
+    return _term(part, step, lent, log), skip
 
 
-def _term(part: Part, step: Step) -> Term:
+def _term(part: Part, step: Step, lent: Loan, log: Log) -> Term:
     """A regularizer's term times its weight."""
-    with blame(part.item, step.iteration):
+    with part.at_work(step.iteration, lent):
         term = check_loss(part.component.loss(step))
-    step.log(part.item.qualified_name, float(term.detach()))
+    log(part.item.qualified_name, float(term.detach()))
     return Term(part.item, part.item.host.weight * term)

@@ -12,6 +12,7 @@ Observers (progress, logs, checkpoints, evaluation) come last: they run in whoev
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -31,6 +32,8 @@ from .field import Field, Surroundings
 from .guard import in_iteration
 from .initial_model import new_model
 from .view_order import ViewOrder
+
+_log = logging.getLogger("stereogs")
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,14 @@ class Trainer:
         for index in range(1, settings.fields):
             twin = new_model(model.gaussians(), settings, model.device)
             self.fields.append(Field(self._around, parts.for_field(index), twin, index))
+        for part in parts:
+            if part.item.point.scheduled and not part.item.schedule.ever_due(settings.iterations):
+                _log.warning(
+                    "%s at %s is never due in %d iterations",
+                    part.item.offer,
+                    part.item.place,
+                    settings.iterations,
+                )
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
 
     @property
@@ -96,6 +107,7 @@ class Trainer:
             ExplainedError: a component failed or answered nonsense, or the loss is not finite. No
                 step is taken then, and training cannot go on with these Gaussians.
         """
+        self.state()  # what cannot be saved is told now, and not at the first checkpoint
         while self.iteration < self.settings.iterations:
             with in_iteration(self.iteration + 1):
                 loss = self._iterate(self.iteration + 1)

@@ -75,20 +75,40 @@ def test_a_broken_plugin_harms_only_those_who_use_it(install: Install) -> None:
     assert "monster = bad_monster" in named.where
     elsewhere = refusal(plugins, "inside_pak")
     assert "did you mean 'inside_pack'" in elsewhere.what
-    assert "monster (bad 3.1)" in elsewhere.fix
-    assert "does_not_exist" in elsewhere.fix
+    assert "stereogs plugins" in elsewhere.fix
 
 
-def test_even_an_import_that_exits_is_refused_by_name(install: Install) -> None:
-    install("rude", "1", {"rude": "rude_module"}, rude_module="raise ValueError('no GPU')")
-    assert "ValueError: no GPU" in refusal(Plugins(), "rude").what
+def test_a_misspelt_name_imports_nothing(install: Install) -> None:
+    install("calm", "1", {"quiet": "calm_a", "monster": "calm_b"}, calm_a="1/0", calm_b="1/0")
+    plugins = Plugins()
+    assert "did you mean 'quiet'" in refusal(plugins, "quite").what
+    assert not {"calm_a", "calm_b"} & set(sys.modules)
+    assert not plugins.broken
+
+
+def test_a_plugin_that_registers_nothing_is_told_what_may_lack(install: Install) -> None:
+    bare = metric("mute").replace("@registry.hookimpl\n", "")
+    install("mute", "2", {"mute": "mute_module"}, mute_module=bare)
+    error = refusal(Plugins(), "mute")
+    assert "mute (mute 2)" in error.what
+    assert "@registry.hookimpl" in error.fix
+
+
+@pytest.mark.parametrize("kind", ["ValueError", "SystemExit"])
+def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: str) -> None:
+    install("rude", "1", {"rude": "rude_module"}, rude_module=f"raise {kind}('no GPU')")
+    assert f"{kind}: no GPU" in refusal(Plugins(), "rude").what
 
 
 @pytest.mark.parametrize(
     ("source", "message"),
     [
         ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99, this is API {API_VERSION}"),
-        (metric("x").replace("_metrics", "_metrix"), "stereogs_register_metrix"),
+        (
+            metric("x").replace("_metrics", "_metrix"),
+            "no hook 'stereogs_register_metrix'; did you mean 'stereogs_register_metrics'",
+        ),
+        ("import os\nos.chdir('/')\n" + metric("x"), "changed the working directory"),
         (metric("x").replace("(register)", "(register, more)"), "more"),
         (metric("x").replace("measure", "meazure"), "does not define measure"),
         (

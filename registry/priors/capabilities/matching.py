@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...contract.component import SettingsType
 from ...contract.maps import Matches
@@ -38,21 +38,10 @@ class MatchingPrior(Prior[SettingsType]):
             PluginError: points, scores or their numbers that do not fit, or are not finite.
         """
         import torch
-        from torch import Tensor
 
-        with torch.no_grad():
+        with self.context.at_work(), torch.no_grad():
             answer = self.estimate(first, second)
-        if not isinstance(answer, Matches):
-            raise PluginError(f"the answer is a {type(answer).__name__}, expected Matches")
-        count = len(answer.scores) if isinstance(answer.scores, Tensor) else 0
-        for name, shape in (("first", (count, 2)), ("second", (count, 2)), ("scores", (count,))):
-            value = getattr(answer, name)
-            if not isinstance(value, Tensor) or tuple(value.shape) != shape:
-                got = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-                raise PluginError(
-                    f"the matches' {name} is {got}, expected a tensor of shape {shape}"
-                )
-            check_finite(f"matches' {name}", value)
+            _check(answer)
         inside = _inside(answer.first, first) & _inside(answer.second, second)
         return Matches(
             answer.first[inside].float(),
@@ -74,6 +63,20 @@ class MatchingPrior(Prior[SettingsType]):
             lambda answer: {},
         )
         return Matches(found["first"], found["second"], found["scores"])
+
+
+def _check(answer: Any) -> None:
+    from torch import Tensor
+
+    if not isinstance(answer, Matches):
+        raise PluginError(f"the answer is a {type(answer).__name__}, expected Matches")
+    count = len(answer.scores) if isinstance(answer.scores, Tensor) else 0
+    for name, shape in (("first", (count, 2)), ("second", (count, 2)), ("scores", (count,))):
+        value = getattr(answer, name)
+        if not isinstance(value, Tensor) or tuple(value.shape) != shape:
+            got = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+            raise PluginError(f"the matches' {name} is {got}, expected a tensor of shape {shape}")
+        check_finite(f"matches' {name}", value)
 
 
 def _inside(points: Tensor, image: Tensor) -> Tensor:

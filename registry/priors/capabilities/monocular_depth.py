@@ -43,11 +43,12 @@ class MonocularDepthPrior(Prior[SettingsType]):
         """
         import torch
 
-        with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
+        wanted = self.differentiable and torch.is_grad_enabled()
+        with self.context.at_work(), torch.set_grad_enabled(wanted):
             answer = self.estimate(image)
-        check_map("inverse depth", answer, image)
-        check_finite("inverse depth", answer)
-        return answer.float().contiguous()
+            check_map("inverse depth", answer, image)
+            check_finite("inverse depth", answer)
+            return answer.float().contiguous()
 
     def inverse_depth_of(self, view: TrainingView) -> Tensor:
         """Relative inverse depth `[H, W]` float32 of a photograph; what was asked before is remembered.

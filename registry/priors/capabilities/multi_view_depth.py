@@ -60,10 +60,15 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     def _asked(
         self, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> dict[str, Tensor]:
-        answers = self.estimate(views, bounds)
-        if len(answers) != len(views):
-            raise PluginError(f"{len(answers)} depth maps came for {len(views)} views")
-        return _pack([_depth_map(a, v) for a, v in zip(answers, views, strict=True)])
+        with self.context.at_work():
+            answers = self.estimate(views, bounds)
+            if not isinstance(answers, list | tuple):
+                raise PluginError(
+                    f"the answer is a {type(answers).__name__}, expected a list of depth maps"
+                )
+            if len(answers) != len(views):
+                raise PluginError(f"{len(answers)} depth maps came for {len(views)} views")
+            return _pack([_depth_map(a, v) for a, v in zip(answers, views, strict=True)])
 
 
 def _pictures(answer: Mapping[str, Tensor], views: Sequence[TrainingView]) -> dict[str, Tensor]:

@@ -41,9 +41,9 @@ class OpticalFlowPrior(Prior[SettingsType]):
         """
         import torch
 
-        with torch.no_grad():
+        with self.context.at_work(), torch.no_grad():
             answer = self.estimate(first, second)
-        check_map("flow", answer, first, 2)
+            check_map("flow", answer, first, 2)
         vectors = answer.detach().float()
         valid = torch.isfinite(vectors).all(dim=2)
         return Flow(torch.where(valid[..., None], vectors, 0.0), valid)

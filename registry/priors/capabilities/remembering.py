@@ -36,10 +36,12 @@ def remembered(
     import torch
 
     cache = PriorCache(prior.context.name)
+    with prior.context.at_work():
+        fingerprint = prior.fingerprint()
     key = content_key(
         code_digest(type(prior)),
         prior.settings.model_dump_json(),
-        prior.fingerprint(),
+        fingerprint,
         *question,
         *(part for view in views for part in _content(view)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -14,11 +15,14 @@ from .checking import check_map
 if TYPE_CHECKING:
     from torch import Tensor
 
+_log = logging.getLogger("stereogs.priors")
+
 
 class StereoPrior(Prior[SettingsType]):
     """Disparity of a rectified stereo pair."""
 
     capability: ClassVar[str] = "stereo_disparity"
+    _told = False
 
     @property
     def max_disparity(self) -> float | None:
@@ -51,8 +55,8 @@ class StereoPrior(Prior[SettingsType]):
         import torch
 
         _check_pair(left, right)
-        with torch.no_grad():
-            return _disparity(self.estimate(left, right), left)
+        with self.context.at_work(), torch.no_grad():
+            return self._checked(self.estimate(left, right), left)
 
     def both(self, left: Tensor, right: Tensor) -> tuple[Disparity, Disparity]:
         """The left and the right image's disparity, both positive, each on its own grid.
@@ -63,9 +67,20 @@ class StereoPrior(Prior[SettingsType]):
         import torch
 
         _check_pair(left, right)
-        with torch.no_grad():
+        with self.context.at_work(), torch.no_grad():
             of_left, of_right = self.estimate_both(left, right)
-        return _disparity(of_left, left), _disparity(of_right, right)
+            return self._checked(of_left, left), self._checked(of_right, right)
+
+    def _checked(self, answer: Any, image: Tensor) -> Disparity:
+        import torch
+
+        check_map("disparity", answer, image)
+        values = answer.detach().float()
+        valid = torch.isfinite(values) & (values > 0)
+        if not self._told and not valid.any():
+            self._told = True
+            _log.warning("prior %r answered without one known disparity", self.context.name)
+        return Disparity(torch.where(valid, values, 0.0), valid)
 
 
 def _check_pair(left: Tensor, right: Tensor) -> None:
@@ -74,12 +89,3 @@ def _check_pair(left: Tensor, right: Tensor) -> None:
             f"a stereo pair has the shapes {tuple(left.shape)} and {tuple(right.shape)}; "
             "both must be [H, W, 3]"
         )
-
-
-def _disparity(answer: Any, image: Tensor) -> Disparity:
-    import torch
-
-    check_map("disparity", answer, image)
-    values = answer.detach().float()
-    valid = torch.isfinite(values) & (values > 0)
-    return Disparity(torch.where(valid, values, 0.0), valid)

@@ -14,7 +14,6 @@ from core_rasterizer import Camera
 
 from ...contract.scene import Scene, View, validate
 from ...errors import RunError
-from ...pipeline.blame import blame
 from ...pipeline.parts import Parts
 from ...pipeline.pipeline import Pipeline
 
@@ -27,7 +26,7 @@ _SHOWN = 5
 def load_scene(parts: Parts) -> Scene:
     """Let the scene loader load, and validate what it returns."""
     loader = parts.one("scene")
-    with blame(loader.item):
+    with loader.at_work():
         return validate(loader.component.load())
 
 

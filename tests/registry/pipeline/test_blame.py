@@ -35,7 +35,28 @@ def test_an_explained_error_keeps_what_it_says(item: Item, kind: type[SceneError
     assert error.where == "x.png; in metric 'psnr' (unknown package ?) at my.yaml:5"
 
 
-@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
-def test_requests_to_stop_pass(item: Item, kind: type[BaseException]) -> None:
-    with pytest.raises(kind), blame(item, 1):
-        raise kind
+def test_an_attempt_to_exit_is_a_failure_with_a_name(item: Item) -> None:
+    with pytest.raises(PluginError, match="SystemExit: 3") as caught, blame(item):
+        raise SystemExit(3)
+    assert "my.yaml:5" in caught.value.where
+
+
+def test_ctrl_c_passes_and_says_who_was_at_work(item: Item) -> None:
+    with pytest.raises(KeyboardInterrupt) as caught, blame(item, 7):
+        raise KeyboardInterrupt
+    (note,) = caught.value.__notes__
+    assert note == "while metric 'psnr' (unknown package ?) at my.yaml:5, iteration 7 was at work"
+
+
+def test_an_error_without_a_fix_gets_one(item: Item) -> None:
+    with pytest.raises(PluginError) as caught, blame(item):
+        raise PluginError("no idea")
+    assert caught.value.fix.endswith("switch it off with `--disable psnr`")
+
+
+def test_what_a_pipeline_needs_is_not_to_be_switched_off(toys: Plugins) -> None:
+    scene = parse_pipeline(PIPELINE, toys).one("scene")
+    with pytest.raises(PluginError) as caught, blame(scene):
+        raise ValueError
+    assert "--disable" not in caught.value.fix
+    assert "another scene loader" in caught.value.fix

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from core_rasterizer import Device, GaussianModel
+from registry import DepthMap, PluginError, Scene
+from registry.calls.loan import Loan, checked_plugins, of_maps, of_scene
+from registry.pipeline.training_settings import TrainingSettings
+from registry.testing import tiny_scene
+from registry.training.initial_model import initial_gaussians
+
+Write = Callable[[Scene], object]
+
+
+def positions(scene: Scene) -> torch.Tensor:
+    assert scene.points is not None
+    return scene.points.positions
+
+
+SEEN_BY_TORCH: list[tuple[str, Write]] = [
+    ("the photograph of view0", lambda s: s.train[0].image.mul_(0.5)),
+    ("the photograph of view0", lambda s: s.train[0].image[:4].zero_()),
+    ("the photograph of view1", lambda s: s.test[0].image.detach().fill_(1)),
+    ("the photograph of view2", lambda s: s.train[1].image.requires_grad_()),
+    ("the camera of view2", lambda s: s.train[1].camera.world_to_camera[0, 3].add_(1)),
+    ("the depth of view0", lambda s: torch.add(torch.ones(24, 32), 1, out=s.train[0].depth)),
+    ("the positions of the scene's points", lambda s: positions(s).clamp_(max=0)),
+]
+PAST_TORCH: list[tuple[str, Write]] = [
+    ("the photograph of view0", lambda s: s.train[0].image.numpy().fill(0.5)),
+    ("the photograph of view0", lambda s: s.train[0].image.data.mul_(0.5)),
+    ("the camera of view0", lambda s: s.train[0].camera.world_to_camera.numpy().fill(float("nan"))),
+]
+
+
+@pytest.mark.parametrize(("name", "write"), SEEN_BY_TORCH)
+def test_writes_through_torch_are_refused(name: str, write: Write) -> None:
+    scene = tiny_scene()
+    with pytest.raises(PluginError, match=f"wrote into {name}") as caught, of_scene(scene).kept():
+        write(scene)
+    assert "clone" in caught.value.fix
+
+
+@pytest.mark.parametrize(("name", "write"), PAST_TORCH)
+def test_writes_past_torch_are_refused_where_plugins_are_checked(name: str, write: Write) -> None:
+    scene = tiny_scene()
+    lent = of_scene(scene)
+    with checked_plugins(), pytest.raises(PluginError, match=f"wrote into {name}"), lent.kept():
+        write(scene)
+
+
+def test_looking_is_free() -> None:
+    scene = tiny_scene()
+    scene.train[0].image[0, 0, 0] = float("nan")
+    with checked_plugins(), of_scene(scene).kept():
+        (scene.train[0].image * 2).mean()
+        torch.from_numpy(scene.train[0].image.numpy()).sum()
+
+
+def test_the_training_scene_holds_nothing_of_test_views() -> None:
+    scene = tiny_scene()
+    with of_scene(scene.for_training()).kept():
+        scene.test[0].image.zero_()
+
+
+def test_maps_are_lent_too() -> None:
+    known = DepthMap(torch.ones(2, 2), torch.ones(2, 2, dtype=torch.bool), torch.ones(2, 2))
+    with (
+        pytest.raises(PluginError, match="the initializer's depth of view0"),
+        of_maps({"view0": known}).kept(),
+    ):
+        known.depth.add_(1)
+
+
+def test_tensors_without_a_count_of_writes_can_be_lent() -> None:
+    with torch.inference_mode():
+        tensor = torch.ones(3)
+    lent = Loan({"it": tensor})
+    with lent.kept():
+        pass
+    with checked_plugins(), pytest.raises(PluginError), lent.kept(), torch.inference_mode():
+        tensor.zero_()
+
+
+def test_gaussians_are_compared(device: Device) -> None:
+    points = tiny_scene().points
+    assert points is not None
+    model = GaussianModel(initial_gaussians(points, TrainingSettings(sh_degree=0)), device)
+    lent = Loan(models=(model,))
+    with lent.kept():
+        model.read("means").clone()
+    with pytest.raises(PluginError, match="wrote into the Gaussians"), lent.kept():
+        model.write("opacity_logits", torch.zeros(model.count))

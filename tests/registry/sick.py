@@ -1,0 +1,46 @@
+"""The packages of `tests/sick_packages`, put where Python finds them, as pip would."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, distributions
+from pathlib import Path
+
+import pytest
+
+from registry.plugins import GROUP
+
+PACKAGES = Path(__file__).parents[1] / "sick_packages"
+NAMES = sorted(folder.parent.name for folder in PACKAGES.glob("*/pyproject.toml"))
+
+
+def module(name: str) -> str:
+    """The one module of a package."""
+    return f"sick_{name}"
+
+
+def installed(
+    names: Sequence[str], site: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[EntryPoint]:
+    """The entry points of packages that are on the path, with the metadata that pip would write.
+
+    Args:
+        site: a folder for the metadata.
+    """
+    for name in names:
+        folder = PACKAGES / name
+        project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["project"]
+        metadata = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+        metadata.mkdir(parents=True)
+        (metadata / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+        )
+        (metadata / "top_level.txt").write_text(f"{module(name)}\n")
+        lines = [f"{key} = {value}" for key, value in project["entry-points"][GROUP].items()]
+        (metadata / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines, ""]))
+        monkeypatch.syspath_prepend(folder)
+        monkeypatch.delitem(sys.modules, module(name), raising=False)
+    found = [e for d in distributions(path=[str(site)]) for e in d.entry_points if e.group == GROUP]
+    return sorted(found, key=lambda entry: entry.name)

@@ -1,0 +1,13 @@
+"""A prior that forgets to return."""
+
+import registry
+
+
+class Sick(registry.MultiViewDepthPrior[registry.Settings]):
+    def estimate(self, views, bounds):
+        pass
+
+
+@registry.hookimpl
+def stereogs_register_priors(register):
+    register("prior_answers_nothing", Sick)

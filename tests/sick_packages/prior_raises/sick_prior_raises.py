@@ -1,0 +1,13 @@
+"""A prior that fails."""
+
+import registry
+
+
+class Sick(registry.MultiViewDepthPrior[registry.Settings]):
+    def estimate(self, views, bounds):
+        raise ValueError("no network")
+
+
+@registry.hookimpl
+def stereogs_register_priors(register):
+    register("prior_raises", Sick)
