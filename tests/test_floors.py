@@ -14,7 +14,7 @@ MOST_ROOMS = 12
 
 FLOORS = (
     ("errors", "files", "suggestions", "web_page"),
-    ("contract", "cache", "image_fitting"),
+    ("contract", "cache", "image_fitting", "results_file"),
     ("drawing", "plugins", "photos"),
     ("priors", "pipeline"),
     ("training", "inspection"),
