@@ -26,8 +26,8 @@ stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each
 kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed, new ones each time
 	KILLS=50 $(BIN)/python -m pytest -s tests/registry/runs/test_kills.py --timeout 7200
 
-fuzz: $(VENV)/.dev ## 100,000 damaged files a format through the scene loaders, hours
-	FUZZ_FILES=100000 $(BIN)/python -m pytest tests/stereogs_plugins/scenes/test_fuzz.py --timeout 36000
+fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
+	$(BIN)/python -m tests.fuzzing 100000
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

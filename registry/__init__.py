@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from .priors.onnx_model import OnnxModel, OnnxTensor
     from .priors.onnx_session import OnnxProvider, first_line
     from .priors.onnx_settings import OnnxModelSettings
+    from .results_file import read_results
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -127,6 +128,7 @@ __all__ = [
     "nearness_picture",
     "photos",
     "read_model_file",
+    "read_results",
     "side_by_side",
     "validate",
     "web_page",

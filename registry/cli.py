@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given[0].startswith("-") and given[0] not in VERBS:
         return _explain(_unknown_verb(given[0]))
     parsed = parser.parse_args(given)
-    logging.basicConfig(level=logging.WARNING, format="stereogs: %(message)s")
+    _log_to_the_terminal()
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
         status: int = parsed.run(parsed)
@@ -103,6 +103,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         error_console().print(" ".join(["stereogs: interrupted", *notes]))
         return INTERRUPTED
     return status
+
+
+def _log_to_the_terminal() -> None:
+    from .terminal import PlainFormatter
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(PlainFormatter("stereogs: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
 
 
 def build_parser() -> argparse.ArgumentParser:

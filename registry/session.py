@@ -385,9 +385,11 @@ def _device(device: Device | str | None) -> Device:
 def _console(progress: bool | Console) -> Console:
     from rich.console import Console
 
+    from .terminal import PlainConsole
+
     if isinstance(progress, Console):
         return progress
-    return Console(markup=False, highlight=False, soft_wrap=True, quiet=not progress)
+    return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not progress)
 
 
 def _run_folder(folder: PathLike) -> Path:

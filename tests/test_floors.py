@@ -13,8 +13,8 @@ MOST_ROOMS = 12
 """Modules that one folder may hold before a newcomer loses the way."""
 
 FLOORS = (
-    ("errors", "files", "suggestions", "web_page"),
-    ("contract", "cache", "image_fitting", "calls"),
+    ("errors", "files", "suggestions", "terminal", "web_page"),
+    ("contract", "cache", "image_fitting", "calls", "results_file"),
     ("drawing", "plugins", "photos"),
     ("priors", "pipeline"),
     ("training", "inspection"),

@@ -14,16 +14,16 @@ Verbs = Any
 
 def console() -> Console:
     """Standard output, as it is now."""
-    from rich.console import Console
+    from ..terminal import PlainConsole
 
-    return Console(markup=False, highlight=False, soft_wrap=True)
+    return PlainConsole(markup=False, highlight=False, soft_wrap=True)
 
 
 def error_console() -> Console:
     """Standard error, as it is now."""
-    from rich.console import Console
+    from ..terminal import PlainConsole
 
-    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    return PlainConsole(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def add_verb(verbs: Verbs, name: str, help_text: str, epilog: str) -> argparse.ArgumentParser:

@@ -11,7 +11,8 @@ from typing import Any
 from ..errors import RunError
 from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import read
-from ..runs.folder import RunFolder
+from ..results_file import read_results
+from ..runs.folder import RESULTS, RunFolder
 
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
 
@@ -75,16 +76,17 @@ def read_run(path: Path) -> FinishedRun:
     """A run that has ended.
 
     Raises:
-        RunError: this is no run folder, the run has not ended, or it was scored by an older version.
+        RunError: this is no run folder, the run has not ended, its results cannot be believed (see
+            `read_results`), or it was scored by an older version.
     """
     run = RunFolder.existing(path)
-    results = run.results()
-    if not results:
+    if not (path / RESULTS).exists():
         raise RunError(
             "the run has no results.json: it has not ended",
             where=str(path),
             fix=f"stereogs resume {path}",
         )
+    results = read_results(path / RESULTS)
     missing = [key for key in _NEEDED if key not in results]
     if "facts" not in results.get("scene", {}):
         missing.append("the scene's facts")

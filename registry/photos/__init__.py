@@ -3,6 +3,7 @@
     from registry import photos
 
     photos.read_document(path, Model, fix)      files: explained errors instead of tracebacks
+    photos.read_arrays(path, names, fix)        numpy's .npz and .npy: never more than the file can hold
     photos.Decoder(photos.at_most(800))         pictures: decoded, resized, laid on a background
     photos.Lens(...), photos.pose_from_opengl   cameras: lenses with distortion, poses
     photos.split(...), photos.estimate_bounds   what the files do not say
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from .arrays import read_array, read_arrays
     from .cameras.bounds import Bounds, estimate_bounds
     from .cameras.colmap_files import ColmapCamera, ColmapImage, ColmapPoint
     from .cameras.colmap_model import ColmapModel, has_colmap_model, read_colmap_model
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     )
     from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
     from .images.image_source import ImageSourceSettings
+    from .images.opening import open_image
     from .images.parallel import in_parallel
     from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
     from .loaded_photos import LoadedPhotos
@@ -84,8 +87,11 @@ __all__ = [
     "list_images",
     "load_views",
     "longest_side",
+    "open_image",
     "pose_from_axes",
     "pose_from_opengl",
+    "read_array",
+    "read_arrays",
     "read_colmap_model",
     "read_document",
     "read_mask",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import pydantic
 
 from ..errors import SceneError
+from .images.image_files import existing_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,6 +20,8 @@ Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 MatrixRow = tuple[Finite, Finite, Finite, Finite]
 Matrix4x4 = tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]
 
+_LARGEST_DOCUMENT = 12_000_000
+"""Bytes; cameras of 10,000 photographs take 10 MB."""
 _LONGEST_NAME = 240
 """Bytes; file systems stop at 255."""
 
@@ -45,22 +47,42 @@ def decoding(what: str, path: Path, fix: str) -> Iterator[None]:
         raise SceneError(f"{what} cannot be read: {reason}", where=str(path), fix=fix) from error
 
 
+def require_file(path: Path, what: str, fix: str) -> None:
+    """Refuse what is not there, and what has no end or never answers: folders, devices, pipes.
+
+    Raises:
+        SceneError: there is no regular file of this name.
+    """
+    if not path.is_file():
+        state = "is no regular file" if path.exists() else "is missing"
+        raise SceneError(f"{what} {state}", where=str(path), fix=fix)
+
+
 def read_document(path: Path, model: type[Document], fix: str) -> Document:
     """Read a JSON file and hold it to a model of its fields.
 
     Raises:
-        SceneError: the file is missing, is no JSON, lacks a field, or has a field of a wrong type.
+        SceneError: the file is missing, larger than 12 MB, is no JSON, lacks a field, or has a field
+            of a wrong type.
     """
-    if not path.is_file():
-        raise SceneError(f"the file {path.name} is missing", where=str(path), fix=fix)
+    require_file(path, f"the file {path.name}", fix)
+    size = path.stat().st_size
+    if size > _LARGEST_DOCUMENT:
+        raise SceneError(
+            f"the file {path.name} has {size:,} bytes, more than {_LARGEST_DOCUMENT:,}",
+            where=str(path),
+            fix=fix,
+        )
     with decoding(path.name, path, fix):
-        content: Any = json.loads(path.read_bytes())
-        # Through JSON again: only so do pydantic's strict types take a list as a tuple.
-        text = json.dumps(content)
+        content = path.read_bytes()
     try:
-        return model.model_validate_json(text, strict=True)
+        return model.model_validate_json(content, strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
+        if first["type"] == "json_invalid":
+            raise SceneError(
+                f"{path.name} cannot be read: {first['msg']}", where=str(path), fix=fix
+            ) from error
         place = ".".join(str(part) for part in first["loc"])
         raise SceneError(
             f"the field {place!r} cannot be used: {first['msg']}",
@@ -73,7 +95,8 @@ def inside(folder: Path, name: str, where: str) -> Path:
     """The path of a file that a camera file names, which must lie inside the scene's folder.
 
     Raises:
-        SceneError: the name is empty, absolute, climbs out with `..`, or is one that no file has.
+        SceneError: the name is empty, absolute, climbs out with `..`, is one that no file has, or leads
+            out through a symbolic link.
     """
     relative = PurePosixPath(name)
     if (
@@ -90,7 +113,16 @@ def inside(folder: Path, name: str, where: str) -> Path:
             where=where,
             fix="use relative names below the folder, with / between folders",
         )
-    return folder / relative
+    path = folder / relative
+    # An image may be found under another ending than the file says.
+    real = (existing_image(path) or path).resolve()
+    if not real.is_relative_to(folder.resolve()):
+        raise SceneError(
+            f"the file {name[:100]!r} is a link to {real}, outside the scene's folder",
+            where=where,
+            fix="copy what it links to into the scene's folder (cp -rL copies what links lead to)",
+        )
+    return path
 
 
 def view_names(names: list[str]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 import pydantic
 
 from ..contract.component import Settings
+from ..errors import PipelineError
 from .yaml_source import Node
 
 _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
@@ -75,6 +76,9 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
     """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down.
 
     In a run so short that a share ends before the start, the component is never due: it is disabled.
+
+    Raises:
+        PipelineError: a share is more than 100 %.
     """
     result = dict(settings)
     shares: list[Node] = []
@@ -82,6 +86,12 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
         node = settings.get(name)
         share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
         if node and share:
+            if float(share[1]) > 100:
+                raise PipelineError(
+                    f"{name} is {node.content} of the iterations: that moment never comes",
+                    where=str(node.place),
+                    fix="write a share from 0% to 100%, or a number of iterations",
+                )
             moment = int(Fraction(share[1]) * iterations / 100)  # floats make 57 % of 10,000 5,699
             result[name] = Node(max(1, moment), node.place)
             shares.append(result[name])

@@ -16,7 +16,7 @@ from ..suggestions import did_you_mean, listing
 from .yaml_source import Node, Place
 
 Model = TypeVar("Model", bound=Settings)
-_VARIABLE = re.compile(r"\$\$\{|\$\{([^}]*)\}")
+_VARIABLE = re.compile(r"\$\$\{|\$\{([^}]*)(\}?)")
 _MESSAGES = {
     "int_type": "must be a whole number",
     "float_type": "must be a number",
@@ -53,7 +53,7 @@ def plain(node: Node) -> Any:
     """A node as plain dicts, lists and scalars, with environment variables filled in.
 
     Raises:
-        PipelineError: a variable is not set.
+        PipelineError: a variable is not set, or its `}` is missing.
     """
     content = node.content
     if isinstance(content, dict):
@@ -77,6 +77,12 @@ def _expand_variables(text: str, place: Place) -> str:
         name = match.group(1)
         if name is None:
             return "${"
+        if not match.group(2):
+            raise PipelineError(
+                f"the variable in {text[:100]!r} is not closed",
+                where=str(place),
+                fix="write ${NAME}; $${ stands for these two characters themselves",
+            )
         if name not in os.environ:
             raise PipelineError(
                 f"the environment variable {name!r} is not set",

@@ -11,6 +11,9 @@ from pydantic import Field
 
 from ..errors import PluginError
 
+LARGEST = 1 << 31
+"""Bytes, 2 GiB; ONNX files end there."""
+
 Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
 """The type of a setting that holds a file's hash: 64 hexadecimal digits."""
 
@@ -32,17 +35,20 @@ def read_model_file(path: Path, sha256: str | None) -> ModelFile:
     """Read a local file that must have a hash; None takes any.
 
     Raises:
-        PluginError: it cannot be read, or has another hash.
+        PluginError: it cannot be read, is no regular file or larger than 2 GiB, or has another hash.
     """
     try:
-        content = path.read_bytes()
+        problem = _unreadable(path)
+        content = b"" if problem else path.read_bytes()
     except OSError as error:
+        problem = str(error.strerror or error)
+    if problem:
         raise PluginError(
-            f"the model file cannot be read: {error.strerror or error}",
+            f"the model file cannot be read: {problem}",
             where=str(path),
             fix="write the path of a local file into the pipeline's YAML, for example "
             "`model: /models/stereo.onnx`; models are never downloaded",
-        ) from error
+        )
     found = hashlib.sha256(content).hexdigest()
     if sha256 is not None and sha256.strip().lower() != found:
         raise PluginError(
@@ -51,3 +57,11 @@ def read_model_file(path: Path, sha256: str | None) -> ModelFile:
             fix="restore the file, or set the hash to its own if this file is meant",
         )
     return ModelFile(content, found)
+
+
+def _unreadable(path: Path) -> str:
+    """Why a path is not read: a device has no end, and a pipe may never answer. Empty if it can be."""
+    size = path.stat().st_size
+    if not path.is_file():
+        return "it is no regular file"
+    return f"it has {size:,} bytes, more than {LARGEST:,}" if size > LARGEST else ""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import resource
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from core_rasterizer import Gaussians, PlyError
-from core_rasterizer.ply import load_ply, save_ply
+from core_rasterizer.ply import load_ply, load_points, save_ply
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
@@ -145,7 +147,7 @@ def test_text_cut_off_is_refused(tmp_path: Path, scene_file: Path) -> None:
         (
             b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000000000\n"
             b"property float x\nend_header\n",
-            "promises at least 4000000000000000 bytes",
+            "promises at least 16000000000000000 bytes",
         ),
         (b"ply\nformat ascii 1.0\nelement vertex -5\nproperty float x\nend_header\n", "vertex -5"),
         (
@@ -197,3 +199,59 @@ def test_a_list_in_place_of_a_number_is_refused(tmp_path: Path, scene_file: Path
     path.write_text(content)
     with pytest.raises(PlyError):
         load_ply(path)
+
+
+POINTS = "ply\nformat {} 1.0\nelement vertex 2\n{}{}end_header\n"
+POSITION = "property float x\nproperty float y\nproperty float z\n"
+WHOLE = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+BROKEN = "property float red\nproperty float green\nproperty float blue\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (POINTS.format("ascii", POSITION, WHOLE) + "0 0 0 1 2 300\n0 0 0 1 2 3\n", "300"),
+        (POINTS.format("ascii", POSITION, BROKEN) + "0 0 0 0 0 127.5\n0 0 0 0 0 1\n", "127.5"),
+        (POINTS.format("ascii", POSITION, BROKEN) + "0 0 0 0 0 -0.5\n0 0 0 0 0 1\n", "less than 0"),
+        (POINTS.format("ascii", POSITION, WHOLE) + "0 0 0 1 2 3\n" * 3, "2 rows, .* has 3"),
+        (
+            POINTS.format("ascii", POSITION, WHOLE).replace("x 2", "x " + "9" * 5000),
+            "without a count",
+        ),
+        (
+            POINTS.format("binary_little_endian", POSITION, WHOLE) + "\0" * 31,
+            "promises 30 bytes, but the file has 31",
+        ),
+        (
+            POINTS.format("binary_little_endian", POSITION, WHOLE + "property list uchar int a\n")
+            + "\0" * 40,
+            "a list stands among",
+        ),
+    ],
+    ids=["too-large", "colours-up-to-255", "dark", "rows", "digits", "trailing", "list"],
+)
+def test_values_that_no_point_has_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "points.ply"
+    path.write_text(content)
+    with pytest.raises(PlyError, match=message):
+        load_points(path)
+
+
+def test_faces_are_passed_over(tmp_path: Path) -> None:
+    faces = 200_000  # to read them takes seconds, and a hundred times the memory
+    header = POINTS.format("binary_little_endian", POSITION, WHOLE).replace(
+        "end_header", f"element face {faces}\nproperty list uchar int vertex_indices\nend_header"
+    )
+    path = tmp_path / "mesh.ply"
+    path.write_bytes(header.encode() + bytes(30) + bytes(faces))
+    start = time.monotonic()
+    positions, _ = load_points(path)
+    assert time.monotonic() - start < 1
+    assert positions.shape == (2, 3)
+
+
+def test_what_has_no_end_is_no_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.ply")
+    for path in (tmp_path / "pipe.ply", Path("/dev/zero")):
+        with pytest.raises(PlyError, match="cannot be opened"):
+            load_points(path)

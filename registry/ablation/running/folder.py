@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import RunError
-from ...runs.folder import RunFolder
+from ...results_file import read_results
+from ...runs.folder import RESULTS, RunFolder
 from ...runs.lock import locked
 from ..planning.plan import PlannedRun
 
@@ -37,12 +38,12 @@ class AblationFolder:
         return RunFolder(existing[0] if existing else self.path / RUNS / planned.name)
 
     def results(self, planned: PlannedRun) -> dict[str, Any]:
-        """What a finished run measured; empty if it is not finished, or not that pipeline's."""
+        """What a finished run measured; empty if it is not finished, not that pipeline's, or not believed."""
         run = self.run(planned)
         try:
             if run.pipeline.read_text("utf-8") != planned.pipeline.to_yaml():
                 return {}
-            return run.results()
+            return read_results(run.path / RESULTS)
         except (OSError, UnicodeDecodeError, RunError):
             return {}
 

@@ -7,9 +7,9 @@ import io
 from dataclasses import dataclass
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
+from ...terminal import PlainConsole
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder
 from . import scores
@@ -84,7 +84,7 @@ def titles(plan: Plan) -> list[tuple[str, str | None]]:
 def as_text(plan: Plan, results: Results) -> str:
     """All tables, and below them what must be known beside the numbers."""
     file = io.StringIO()
-    console = Console(file=file, width=_WIDTH, markup=False, highlight=False)
+    console = PlainConsole(file=file, width=_WIDTH, markup=False, highlight=False)
     for title, scene in titles(plan):
         console.print(_table(plan, results, f"{plan.name}, {title}", scene))
     for line in notes(plan, results):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from ...errors import SceneError
-from ..reading import decoding
+from .opening import IMAGE_FIX, open_image
 from .resized_cache import remembered
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of that EXIF tag that exchange width and height."""
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
-_FIX = "restore the photograph, or save it anew as an 8-bit PNG or JPEG"
 
 
 @dataclass(frozen=True)
@@ -59,12 +58,11 @@ class Decoder:
         """`[H, W, 3]` uint8.
 
         Raises:
-            SceneError: the file is missing, damaged, or has more than 8 bits a channel.
+            SceneError: what `open_image` refuses, or more than 8 bits a channel.
         """
         import numpy as np
-        from PIL import Image
 
-        with decoding("the image", path, _FIX), Image.open(path) as file:
+        with open_image(path) as file:
             _check_mode(file, path)
             return np.asarray(self._resized(file, path, self._opaque, str(self.background)))
 
@@ -75,9 +73,8 @@ class Decoder:
             SceneError: as `read`.
         """
         import numpy as np
-        from PIL import Image
 
-        with decoding("the image", path, _FIX), Image.open(path) as file:
+        with open_image(path) as file:
             _check_mode(file, path)
             if not file.has_transparency_data:
                 return None
@@ -128,12 +125,12 @@ def read_mask(path: Path, size: Size) -> Pixels:
     """`[H, W]` uint8 brightness of a mask, resized with the bicubic filter if it has another size.
 
     Raises:
-        SceneError: the file is missing or damaged.
+        SceneError: what `open_image` refuses, or more than 8 bits a channel.
     """
     import numpy as np
     from PIL import Image
 
-    with decoding("the mask", path, _FIX), Image.open(path) as file:
+    with open_image(path, "the mask") as file:
         _check_mode(file, path)
         grey = file.convert("L")
         return np.asarray(
@@ -145,11 +142,9 @@ def stored_size(path: Path, *, upright: bool = False) -> Size:
     """`(width, height)` of an image file, turned as its EXIF orientation says if `upright`.
 
     Raises:
-        SceneError: the file is missing or is no image.
+        SceneError: what `open_image` refuses.
     """
-    from PIL import Image
-
-    with decoding("the image", path, _FIX), Image.open(path) as file:
+    with open_image(path) as file:
         return upright_size(file) if upright else file.size
 
 
@@ -166,5 +161,5 @@ def _check_mode(file: Image.Image, path: Path) -> None:
         raise SceneError(
             f"the image has pixels of kind {file.mode!r}, not 8 bits a channel",
             where=str(path),
-            fix=_FIX,
+            fix=IMAGE_FIX,
         )

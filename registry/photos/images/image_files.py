@@ -19,6 +19,18 @@ def find_image(path: Path) -> Path:
     Raises:
         SceneError: there is none.
     """
+    found = existing_image(path)
+    if found is not None:
+        return found
+    raise SceneError(
+        "a photograph is missing",
+        where=str(path),
+        fix="restore it, or choose views that are there",
+    )
+
+
+def existing_image(path: Path) -> Path | None:
+    """What `find_image` finds, or None."""
     if path.is_file():
         return path
     for suffix in IMAGE_SUFFIXES:
@@ -26,11 +38,7 @@ def find_image(path: Path) -> Path:
             other = path.with_name(path.stem + spelling)
             if other.is_file():
                 return other
-    raise SceneError(
-        "a photograph is missing",
-        where=str(path),
-        fix="restore it, or choose views that are there",
-    )
+    return None
 
 
 def list_images(folder: Path) -> list[Path]:

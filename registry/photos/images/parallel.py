@@ -22,5 +22,8 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
 
     Pillow and numpy let go of the interpreter's lock while they work.
     """
-    with ThreadPoolExecutor(max(1, min(len(items), os.cpu_count() or 1))) as pool:
+    threads = min(len(items), os.cpu_count() or 1)
+    if threads < 2:
+        return [work(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, items))

@@ -42,5 +42,5 @@ def remembered(path: Path, treatment: str, compute: Callable[[], Image.Image]) -
 def _read(folder: Path) -> Image.Image:
     from PIL import Image
 
-    with Image.open(folder / _FILE) as file:
+    with Image.open(folder / _FILE, formats=("PNG",)) as file:
         return file.copy()

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from registry import RunError
+from registry import RunError, read_results
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,7 +43,7 @@ def read_run(folder: Path) -> RunFiles:
     """Read a run folder.
 
     Raises:
-        RunError: there are no results yet, or a file is not what it should be.
+        RunError: there are no results yet, they cannot be believed, or a file is not what it should be.
     """
     if not (folder / "results.json").is_file():
         raise RunError(
@@ -54,7 +54,7 @@ def read_run(folder: Path) -> RunFiles:
     pipeline, metrics = folder / "pipeline.yaml", folder / "metrics.jsonl"
     lines = metrics.read_text("utf-8").splitlines() if metrics.is_file() else []
     return RunFiles(
-        results=_json_file(folder / "results.json"),
+        results=read_results(folder / "results.json"),
         provenance=_json_file(folder / "provenance.json"),
         pipeline=pipeline.read_text("utf-8") if pipeline.is_file() else "",
         metrics=[_object(line, f"{metrics}:{number}") for number, line in enumerate(lines, 1)],

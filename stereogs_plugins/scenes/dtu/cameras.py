@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from registry import PointCloud, SceneError
-from registry.photos import Bounds, Lens, decoding, pose_from_axes, read_colmap_model
+from registry.photos import Bounds, Lens, decoding, pose_from_axes, read_arrays, read_colmap_model
 
 FULL_SIZE = (1600, 1200)
 DEPTH_RANGE = (425.0, 935.0)
@@ -100,9 +100,9 @@ def calibrated(path: Path, view_ids: list[int]) -> DtuCameras:
         SceneError: the file is missing or damaged, lacks a view, holds numbers that are not finite,
             or a matrix that is no camera.
     """
-    if not path.is_file():
-        raise SceneError("the camera file is missing", where=str(path), fix=_FIX)
-    with decoding("the camera file", path, _FIX), np.load(path, allow_pickle=False) as data:
+    names = [f"{kind}_mat_{k}" for kind in ("world", "scale") for k in view_ids]
+    data = read_arrays(path, names, "the camera file", _FIX)
+    with decoding("the camera file", path, _FIX):
         worlds = {k: np.asarray(data[f"world_mat_{k}"], dtype=np.float64) for k in view_ids}
         scales = {k: np.asarray(data[f"scale_mat_{k}"], dtype=np.float64) for k in view_ids}
     for index in view_ids:

@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from registry import PointCloud, SceneError
-from registry.photos import POINTS_FIX, Tracks, decoding, has_colmap_model, read_colmap_model
+from registry.photos import (
+    POINTS_FIX,
+    Tracks,
+    decoding,
+    has_colmap_model,
+    read_arrays,
+    read_colmap_model,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+_ARRAYS = ("xyz", "rgb", "track_len", "track_image_ids")
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:
@@ -38,7 +47,8 @@ def read_points(folder: Path, image_count: int, training: list[int]) -> PointClo
 
 
 def _read_archive(path: Path) -> Tracks:
-    with decoding("the points file", path, POINTS_FIX), np.load(path, allow_pickle=False) as data:
+    data = read_arrays(path, _ARRAYS, "the points file", POINTS_FIX)
+    with decoding("the points file", path, POINTS_FIX):
         return Tracks(
             positions=np.asarray(data["xyz"], dtype=np.float32),
             colors=np.asarray(data["rgb"], dtype=np.uint8),

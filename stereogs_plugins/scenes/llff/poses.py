@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from registry import SceneError
-from registry.photos import Lens, decoding, pose_from_axes
+from registry.photos import Lens, decoding, pose_from_axes, read_array
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+_FIX = "point `path` at the folder of one whole LLFF scene, for example .../llff_fern"
 
 
 @dataclass(frozen=True)
@@ -47,15 +49,9 @@ def read_poses(path: Path) -> list[PoseRow]:
         SceneError: the file is missing, unreadable or of another shape; a row that is not finite, has a
             size or focal length that is not positive, or depth bounds out of order.
     """
-    if not path.is_file():
-        raise SceneError(
-            "the camera file poses_bounds.npy is missing",
-            where=str(path),
-            fix="point `path` at the folder of one LLFF scene, for example .../llff_fern",
-        )
-    with decoding("the camera file", path, "download it again"):
-        # Mapped, a file that announces more than it holds is refused before memory is asked for.
-        rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
+    rows = read_array(path, "the camera file poses_bounds.npy", _FIX)
+    with decoding("the camera file", path, _FIX):
+        rows = np.asarray(rows, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
         raise SceneError(
             f"the camera file has shape {rows.shape}; an LLFF file has (number of images, 17)",

@@ -7,10 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from PIL import Image
-
 from registry import SceneError
-from registry.photos import Size, decoding, in_parallel, list_images, upright_size
+from registry.photos import Size, in_parallel, list_images, open_image, upright_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +83,7 @@ def read_folder(folder: Path) -> list[UnposedPhoto]:
 
 
 def _read(path: Path) -> UnposedPhoto:
-    with decoding("the photograph", path, _FIX), Image.open(path) as file:
+    with open_image(path, "the photograph", _FIX) as file:
         size = upright_size(file)
         turned = size != file.size
         exif = file.getexif()

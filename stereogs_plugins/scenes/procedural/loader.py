@@ -43,15 +43,15 @@ EYE_LEVEL = -0.1
 
 
 class ProceduralSettings(Settings):
-    train_views: int = Field(3, ge=1)
+    train_views: int = Field(3, ge=1, le=1000)
     """How many training views, on an arc in front of the room."""
-    test_views: int = Field(4, ge=0)
+    test_views: int = Field(4, ge=0, le=1000)
     """How many test views, between the training views and at other heights."""
     width: int = Field(252, ge=16, le=4096)
     """Image width in pixels."""
     height: int = Field(189, ge=16, le=4096)
     """Image height in pixels."""
-    points: int = Field(2000, ge=0)
+    points: int = Field(2000, ge=0, le=1_000_000)
     """How many sparse points on surfaces that the training views see; 0 gives none."""
     point_noise: float = Field(0.01, ge=0)
     """Standard deviation of the points' positions about the true surface, metres."""

@@ -204,6 +204,7 @@ class TestOverrides:
             ("training.iterations=many", "must be a whole number, not 'many'"),
             ("scene.use=toy_scen", "did you mean 'toy_scene'"),
             ("scene.path=${NOT_SET_ANYWHERE}", "not set"),
+            ('scene.path="${HOME"', "is not closed"),
         ],
     )
     def test_mistakes_name_the_option(self, toys: Plugins, override: str, message: str) -> None:

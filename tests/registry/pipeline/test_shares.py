@@ -62,6 +62,11 @@ def test_what_is_no_share_is_refused(toys: Plugins) -> None:
         parse(toys, "densification.stop=half")
 
 
+def test_a_moment_after_the_end_is_refused(toys: Plugins) -> None:
+    with pytest.raises(PipelineError, match="150% of the iterations: that moment never comes"):
+        parse_pipeline(TEXT.replace("10%", "150%"), toys)
+
+
 def test_a_run_too_short_for_a_share_does_without_the_component(toys: Plugins) -> None:
     text = TEXT.replace("start: 10%", "start: 600")
     short = parse_pipeline(text, toys, overrides=["training.iterations=1000"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,18 @@ def test_a_missing_file_says_how_to_name_one(tmp_path: Path) -> None:
     assert "never downloaded" in caught.value.fix
     with pytest.raises(PluginError, match="cannot be read"):
         OnnxModel(tmp_path)
+
+
+def test_what_has_no_end_is_no_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe.onnx")
+    for path in (tmp_path / "pipe.onnx", Path("/dev/zero")):
+        with pytest.raises(PluginError, match="it is no regular file"):
+            OnnxModel(path)
+    monkeypatch.setattr("registry.priors.model_file.LARGEST", 1000)
+    large = tmp_path / "large.onnx"
+    large.write_bytes(bytes(1001))
+    with pytest.raises(PluginError, match="it has 1,001 bytes, more than 1,000"):
+        OnnxModel(large)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x0a" * 40])

@@ -19,7 +19,7 @@ from tests.stereogs_plugins.building import build, offered
 
 RESULTS: dict[str, Any] = {
     "pipeline": "3dgs <fast>",
-    "scene": {"name": "tiny", "train": ["view0", "view2"], "extent": 0.22},
+    "scene": {"name": "tiny", "train": ["view0"], "extent": 0.22},
     "gaussians": 12345,
     "seconds": 7.5,
     "peak_memory_mb": None,
@@ -148,7 +148,7 @@ def test_an_unfinished_run_and_damaged_files_are_explained(run: RunFolder) -> No
         written(run)
     assert caught.value.where == f"{run.path / 'metrics.jsonl'}:5"
     (run.path / "results.json").write_text("[1]")
-    with pytest.raises(RunError, match="object is expected, not list"):
+    with pytest.raises(RunError, match="should be an object"):
         written(run)
     (run.path / "results.json").unlink()
     with pytest.raises(RunError, match=r"no results\.json") as caught:

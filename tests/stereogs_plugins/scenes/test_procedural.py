@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pydantic
 import pytest
 import torch
 from torch import Tensor
@@ -159,3 +160,9 @@ def test_a_wall_is_transparent_from_behind() -> None:
         np.array([1.0, -1.0, 2.0]), np.array([-2.0, 0, 0]), np.array([0, 2.0, 0]), WHITE
     )
     assert cast([away], CAMERA)[1].max() == 0
+
+
+@pytest.mark.parametrize("name", ["train_views", "test_views", "points", "width", "height"])
+def test_what_would_fill_the_memory_is_refused(name: str) -> None:
+    with pytest.raises(pydantic.ValidationError, match="less than or equal to"):
+        build(ProceduralScene, **{name: 100_000_000})

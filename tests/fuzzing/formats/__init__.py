@@ -1,0 +1,25 @@
+"""All formats that something reads, by name."""
+
+from __future__ import annotations
+
+from registry.training.checkpoint import FORMAT
+from tests.fuzzing.formats.arrays_and_models import Checkpoints, OnnxFiles, PriorAnswers
+from tests.fuzzing.formats.images import Images
+from tests.fuzzing.formats.points import PointFiles
+from tests.fuzzing.formats.scenes import SCENES
+from tests.fuzzing.formats.texts import PipelineFiles, ResultsFiles
+from tests.fuzzing.target import Target
+
+TARGETS: dict[str, type[Target]] = {
+    target.name: target
+    for target in (
+        *SCENES,
+        Images,
+        PointFiles,
+        PipelineFiles,
+        ResultsFiles,
+        *((Checkpoints,) if FORMAT > 1 else ()),  # the first format kept no hashes
+        PriorAnswers,
+        OnnxFiles,
+    )
+}

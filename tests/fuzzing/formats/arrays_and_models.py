@@ -1,0 +1,129 @@
+"""Binary files of tensors: checkpoints, cached answers of priors, and networks."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+from unittest import mock
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from core_rasterizer import ExplainedError
+from registry import OnnxModel
+from registry.priors.prior_cache import PriorCache
+from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from tests.fuzzing.target import Target
+
+TENSORS = {"model/means": torch.arange(12.0).reshape(4, 3), "order": torch.arange(5)}
+
+
+class Checkpoints(Target):
+    """A checkpoint, which keeps hashes: no damage may pass."""
+
+    name = "checkpoints"
+
+    def write(self) -> tuple[str, ...]:
+        """One."""
+        fields = {"iteration": 7, "seconds": 1.5, "tensors": TENSORS, "pipeline": "name: fuzzed\n"}
+        known = {field.name for field in dataclasses.fields(Checkpoint)}
+        save_checkpoint(Checkpoint(**{k: v for k, v in fields.items() if k in known}), self.folder)
+        files = sorted(path for path in self.folder.rglob("*") if path.is_file())
+        return tuple(str(path.relative_to(self.folder)) for path in files)
+
+    def read(self) -> None:
+        """Load it; what comes is what was saved."""
+        found = load_checkpoint(self.folder)
+        assert (found.iteration, found.seconds) == (7, 1.5)
+        assert found.tensors.keys() == TENSORS.keys()
+        assert all(torch.equal(found.tensors[name], TENSORS[name]) for name in TENSORS)
+
+
+class Refused(ExplainedError):
+    """A cached answer that is computed anew instead."""
+
+
+class PriorAnswers(Target):
+    """An answer in the cache: the one that was kept, or none."""
+
+    name = "cached answers"
+    _key = "0123456789abcdef" * 2
+
+    def write(self) -> tuple[str, ...]:
+        """One answer with a picture and what was asked."""
+        logging.getLogger("registry.cache.entries").setLevel(logging.ERROR)
+        with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
+            PriorCache("fuzzed").save(
+                self._key, TENSORS, {"depth": torch.full((3, 4, 3), 0.5)}, {"asked": "something"}
+            )
+        entry = self.folder / "fuzzed" / self._key
+        return tuple(str(path.relative_to(self.folder)) for path in sorted(entry.iterdir()))
+
+    def read(self) -> None:
+        """Ask for it."""
+        with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
+            found = PriorCache("fuzzed").load(self._key)
+        if found is None:
+            raise Refused("it is computed anew")
+        assert all(torch.equal(found[name], TENSORS[name]) for name in TENSORS)
+
+    def restore(self, file: str) -> None:
+        """The whole entry: one that is damaged is removed."""
+        for name in self.files:
+            path = self.folder / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(self.whole(name))
+
+
+class OnnxFiles(Target):
+    """A small network; one that is accepted answers, or says why not."""
+
+    name = "onnx"
+
+    def write(self) -> tuple[str, ...]:
+        """A convolution and a loop of two rounds."""
+        (self.folder / "model.onnx").write_bytes(small_network().SerializeToString())
+        return ("model.onnx",)
+
+    def read(self) -> None:
+        """Open and ask it."""
+        model = OnnxModel(self.folder / "model.onnx", provider="cpu")
+        if [spec.name for spec in model.inputs] == ["x"]:
+            for answer in model.run({"x": torch.ones(1, 1, 4, 4)}).values():
+                assert answer.dtype == torch.float32
+
+
+def small_network() -> onnx.ModelProto:
+    """y = conv(x) + x, twice in a loop."""
+    body = helper.make_graph(
+        [
+            helper.make_node("Conv", ["inner", "w"], ["bent"], pads=[1, 1, 1, 1]),
+            helper.make_node("Add", ["bent", "inner"], ["inner_out"]),
+            helper.make_node("Identity", ["going"], ["going_out"]),
+        ],
+        "body",
+        [
+            helper.make_tensor_value_info("round", TensorProto.INT64, []),
+            helper.make_tensor_value_info("going", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("inner", TensorProto.FLOAT, [1, 1, 4, 4]),
+        ],
+        [
+            helper.make_tensor_value_info("going_out", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("inner_out", TensorProto.FLOAT, [1, 1, 4, 4]),
+        ],
+    )
+    weights = np.random.default_rng(0).standard_normal((1, 1, 3, 3)).astype(np.float32)
+    graph = helper.make_graph(
+        [helper.make_node("Loop", ["rounds", "", "x"], ["y"], body=body)],
+        "network",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, 1, 4, 4])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, 1, 4, 4])],
+        [
+            numpy_helper.from_array(np.array(2, np.int64), "rounds"),
+            numpy_helper.from_array(weights, "w"),
+        ],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=10)

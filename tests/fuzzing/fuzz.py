@@ -1,0 +1,83 @@
+"""Damage files at random and hold their readers to the rule: something good, or an explained error."""
+
+from __future__ import annotations
+
+import random
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from unittest import mock
+
+from registry.runs.memory import peak_memory_mb
+from tests.fuzzing.damage import damage
+from tests.fuzzing.guard import Forbidden, watched
+from tests.fuzzing.target import Target
+
+SLOWEST = 10.0
+"""Seconds; a reader that takes longer over a tiny file hangs."""
+MEMORY_TIMES = 10
+MEMORY_PLUS = 64 * 1024 * 1024
+"""A reader may take this many times the file, and this many bytes more."""
+
+
+@dataclass
+class Tally:
+    """What came of some inputs.
+
+    Args:
+        failures: what broke the rule, by number.
+    """
+
+    accepted: int = 0
+    refused: int = 0
+    failures: dict[int, str] = field(default_factory=dict)
+
+
+def fuzz(
+    target: Target, numbers: Iterable[int], starts: Callable[[int], object] = lambda number: None
+) -> Tally:
+    """Read a damaged version of a target's files for each number.
+
+    Args:
+        starts: is told each number before its file is read.
+    """
+    target.read()  # whole, it is read; this also imports all that reading needs
+    tally = Tally()
+    for number in numbers:
+        starts(number)
+        randomness = random.Random(f"{target.name} {number}")
+        file = randomness.choice(target.files)
+        content = damage(target.whole(file), file, randomness)
+        before, start = _peak_bytes(), time.monotonic()
+        try:
+            # One thread: more take longer to start than so small a file takes to read.
+            with watched(target.folder.parent), mock.patch("os.cpu_count", return_value=1):
+                accepted = target.accepts(file, content)
+            _check_cost(time.monotonic() - start, _peak_bytes() - before, len(content))
+        except KeyboardInterrupt:
+            raise
+        except (Exception, Forbidden, SystemExit):
+            tally.failures[number] = f"{file}: {traceback.format_exc()}"
+            continue
+        tally.accepted += accepted
+        tally.refused += not accepted
+    return tally
+
+
+def _peak_bytes() -> float:
+    """The most memory that this process has held; 0 where the system does not tell."""
+    return (peak_memory_mb() or 0.0) * 1e6
+
+
+def _check_cost(seconds: float, grown: float, size: int) -> None:
+    assert seconds < SLOWEST, f"it took {seconds:.1f} s"
+    assert grown <= MEMORY_TIMES * size + MEMORY_PLUS, f"memory grew by {grown / 1e6:.0f} MB"
+
+
+def folder_for(name: str, root: Path) -> Path:
+    """A folder of its own for a target, so that writing beside it can be seen."""
+    folder = root / name.replace(" ", "-") / "files"
+    folder.mkdir(parents=True)
+    return folder

@@ -1,0 +1,122 @@
+"""Damaged files: no crash, no hang, nothing accepted that is not good, nothing done but reading.
+
+`make fuzz` reads 100,000 of each format.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from core_rasterizer import ExplainedError
+from tests.fuzzing.__main__ import State, run, shares
+from tests.fuzzing.crashing import crashing
+from tests.fuzzing.damage import damage
+from tests.fuzzing.formats import TARGETS
+from tests.fuzzing.fuzz import folder_for, fuzz
+from tests.fuzzing.guard import Forbidden, watched
+from tests.fuzzing.target import Target
+
+FILES = 500
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_files_are_explained_or_harmless(name: str, tmp_path: Path) -> None:
+    tally = fuzz(TARGETS[name](folder_for(name, tmp_path)), range(FILES))
+    assert tally.failures == {}
+    assert tally.refused > FILES / 4  # the damage is not always invisible
+
+
+def test_the_same_number_does_the_same_damage() -> None:
+    data = bytes(range(256)) * 4
+    for file in ("a.npy", "b.json"):
+        assert damage(data, file, random.Random(3)) == damage(data, file, random.Random(3))
+        assert any(damage(data, file, random.Random(k)) != data for k in range(3))
+
+
+class Careless(Target):
+    """A reader with every fault that fuzzing must find, by the first byte of what it reads."""
+
+    name = "careless"
+
+    def __init__(self, folder: Path) -> None:
+        self.held: list[bytearray] = []
+        super().__init__(folder)
+
+    def write(self) -> tuple[str, ...]:
+        """A byte."""
+        (self.folder / "a").write_bytes(bytes(1))
+        return ("a",)
+
+    def read(self) -> None:
+        """What the first byte says."""
+        first = (self.folder / "a").read_bytes()[:1]
+        if not first:
+            raise ExplainedError("it is empty")
+        if first[0] in (1, 2):
+            raise ValueError("a traceback")
+        assert first[0] not in (4, 8), "accepted and wrong"
+        if first[0] in (16, 32):
+            (self.folder.parent.parent / "outside").touch()
+        if first[0] in (64, 128):
+            self.held.append(bytearray(100_000_000))
+
+
+def test_every_fault_is_found(tmp_path: Path) -> None:
+    tally = fuzz(Careless(folder_for("careless", tmp_path)), range(300))
+    found = " ".join(tally.failures.values())
+    for fault in ("a traceback", "accepted and wrong", "opened for writing", "memory grew"):
+        assert fault in found
+    assert tally.accepted > 0
+    assert tally.refused > 0
+    assert not (tmp_path / "outside").exists()
+
+
+def test_what_no_file_may_make_happen_is_seen(tmp_path: Path) -> None:
+    for act in (
+        lambda: subprocess.run([sys.executable, "-c", ""], check=True),
+        lambda: os.system("true"),
+        lambda: pickle.loads(pickle.dumps(Careless)),
+        lambda: (tmp_path.parent / "a").write_text(""),
+    ):
+        with pytest.raises(Forbidden), watched(tmp_path):
+            act()
+    with watched(tmp_path):
+        (tmp_path / "a").write_text("")
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for a run whose readers are quick to import, and crash at number 3."""
+    monkeypatch.setattr("tests.fuzzing.__main__.work", crashing)
+    return tmp_path / "state"
+
+
+def test_a_crash_takes_nothing_along_and_a_run_goes_on(
+    state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(State(state), [("a", 0, 10), ("b", 10, 20)], 20)
+    said = capsys.readouterr().out
+    assert "FAILED  a 3: the process ended" in said
+    assert "100 %  20 of 20" in said
+    assert [path.name for path in state.glob("failed-*")] == ["failed-a-3.txt"]
+    found = State(state).done
+    assert sum(counts[0] for counts in found.values()) == 19
+    assert found["a", 3, 4] == (0, 0, 1)
+    assert found["b", 10, 20] == (10, 0, 0)
+
+
+def test_formats_take_turns() -> None:
+    assert list(shares(["a", "b"], 1500)) == [
+        ("a", 0, 1000),
+        ("b", 0, 1000),
+        ("a", 1000, 1500),
+        ("b", 1000, 1500),
+    ]

@@ -1,0 +1,57 @@
+"""Names from outside reach the terminal as text."""
+
+from __future__ import annotations
+
+import io
+import logging
+from pathlib import Path
+
+import pytest
+from rich.table import Table
+
+from registry.cli import main
+from registry.session import _console
+from registry.terminal import PlainConsole, PlainFormatter, visible
+
+EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
+TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"
+
+
+def test_control_characters_are_written_out_and_nothing_else() -> None:
+    assert visible(EVIL) == f"{TAMED}\\r\nd"
+    harmless = "fern – 21.91 ± 0.03 \t日本\u00a0\n"  # noqa: RUF001
+    assert visible(harmless) == harmless
+
+
+def test_a_console_writes_its_own_styles_alone() -> None:
+    file = io.StringIO()
+    console = PlainConsole(file=file, force_terminal=True, width=200, color_system="truecolor")
+    table = Table(title=EVIL)
+    table.add_column(EVIL, style="bold red")
+    table.add_row(EVIL)
+    console.print(table)
+    console.print(EVIL)
+    written = file.getvalue()
+    assert "\x1b[1;31m" in written  # its own
+    for code in ("\x1b[2J", "\x1b]0;", "\x07", "\x9b", "\u202e"):
+        assert code not in written
+    assert "owned" in written
+
+
+def test_every_console_of_the_host_is_one() -> None:
+    assert isinstance(_console(True), PlainConsole)
+
+
+def test_log_lines_too() -> None:
+    record = logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (EVIL,), None)
+    assert PlainFormatter().format(record).startswith(TAMED)
+
+
+def test_a_folder_with_an_evil_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "\x1b[2Jscene"
+    folder.mkdir()
+    assert main(["check", str(folder)]) == 2
+    assert main(["compare", str(folder)]) == 2
+    said = "".join(capsys.readouterr())
+    assert "\x1b" not in said
+    assert "\\x1b[2Jscene" in said
