@@ -51,8 +51,8 @@ def scaled(item: dict[str, Any], shrink: float) -> dict[str, Any]:
     return item | {name: max(1, int(n * shrink)) for name, n in numbers.items()}
 
 
-def parsed(tree: dict[str, Any], *disabled: str) -> Pipeline:
-    return parse_pipeline(yaml.safe_dump(tree), Plugins(), disabled=disabled)
+def parsed(tree: dict[str, Any]) -> Pipeline:
+    return parse_pipeline(yaml.safe_dump(tree), Plugins())
 
 
 @cache
@@ -110,9 +110,12 @@ def test_a_part_that_is_switched_off_is_as_if_it_were_not_there(file: Path) -> N
     for item in parsed(tree):
         section = item.point.section
         if section in TRAINING_SECTIONS:
-            others = [one for one in tree[section] if one.get("name", one["use"]) != item.name]
+            mine = [one.get("name", one["use"]) == item.name for one in tree[section]]
+            marked = list(zip(tree[section], mine, strict=True))
+            others = [one for one, is_it in marked if not is_it]
+            switched = [one | {"enabled": False} if is_it else one for one, is_it in marked]
             _, absent = train(parsed(tree | {section: others}))
-            _, disabled = train(parsed(tree, item.name))
+            _, disabled = train(parsed(tree | {section: switched}))
             assert disabled == absent, item.qualified_name
 
 
