@@ -1,7 +1,7 @@
 """Every short pipeline of a published method trains on the built-in room, and each part can be left out.
 
-Schedules are shrunk to 30 iterations, or to 8 where two runs are compared, the scene to thumbnails;
-nothing else is changed.
+Schedules are shrunk to 30 iterations, or to 5 where two runs are compared, the scene to thumbnails, and
+growth is limited; nothing else is changed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from registry.training.trainer import Iteration, Trainer
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 SHORT = sorted(FOLDER.glob("*-short.yaml"))
-LONG, BRIEF = 30, 8
+PLUGINS = Plugins()
+LONG, BRIEF = 30, 5
+MOST_GAUSSIANS = 1000
 SIZE = {"width": 48, "height": 36, "points": 300, "test_views": 0}
 
 
@@ -36,6 +38,7 @@ def tree_of(file: Path, iterations: int) -> dict[str, Any]:
         tree[section] = [scaled(item, shrink) for item in items_of(tree[section])]
     sh_every = tree["training"].get("sh_every", 1000)
     tree["training"] |= {"iterations": iterations, "sh_every": max(1, int(sh_every * shrink))}
+    tree["training"]["max_gaussians"] = MOST_GAUSSIANS
     return tree | {"scene": {"use": "procedural", **SIZE}, "metrics": [], "exporters": []}
 
 
@@ -52,7 +55,7 @@ def scaled(item: dict[str, Any], shrink: float) -> dict[str, Any]:
 
 
 def parsed(tree: dict[str, Any]) -> Pipeline:
-    return parse_pipeline(yaml.safe_dump(tree), Plugins())
+    return parse_pipeline(yaml.safe_dump(tree), PLUGINS)
 
 
 @cache
@@ -121,13 +124,13 @@ def test_a_part_that_is_switched_off_is_as_if_it_were_not_there(file: Path) -> N
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.yaml")), ids=lambda file: file.stem)
 def test_it_is_understood_and_carries_its_files_name(file: Path) -> None:
-    assert load_pipeline(file, Plugins()).name == file.stem
+    assert load_pipeline(file, PLUGINS).name == file.stem
 
 
 @pytest.mark.parametrize("file", SHORT, ids=lambda file: file.stem)
 def test_the_short_form_has_the_parts_of_the_full_one(file: Path) -> None:
-    short = load_pipeline(file, Plugins())
-    full = load_pipeline(file.with_name(file.name.replace("-short", "")), Plugins())
+    short = load_pipeline(file, PLUGINS)
+    full = load_pipeline(file.with_name(file.name.replace("-short", "")), PLUGINS)
     assert short.training.iterations == 2000
     names = [[i.qualified_name for i in p if i.point.section != "priors"] for p in (short, full)]
     assert names[0] == names[1]
