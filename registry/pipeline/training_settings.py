@@ -55,6 +55,8 @@ class TrainingSettings(Settings):
     """Lower opacities so that the dilation adds no light (Mip-Splatting, Yu et al. 2024)."""
     initial_opacity: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Of the first Gaussians, where the initializer gives none."""
+    initial_scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    """Factor of the first Gaussians' distance to their neighbours, where the initializer gives no scales."""
     learning_rates: LearningRates = LearningRates()
     """Adam's step sizes."""
     fields: Positive = 1

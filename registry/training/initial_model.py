@@ -32,7 +32,7 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
     count = len(points)
     scales = points.scales
     if scales is None:
-        scales = mean_squared_distances(points.positions).sqrt().float()
+        scales = settings.initial_scale * mean_squared_distances(points.positions).sqrt().float()
     opacities = points.opacities
     if opacities is None:
         opacities = torch.full((count,), settings.initial_opacity)

@@ -79,3 +79,9 @@ def test_what_the_points_say_is_kept() -> None:
 def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         initial_gaussians(points, SETTINGS)
+
+
+def test_all_may_start_smaller_than_their_neighbours_are_away() -> None:
+    settings = TrainingSettings(initial_scale=0.1)
+    whole, tenth = (initial_gaussians(cloud(9), s).log_scales.exp() for s in (SETTINGS, settings))
+    torch.testing.assert_close(tenth, 0.1 * whole)

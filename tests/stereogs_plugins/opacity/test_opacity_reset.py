@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from stereogs_plugins.opacity.opacity_reset import (
@@ -26,3 +28,11 @@ def test_nothing_is_reset_so_late_that_opacities_could_not_recover() -> None:
     step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]), iteration=501)
     assert build(OpacityReset).update(step) is None
     assert build(OpacityReset, recovery=499).update(step) is not None
+
+
+def test_may_wait_for_a_white_background() -> None:
+    step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]))
+    policy = build(OpacityReset, only_on_white=True)
+    assert policy.update(step) is None
+    step.scene = replace(step.scene, background=(1.0, 1.0, 1.0))
+    assert policy.update(step) is not None

@@ -1,0 +1,1 @@
+"""Perturbations: what moves parameters after the optimizer's step."""

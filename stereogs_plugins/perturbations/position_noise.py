@@ -1,0 +1,64 @@
+"""`position_noise`: faint Gaussians wander, so that they find where they are needed (3DGS-MCMC).
+
+Kheradmand et al. 2024: with the noise, training samples from a distribution (Langevin dynamics)
+instead of running down to the nearest minimum. The nearly opaque, which have found their place, stay.
+Their code's factor of 5e5 is meant for position rates in units of the scene's extent.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from registry import Perturbation, Register, Settings, Step, hookimpl
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
+
+
+class PositionNoiseSettings(Settings):
+    factor: float = Field(5e5, ge=0, allow_inf_nan=False)
+    """Of the noise, beside the learning rate of the means."""
+    steepness: float = Field(100.0, ge=0, allow_inf_nan=False)
+    """How fast noise vanishes as the opacity rises above `opacity`."""
+    opacity: float = Field(0.005, ge=0, le=1)
+    """The opacity at which noise has half its strength."""
+
+
+class PositionNoise(Perturbation[PositionNoiseSettings]):
+    """mean <- mean + rate * factor * sigmoid(-steepness (alpha - opacity)) * Sigma * normal noise."""
+
+    Settings = PositionNoiseSettings
+
+    def offsets(self, step: Step) -> Mapping[str, Tensor]:
+        """Return the offsets of the means, `[N, 3]` world units."""
+        import torch
+
+        settings, model = self.settings, step.model
+        noise = torch.randn(model.count, 3, generator=self.generator)
+        restless = torch.sigmoid(-settings.steepness * (model.opacities() - settings.opacity))
+        strength = step.learning_rates["means"] * settings.factor * restless
+        axes = rotations(model.read("quaternions"))
+        along = torch.einsum("nji,nj->ni", axes, strength[:, None] * noise)
+        return {"means": torch.einsum("nij,nj->ni", axes, model.scales().square() * along)}
+
+
+def rotations(quaternions: Tensor) -> Tensor:
+    """Rotation matrices `[N, 3, 3]` of quaternions (w, x, y, z) `[N, 4]` of any length."""
+    import torch
+
+    w, x, y, z = torch.nn.functional.normalize(quaternions, dim=1).unbind(1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+@hookimpl
+def stereogs_register_perturbations(register: Register[PositionNoise]) -> None:
+    register("position_noise", PositionNoise)

@@ -1,0 +1,118 @@
+"""`pearson_depth`: rendered depth must rise and fall as a monocular prior says (FSGS, Zhu et al. 2024).
+
+A network's depth of one image has no scale, shift or unit; Pearson's correlation asks for none. FSGS
+holds training views to it, and virtual views too: there the prior looks at the render itself, and where
+it is `differentiable` a gradient also flows through it to the colours.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from registry import (
+    Context,
+    MonocularDepthPrior,
+    PluginError,
+    Register,
+    Regularizer,
+    Settings,
+    Step,
+    hookimpl,
+    virtual_views,
+)
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+CONSTANT = 1e-6
+"""Maps whose relative deviation from their mean is below this are constant but for rounding."""
+
+
+class PearsonDepthSettings(Settings):
+    prior: str | None = None
+    """Which monocular depth prior to ask; null takes the pipeline's only one."""
+    views: Literal["training", "box", "between", "sphere"] = "training"
+    """The iteration's training view, or a virtual view drawn anew each time: in the box around the
+    training cameras (FSGS's code on LLFF), between two neighbours (its paper), or on a sphere."""
+    offset: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """Correlate with 1 / (inverse depth + offset) too, and take what fits better; FSGS: 200 for training
+    views, in the units of DPT. null compares with minus the inverse depth alone."""
+    ramp_start: int = Field(0, ge=0)
+    """The iteration after which the term's own factor grows from 0 ..."""
+    ramp_length: int = Field(0, ge=0)
+    """... to 1, in so many iterations; 0 has it at 1 from the start."""
+
+
+class PearsonDepth(Regularizer[PearsonDepthSettings]):
+    """1 - Pearson's correlation of rendered depth z and the prior's depth, of all pixels of a view.
+
+    z is as blended, not divided by alpha. Where one of the two is constant the term is 0.
+    """
+
+    Settings = PearsonDepthSettings
+
+    def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._known: dict[str, Tensor] = {}
+
+    def loss(self, step: Step) -> Tensor:
+        """The term, in [0, 2] times the ramp.
+
+        Raises:
+            PluginError: no such prior; or inverse depth that `offset` does not make positive.
+        """
+        depth, inverse = self._maps(step)
+        loss = 1 - correlation(-inverse, depth)
+        if self.settings.offset is not None:
+            loss = loss.minimum(1 - correlation(reciprocal(inverse, self.settings.offset), depth))
+        return self._ramp(step.iteration) * loss
+
+    def _maps(self, step: Step) -> tuple[Tensor, Tensor]:
+        """Rendered depth and the prior's inverse depth, `[H, W]` each."""
+        prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
+        kind = self.settings.views
+        if kind != "training":
+            rendering = step.render(virtual_views.draw(kind, step.scene, self.generator))
+            return rendering.depth, prior.inverse_depth(rendering.rgb.clamp(0, 1))
+        name = step.view.name
+        if name not in self._known:
+            self._known[name] = prior.inverse_depth_of(step.view)
+        return step.rendering.depth, self._known[name]
+
+    def _ramp(self, iteration: int) -> float:
+        done, length = iteration - self.settings.ramp_start, self.settings.ramp_length
+        return min(1.0, max(0.0, done / length)) if length else 1.0
+
+
+def reciprocal(inverse: Tensor, offset: float) -> Tensor:
+    """1 / (inverse depth + offset), `[H, W]`.
+
+    Raises:
+        PluginError: the sum is not positive everywhere.
+    """
+    lowest = float(inverse.detach().min())
+    if not lowest + offset > 0:
+        raise PluginError(
+            f"the prior's inverse depth goes down to {lowest:g}, and the offset of {offset:g} does not "
+            "make it positive",
+            fix="use a larger offset, or null",
+        )
+    return 1 / (inverse + offset)
+
+
+def correlation(first: Tensor, second: Tensor) -> Tensor:
+    """Pearson's correlation of two maps of one shape; 1, without gradient, if one is constant."""
+    parts = [(values - values.mean(), values.detach()) for values in (first, second)]
+    lengths = [deviation.norm() for deviation, _ in parts]
+    for length, (_, values) in zip(lengths, parts, strict=True):
+        if not float(length.detach()) > CONSTANT * float(values.norm()):
+            return first.new_ones(())
+    cosine: Tensor = (parts[0][0] * parts[1][0]).sum() / (lengths[0] * lengths[1])
+    return cosine
+
+
+@hookimpl
+def stereogs_register_regularizers(register: Register[PearsonDepth]) -> None:
+    register("pearson_depth", PearsonDepth)
