@@ -140,6 +140,13 @@ class RunFolder:
         """What tells this run from others that were made alike; "" for one of an older version."""
         return str(_read_json(self.path / PROVENANCE).get("run", ""))
 
+    def note_resumption(self, facts: dict[str, Any]) -> None:
+        """Add to provenance.json what a run goes on with."""
+        origin = _read_json(self.path / PROVENANCE)
+        if origin:
+            origin["resumed"] = [*origin.get("resumed", []), facts]
+            write_json(self.path / PROVENANCE, origin)
+
     @property
     def pipeline(self) -> Path:
         """The resolved pipeline."""

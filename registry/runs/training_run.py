@@ -27,6 +27,7 @@ from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .metrics_log import MetricsLog
 from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
+from .origin.provenance import circumstances
 from .origin.unedited import check_unedited
 from .progress import TrainingProgress
 from .replay import keep_failure
@@ -118,7 +119,11 @@ def resume(
             trainer = resumed(checkpoint, run.pipeline.training, run.parts, run.scene, run.model)
         run.keep_changes()
         run.checkpoint = lambda: _checkpoint(run, trainer)
-        run.folder_or_refuse().forget_metrics_after(checkpoint.iteration)
+        folder = run.folder_or_refuse()
+        folder.forget_metrics_after(checkpoint.iteration)
+        folder.note_resumption(
+            {"after": checkpoint.iteration, **circumstances(run.pipeline, device)}
+        )
         console.print(
             f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
         )

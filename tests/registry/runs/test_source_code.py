@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from registry.runs.origin.source_code import checkout
+from registry.runs.origin.source_code import checkout, package_source
+
+ROOT = Path(__file__).parents[3]
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -29,6 +33,43 @@ def test_the_commit_and_whether_the_packages_differ_from_it(tmp_path: Path) -> N
     assert checkout(tmp_path) == {"commit": commit, "dirty": False}
     code.with_name("new.py").write_text("2")
     assert checkout(tmp_path) == {"commit": commit, "dirty": True}
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a checkout")
+def test_a_checkout_of_this_project_names_its_commit() -> None:
+    here = checkout()
+    assert here is not None
+    assert here["commit"] == git(ROOT, "rev-parse", "HEAD")
+
+
+def test_packages_of_plugins_name_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Installed from a repository, editable from a checkout, from an index, or not at all."""
+    source = tmp_path / "repository" / "package"
+    source.mkdir(parents=True)
+    (source / "a.py").write_text("1")
+    git(tmp_path / "repository", "init", "-q")
+    git(source, "add", "-A")
+    git(source, "commit", "-q", "-m", "first")
+    editable = {"url": source.as_uri(), "dir_info": {"editable": True}}
+    notes: dict[str, Any] = {
+        "cloned": {"url": "https://x.org/y", "vcs_info": {"vcs": "git", "commit_id": "abc"}},
+        "edited": editable,
+        "copied": {"url": source.as_uri(), "dir_info": {}},
+        "strange": {"url": tmp_path.as_uri(), "dir_info": {"editable": True}},
+    }
+    for name, noted in notes.items():
+        metadata = tmp_path / "site" / f"{name}-1.dist-info"
+        metadata.mkdir(parents=True)
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+        (metadata / "direct_url.json").write_text(json.dumps(noted))
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    commit = git(source, "rev-parse", "HEAD")
+    assert package_source("cloned") == {"commit": "abc", "dirty": False}
+    assert package_source("edited") == {"commit": commit, "dirty": False}
+    (source / "a.py").write_text("2")
+    assert package_source("edited") == {"commit": commit, "dirty": True}
+    for name in ("copied", "strange", "torch", "no-such-package"):
+        assert package_source(name) is None
 
 
 def test_installed_packages_have_no_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

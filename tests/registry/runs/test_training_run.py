@@ -89,6 +89,11 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     names = {str(path.relative_to(renders)) for path in renders.rglob("*.png")}
     assert names == {"view1.png", "depth/view1.png", "comparison/view1.png"}
     facts = json.loads((folder.path / "provenance.json").read_text())
+    assert facts["resumed"] == []
+    assert facts["device"]["driver"] == device.driver
+    assert facts["packages"].keys() >= {"stereogs-plugins", "numpy", "pyopencl", "safetensors"}
+    assert "not installed" not in facts["packages"].values()
+    assert facts["plugin_sources"] == {"unknown package": None}
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
     assert facts["command"] == sys.argv
     assert facts["source"] == checkout()
@@ -162,6 +167,8 @@ def test_a_signal_then_resume_ends_in_the_same_bits(
     assert results["hash"] == whole["hash"]
     assert results["test"] == whole["test"]
     assert results["gaussians"] == whole["gaussians"]
+    (again,) = json.loads((folder.path / "provenance.json").read_text())["resumed"]
+    assert (again["after"], again["device"]["name"]) == (iteration, device.name)
 
 
 def test_a_second_ctrl_c_stops_at_once(
