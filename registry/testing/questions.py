@@ -51,6 +51,8 @@ def _ask_scene(bench: Bench, built: Any) -> Any:
 
 def _ask_initializer(bench: Bench, built: Any) -> Any:
     points = bench.ask(built.initialize, bench.scene.for_training(), bench.priors)
+    if not bench.size.rich and not len(points):
+        return None  # as good as an error: the host says it in words
     gaussians = initial_gaussians(points, TrainingSettings(sh_degree=0))
     return [gaussians.means, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh]
 
@@ -174,14 +176,13 @@ def _ask_metric(bench: Bench, built: Any) -> Any:
         for rendering, view in looks
     ]
     reasons = [score.reason for score in scores if isinstance(score, Unavailable)]
+    numbers = [score for score in scores if not isinstance(score, Unavailable)]
     require(all(reasons), "a metric that is not available must say why")
     if not bench.size.rich:
         return scores
-    require(
-        len(reasons) in (0, len(scores)), "the metric is available for some renders of a view only"
-    )
-    if built.equal_images_are_best and not reasons:
-        equal, other, _ = scores
+    require(not (reasons and numbers), "the metric is available for some renders of a view only")
+    if built.equal_images_are_best and numbers:
+        equal, other, _ = numbers
         better = equal > other if built.higher_is_better else equal < other
         require(
             better,
