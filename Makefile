@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress lint types docs bench-engine bench-error bench-priors fuzz results check clean help
+.PHONY: demo test stress lint types docs bench-engine bench-error bench-priors fuzz new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each
 
 fuzz: $(VENV)/.dev ## 100,000 damaged files a format through the scene loaders, hours
 	FUZZ_FILES=100000 $(BIN)/python -m pytest tests/stereogs_plugins/scenes/test_fuzz.py --timeout 36000
+
+new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/test_scaffolding.py
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

@@ -16,7 +16,7 @@ FLOORS = (
     ("errors", "files", "suggestions", "web_page"),
     ("contract", "cache", "image_fitting"),
     ("drawing", "plugins", "photos"),
-    ("priors", "pipeline"),
+    ("priors", "pipeline", "scaffolding"),
     ("training", "inspection"),
     ("runs",),
     ("comparing", "ablation", "session", "testing"),
