@@ -36,8 +36,9 @@ lint: $(VENV)/.dev ## ruff: rules and format
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy
 
-docs: $(VENV)/.dev ## docs/components.md, written from the code
+docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, written from the code
 	$(BIN)/python docs/make_reference.py
+	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine

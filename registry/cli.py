@@ -14,7 +14,19 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
+from .commands import (
+    ablate,
+    check,
+    compare,
+    demo,
+    doctor,
+    evaluate,
+    explain,
+    plugins,
+    render,
+    schema,
+    train,
+)
 from .commands.output import error_console
 from .suggestions import did_you_mean, listing
 
@@ -33,7 +45,9 @@ VERBS = {
     "render": render,
     "compare": compare,
     "ablate": ablate,
+    "explain": explain,
     "plugins": plugins,
+    "schema": schema,
     "doctor": doctor,
     "demo": demo,
 }
@@ -47,6 +61,7 @@ examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
   stereogs ablate pipelines/ablations/parts.yaml
+  stereogs explain pipelines/3dgs.yaml        what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
 
 environment:

@@ -75,6 +75,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     Settings = ConsistencyDenseSettings
     ablation_baseline = "sfm"
+    needs_priors = ("multi_view_depth",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, with facts and a picture for each training view.

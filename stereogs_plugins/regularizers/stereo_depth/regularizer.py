@@ -79,6 +79,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     """
 
     Settings = StereoDepthSettings
+    needs_priors = ("stereo_disparity",)
 
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
         from .lazy_refresh import LazyRefresh
