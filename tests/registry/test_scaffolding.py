@@ -6,7 +6,6 @@ NEW_PLUGINS=all (`make new-plugins`) also installs each with pip alone, runs its
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import metadata
@@ -21,8 +20,8 @@ from registry.pipeline.pipeline import load_pipeline
 from registry.plugins import SELECTION, Plugins, installed_entries, offered_name
 from registry.scaffolding import KINDS, new_plugin
 from registry.testing import check
+from tests.packages import ROOT, install, install_by_pip, run_python
 
-ROOT = Path(__file__).parents[2]
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}
 
 
@@ -30,31 +29,7 @@ def folder_of(kind: str) -> str:
     return f"stereogs-{NAMES[kind].replace('_', '-')}"
 
 
-PIP = ("-m", "pip", "--disable-pip-version-check", "install", "-q", "--no-deps")
-BUILD = """
-import os, sys
-from setuptools import build_meta
-_, wheels, *folders = sys.argv  # setuptools changes the list
-for folder in folders:
-    os.chdir(folder)
-    build_meta.build_wheel(os.path.join(wheels, os.path.basename(folder)))
-"""
 thorough = pytest.mark.skipif(os.environ.get("NEW_PLUGINS") != "all", reason="make new-plugins")
-
-
-def run(*command: str, folder: Path, site: Path | None = None) -> None:
-    """Run Python with a command that must succeed, and perhaps a folder of installed packages."""
-    environment = {**os.environ, "PYTHONPATH": f"{site or folder}:{ROOT}"}
-    environment.pop(SELECTION, None)
-    done = subprocess.run(
-        [sys.executable, *command],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -68,13 +43,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def site(written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All of them built by setuptools and installed by pip."""
-    wheels, site = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("site")
-    run("-c", BUILD, str(wheels), *map(str, written.iterdir()), folder=written)
-    files = [str(wheel) for wheel in wheels.rglob("*.whl")]
-    assert len(files) == len(KINDS)
-    run(*PIP, "--no-index", "--target", str(site), *files, folder=written)
-    return site
+    """All of them installed."""
+    return install(list(written.iterdir()), tmp_path_factory.mktemp("installed"))
 
 
 @pytest.fixture
@@ -105,9 +75,9 @@ def test_its_pipeline_uses_it(written: Path, installed: Plugins) -> None:
 
 
 def test_what_is_written_is_well_formatted(written: Path) -> None:
-    rules = ("--config", str(ROOT / "pyproject.toml"), "--no-cache", "--exclude", "build")
-    run("-m", "ruff", "check", *rules, "--ignore", "I", str(written), folder=written)
-    run("-m", "ruff", "format", "--check", *rules, str(written), folder=written)
+    rules = ("--config", str(ROOT / "pyproject.toml"), "--no-cache")
+    run_python("-m", "ruff", "check", *rules, "--ignore", "I", str(written), folder=written)
+    run_python("-m", "ruff", "format", "--check", *rules, str(written), folder=written)
 
 
 def test_the_help_names_every_kind() -> None:
@@ -154,10 +124,11 @@ def test_a_name_that_is_installed_is_refused(
 @thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_passes_its_own_tests_and_trains(kind: str, written: Path, tmp_path: Path) -> None:
-    package, site = written / folder_of(kind), tmp_path / "site"
-    run(*PIP, "--no-build-isolation", "--target", str(site), str(package), folder=tmp_path)
-    run("-m", "pytest", "-q", "-p", "no:cacheprovider", str(package), folder=tmp_path, site=site)
-    run("-m", "registry", "plugins", "--check", folder=tmp_path, site=site)
+    package = written / folder_of(kind)
+    site = install_by_pip(package, tmp_path)
+    tests = ("-m", "pytest", "-q", "-p", "no:cacheprovider", str(package))
+    run_python(*tests, folder=tmp_path, site=site)
+    run_python("-m", "registry", "plugins", "--check", folder=tmp_path, site=site)
     pipeline = str(package / "pipeline.yaml")
-    run("-m", "registry", "train", pipeline, "--out", "run", folder=tmp_path, site=site)
+    run_python("-m", "registry", "train", pipeline, "--out", "run", folder=tmp_path, site=site)
     assert (tmp_path / "run" / "results.json").is_file()
