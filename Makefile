@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-priors fuzz results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-priors fuzz new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed
 fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
 	$(BIN)/python -m tests.fuzzing 100000
 
+new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/test_scaffolding.py
+
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -36,8 +39,9 @@ lint: $(VENV)/.dev ## ruff: rules and format
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy
 
-docs: $(VENV)/.dev ## docs/components.md, written from the code
+docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, written from the code
 	$(BIN)/python docs/make_reference.py
+	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine

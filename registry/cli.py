@@ -21,10 +21,12 @@ from .commands import (
     demo,
     doctor,
     evaluate,
+    explain,
     plugins,
     render,
     replay,
     resume,
+    schema,
     train,
 )
 from .commands.output import error_console
@@ -47,7 +49,9 @@ VERBS = {
     "render": render,
     "compare": compare,
     "ablate": ablate,
+    "explain": explain,
     "plugins": plugins,
+    "schema": schema,
     "doctor": doctor,
     "demo": demo,
 }
@@ -62,6 +66,7 @@ examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
   stereogs ablate pipelines/ablations/parts.yaml
+  stereogs explain pipelines/3dgs.yaml        what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
 
 environment:

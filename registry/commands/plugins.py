@@ -1,10 +1,11 @@
-"""`stereogs plugins`: what a pipeline can name."""
+"""`stereogs plugins`: what a pipeline can name; `stereogs plugins new`: a package to begin with."""
 
 from __future__ import annotations
 
 import argparse
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .output import Verbs, add_verb, console
@@ -21,8 +22,20 @@ examples:
   stereogs plugins                 a table: name, hook point, package, settings and their defaults
   stereogs plugins --json          the same for programs, with a JSON schema of the settings
   stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
+  stereogs plugins new solid --kind regularizer     a package to begin with, in stereogs-solid
 
 STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
+"""
+
+_NEW_EPILOG = """\
+kinds:
+  scene, initializer, prior, sampler, appearance, regularizer, modifier, densification, opacity,
+  perturbation, metric, exporter, report
+
+examples:
+  stereogs plugins new solid --kind regularizer
+  pip install -e stereogs-solid
+  stereogs train stereogs-solid/pipeline.yaml
 """
 
 
@@ -32,6 +45,30 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
     parser.set_defaults(run=run)
+    _add_new(parser.add_subparsers(title="verbs", metavar="VERB"))
+
+
+def _add_new(verbs: Verbs) -> None:
+    parser = add_verb(verbs, "new", "write a plugin package that installs and trains", _NEW_EPILOG)
+    parser.add_argument("name", metavar="NAME", help="of the component, as pipelines will write it")
+    parser.add_argument("--kind", required=True, metavar="KIND", help="what it is; see below")
+    parser.add_argument(
+        "--into",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="the folder to write the package's folder into (default: this one)",
+    )
+    parser.set_defaults(run=run_new)
+
+
+def run_new(arguments: argparse.Namespace) -> int:
+    """Write the package and say what comes next."""
+    from ..scaffolding import new_plugin
+
+    folder = new_plugin(arguments.name, arguments.kind, arguments.into)
+    console().print(f"wrote {folder}; its README.md says what comes next")
+    return 0
 
 
 def run(arguments: argparse.Namespace) -> int:

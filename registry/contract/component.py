@@ -84,6 +84,8 @@ class Component(Generic[SettingsType]):
     ablation_baseline: ClassVar[str | None] = None
     """What stands in its place where an ablation switches it off, as a pipeline writes a component:
     "name", or "{use: name, ...}". None: nothing does."""
+    needs_priors: ClassVar[tuple[str, ...]] = ()
+    """Capabilities that it asks of the pipeline's priors; `stereogs explain` looks for them."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)

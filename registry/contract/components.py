@@ -175,6 +175,8 @@ class ViewMetric(Component[SettingsType], ABC):
 
     higher_is_better: ClassVar[bool] = True
     unit: ClassVar[str] = ""
+    equal_images_are_best: ClassVar[bool] = True
+    """Whether no render scores better than one that equals the photograph; `registry.testing` looks."""
     average_error_role: ClassVar[AverageErrorRole | None] = None
     """The average error takes the pipeline's first metric of each role; None: never this one."""
 

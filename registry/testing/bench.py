@@ -1,27 +1,41 @@
-"""A tiny scene and Gaussians that look at it, made anew for every question."""
+"""Where a component is asked: scenes and Gaussians made anew for every question, and a watch over it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from time import monotonic
 from typing import Any
 
 import torch
 
-from core_rasterizer import Camera, Device, GaussianModel, Rendering, photometric_loss
+from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
 
 from ..contract.maps import DepthMap
 from ..contract.prior import Prior
-from ..contract.scene import PointCloud, Scene, View, validate
-from ..contract.step import OtherField, Sample, Step
+from ..contract.scene import PointCloud, Scene
+from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.learning_rates import learning_rates
 from ..training.step_rendering import StepRenderer
-from .judging import require
+from .memory import memory_added
+from .scenes import SMALL, Size, points_of, scene_of, step_of
+from .watching import own_randomness, same_process, untouched
 
-WIDTH, HEIGHT = 32, 24
 _SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
+
+
+class Refusal(Exception):
+    """A component refused a question with an error that explains itself.
+
+    Args:
+        error: what it raised.
+    """
+
+    def __init__(self, error: ExplainedError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,29 +53,66 @@ class Bench:
     Args:
         device: where the Gaussians live.
         priors: what components are given.
+        size: how large the scene is.
+
+    Attributes:
+        seconds: what the component's own methods took so far.
+        megabytes: the most that one of them added to the process's memory; None where nobody counts.
     """
 
     device: Device
     priors: dict[str, Prior[Any]]
+    size: Size = SMALL
+    seconds: float = field(default=0.0, init=False)
+    megabytes: float | None = field(default=None, init=False)
 
-    @property
+    def ask(self, method: Callable[..., Any], *given: Any) -> Any:
+        """Call a component's method as the host does, and see that it leaves all else alone.
+
+        Raises:
+            Refusal: it raised an error that explains itself.
+            AssertionError: it changed what it was given, or something that the whole process shares.
+        """
+        by_name = {
+            "step" if isinstance(value, Step) else f"argument {number}": value
+            for number, value in enumerate(given, 1)
+        }
+        with untouched(by_name), own_randomness(), same_process(), memory_added() as added:
+            begin = monotonic()
+            try:
+                answer = method(*given)
+            except ExplainedError as error:
+                raise Refusal(error) from error
+            self.seconds += monotonic() - begin
+        if added.megabytes is not None:
+            self.megabytes = max(self.megabytes or 0.0, added.megabytes)
+        return answer
+
+    @cached_property
     def scene(self) -> Scene:
-        """Three views of smooth colours, two to train and one to test, with 60 points."""
-        return tiny_scene()
+        """Three views, two to train and one to test."""
+        return scene_of(self.size)
+
+    def points(self) -> PointCloud:
+        """What Gaussians start from: the scene's points, or some that no camera sees."""
+        return points_of(self.size)
 
     def model(self) -> GaussianModel:
-        """Gaussians at the scene's points."""
-        points = self.scene.points
-        assert points is not None
-        return new_model(initial_gaussians(points, _SETTINGS), _SETTINGS, self.device)
+        """Gaussians at the points."""
+        return new_model(initial_gaussians(self.points(), _SETTINGS), _SETTINGS, self.device)
+
+    def maps(self) -> dict[str, DepthMap]:
+        """What an initializer could know of the training views: a wall, or nothing if all is hidden."""
+        return {view.name: self._map() for view in self.scene.train}
+
+    def _map(self) -> DepthMap:
+        known = torch.full((self.size.height, self.size.width), not self.size.hidden)
+        return DepthMap(3.0 * known, known, known.float())
 
     def begun(self) -> Moment:
         """Before the render."""
-        scene, model = self.scene, self.model()
-        depth = torch.full((HEIGHT, WIDTH), 3.0)
-        known = torch.ones_like(depth, dtype=torch.bool)
-        maps = {view.name: DepthMap(depth, known, known.float()) for view in scene.train}
-        return Moment(step_of(model, scene, priors=self.priors, maps=maps), model)
+        model = self.model()
+        return Moment(step_of(model, self.scene, priors=self.priors, maps=self.maps()), model)
 
     def rendered(self) -> Moment:
         """After the render; there is one other field."""
@@ -80,80 +131,3 @@ class Bench:
         rgb, target = moment.step.rendering.rgb, moment.step.sample.target
         photometric_loss(rgb, target, device=self.device).backward()
         return moment
-
-
-def step_of(
-    model: GaussianModel,
-    scene: Scene,
-    *,
-    rendering: Rendering | None = None,
-    iteration: int = 10,
-    iterations: int = 100,
-    extent: float | None = None,
-    priors: Mapping[str, Prior[Any]] | None = None,
-    maps: Mapping[str, DepthMap] | None = None,
-    log: Callable[[str, float], None] | None = None,
-) -> Step:
-    """An iteration that looks at a scene's first training view, for tests of one's own.
-
-    Args:
-        model: the Gaussians.
-        scene: the step sees it without test views and true depth.
-        rendering: of that view; None for the moment before the render.
-        iteration, iterations: the number of this one, and of all.
-        extent: world units; None takes the scene's.
-        priors: prior models by name.
-        maps: the initializer's depth by the view's name.
-        log: what `step.log` calls; None only checks that it is given a name and a number.
-    """
-    known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
-    extent = known.extent if extent is None else extent
-    view = known.train[0]
-    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
-    step = Step(
-        iteration=iteration,
-        iterations=iterations,
-        scene=known,
-        sample=sample,
-        model=model.reader(),
-        extent=extent,
-        priors=priors or {},
-        render=StepRenderer(model, sample),
-        log=log or _check_log,
-        maps=maps or {},
-        learning_rates=learning_rates(iteration, settings, extent),
-    )
-    if rendering is not None:
-        step.rendered(lambda: rendering)
-    return step
-
-
-def tiny_scene() -> Scene:
-    """Three cameras side by side that look at points between z = 2 and 4, and a wall at 3; 32x24."""
-    generator = torch.Generator().manual_seed(1)
-    rows = torch.linspace(0, 1, HEIGHT)[:, None].expand(HEIGHT, WIDTH)
-    columns = torch.linspace(0, 1, WIDTH)[None].expand(HEIGHT, WIDTH)
-    views = []
-    for index in range(3):
-        pose = torch.eye(4)
-        pose[0, 3] = 0.2 * (1 - index)
-        image = torch.stack([rows, columns, torch.full_like(rows, 0.2 + 0.3 * index)], dim=2)
-        camera = Camera(pose, 30.0, 30.0, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
-        views.append(View(f"view{index}", camera, image, depth=torch.full_like(rows, 3.0)))
-    positions = torch.rand(60, 3, generator=generator) * 2 - 1
-    positions[:, 2] += 3
-    points = PointCloud(positions, torch.rand(60, 3, generator=generator))
-    return validate(
-        Scene("tiny", (views[0], views[2]), (views[1],), bounds=(1.5, 5.0), points=points)
-    )
-
-
-def pictured(view: View, depth_factor: float) -> Rendering:
-    """A render that shows the view's photograph, and its true depth times a factor."""
-    assert view.depth is not None
-    return Rendering(view.image, depth_factor * view.depth, torch.ones(HEIGHT, WIDTH))
-
-
-def _check_log(name: str, value: float) -> None:
-    require(isinstance(name, str), "step.log takes a name and a number")
-    float(value)

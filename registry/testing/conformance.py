@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-import json
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from core_rasterizer import Device, open_device
 
 from ..contract.component import Component, Context, Settings
-from ..contract.hook_points import HOOK_POINTS
 from ..contract.prior import Prior
+from ..pipeline.parts import TRAINING_SECTIONS
 from ..plugins import check_offer
 from ..training.component_parameters import check_groups
-from .bench import Bench
+from .bench import Bench, Refusal
+from .companions import UNDER_TEST, point_of
 from .judging import require, same
 from .questions import ASK
+from .rehearsal import rehearse
+from .scenes import EMPTY, PIXEL, REAL, Size
+from .settings import check_settings
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What the component's own code took on images of 320 x 240 and 5,000 Gaussians.
+
+    Args:
+        seconds: for one question, after those on a small scene.
+        megabytes: of 10^6 bytes, the most that the process grew by; None where nobody counts it, and
+            0 where memory of earlier questions sufficed.
+    """
+
+    seconds: float
+    megabytes: float | None
+
+    def __str__(self) -> str:
+        grown = "" if self.megabytes is None else f", {self.megabytes:.0f} MB"
+        return f"{self.seconds:.3f} s{grown} for {REAL.title}"
 
 
 def check(
@@ -26,57 +48,67 @@ def check(
     priors: dict[str, Prior[Any]] | None = None,
     device: Device | None = None,
     **settings: Any,
-) -> None:
+) -> Cost:
     """Try one component class; a fault raises with a message that says which.
 
+    Its settings are written and read back. It is asked what the host would ask on a small scene, on
+    images of 320 x 240 with 5,000 Gaussians, on a scene with nothing in view and on images of one pixel
+    with one Gaussian; on the last two it may refuse with an error that explains itself
+    (`registry.PluginError`, `registry.SceneError`). What works in the training loop is trained with,
+    stopped and resumed after each iteration, while Gaussians come and go.
+
     Args:
-        priors: what `Step.priors` and `initialize` are given.
+        priors: what `Step.priors` and `initialize` are given; where the component is trained with,
+            they are built anew from their settings.
         device: where the Gaussians live; None chooses.
         settings: for the component, as Python values.
+
+    Returns:
+        What its answers cost.
 
     Raises:
         AssertionError: the component breaks the contract.
         ExplainedError: the host or the engine would refuse the class or an answer.
     """
-    point = next((p for p in HOOK_POINTS if issubclass(component, p.base)), None)
-    require(point is not None, f"{component.__name__} derives from none of the component bases")
-    assert point is not None
-    check_offer(point, "conformance", component)
+    point = point_of(component)
+    check_offer(point, UNDER_TEST, component)
     chosen = component.Settings(**settings)
-    _check_settings(chosen)
-    bench = Bench(device or open_device(), priors or {})
-    answers = []
-    for _ in range(2):
-        built = component(chosen, Context("conformance", 7, bench.device))
-        answers.append(ASK[point.section](bench, built))
-        check_groups(built.parameters())
-        _check_state(component, chosen, built, bench)
+    check_settings(chosen)
+    given = priors or {}
+    bench = Bench(device or open_device(), given)
+    first, again = (_answer(component, chosen, bench) for _ in range(2))
     require(
-        same(*answers), f"two {point.title}s with one seed gave different answers to one question"
+        same(first, again), f"two {point.title}s with one seed gave different answers to a question"
     )
+    cost = _at_size(component, chosen, bench, REAL)
+    for size in (EMPTY, PIXEL):
+        with suppress(Refusal):
+            _at_size(component, chosen, bench, size)
+    if point.section in TRAINING_SECTIONS:
+        rehearse(component, chosen, bench)
+    return cost
 
 
-def _check_settings(settings: Settings) -> None:
-    again = type(settings).model_validate_json(
-        json.dumps(settings.model_dump(mode="json")), strict=True
-    )
-    require(again == settings, "the settings do not survive being written to a pipeline file")
-
-
-def _check_state(
-    component: type[Component[Any]], settings: Settings, built: Component[Any], bench: Bench
-) -> None:
-    """Saved and restored state must be equal; every kind of edit must be followed."""
-    count = bench.model().count
-    pruned = torch.arange(1, count)
-    built.carry(pruned, torch.zeros(len(pruned), dtype=torch.bool))
-    moved = torch.cat(
-        [torch.full((2,), count - 2), torch.arange(2, count - 1), torch.zeros(5).long()]
-    )
-    built.carry(moved, torch.arange(len(moved)).lt(2) | torch.arange(len(moved)).ge(count - 1))
+def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -> Any:
+    """What a new component answers to the question of its kind, and that its state can be had."""
+    built = component(settings, Context(UNDER_TEST, 7, bench.device))
+    try:
+        answer = ASK[point_of(component).section](bench, built)
+    except Refusal as refusal:
+        raise refusal.error from refusal.error.__cause__
+    check_groups(built.parameters())
     state = built.state()
     for name, value in state.items():
         require(isinstance(value, Tensor), f"state()[{name!r}] is not a tensor")
-    other = component(settings, Context("conformance", 7, bench.device))
+    other = component(settings, Context(UNDER_TEST, 7, bench.device))
     other.restore({name: value.clone() for name, value in state.items()})
     require(same(other.state(), state), "restore() does not bring back what state() returned")
+    return answer
+
+
+def _at_size(component: type[Component[Any]], settings: Settings, small: Bench, size: Size) -> Cost:
+    """What an answer at another size costs."""
+    built = component(settings, Context(UNDER_TEST, 7, small.device))
+    bench = Bench(small.device, small.priors, size)
+    ASK[point_of(component).section](bench, built)
+    return Cost(bench.seconds, bench.megabytes)

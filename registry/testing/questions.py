@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -39,19 +38,22 @@ from ..priors.capabilities import (
     StereoPrior,
 )
 from ..training.initial_model import initial_gaussians
-from .bench import HEIGHT, WIDTH, Bench, Moment, pictured
+from .bench import Bench, Moment
 from .judging import require, require_files
+from .run_folder import finished_run
+from .scenes import pictured
 
 
 def _ask_scene(bench: Bench, built: Any) -> Any:
-    scene = validate(built.load())
+    scene = validate(bench.ask(built.load))
     return [(v.name, v.image, v.camera.world_to_camera) for v in (*scene.train, *scene.test)]
 
 
 def _ask_initializer(bench: Bench, built: Any) -> Any:
-    gaussians = initial_gaussians(
-        built.initialize(bench.scene.for_training(), bench.priors), TrainingSettings(sh_degree=0)
-    )
+    points = bench.ask(built.initialize, bench.scene.for_training(), bench.priors)
+    if not bench.size.rich and not len(points):
+        return None  # as good as an error: the host says it in words
+    gaussians = initial_gaussians(points, TrainingSettings(sh_degree=0))
     return [gaussians.means, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh]
 
 
@@ -61,17 +63,17 @@ def _ask_prior(bench: Bench, built: Any) -> Any:
     first, second = bench.scene.train
     with _without_cache():
         if isinstance(built, StereoPrior):
-            answers = built.both(first.image, second.image)
+            answers = bench.ask(built.both, first.image, second.image)
             return [tensor for a in answers for tensor in (a.values, a.valid)]
         if isinstance(built, MultiViewDepthPrior):
-            maps = built.depths((first, second), bench.scene.bounds)
+            maps = bench.ask(built.depths, (first, second), bench.scene.bounds)
             return [tensor for m in maps for tensor in (m.depth, m.valid, m.confidence)]
         if isinstance(built, MonocularDepthPrior):
-            return built.inverse_depth(first.image)
+            return bench.ask(built.inverse_depth, first.image)
         if isinstance(built, OpticalFlowPrior):
-            return list(vars(built.flow(first.image, second.image)).values())
+            return list(vars(bench.ask(built.flow, first.image, second.image)).values())
         if isinstance(built, MatchingPrior):
-            return list(vars(built.matches(first.image, second.image)).values())
+            return list(vars(bench.ask(built.matches, first.image, second.image)).values())
     return capability
 
 
@@ -92,35 +94,46 @@ def _without_cache() -> Iterator[None]:
 def _ask_sampler(bench: Bench, built: Any) -> Any:
     moment = bench.begun()
     step = moment.step
-    sample = check_sample(built.sample(step, step.sample), moment.model.count)
+    sample = check_sample(bench.ask(built.sample, step, step.sample), moment.model.count)
     return [sample.view.name, sample.target, sample.background, sample.sh_degree, sample.smoothing]
 
 
 def _ask_appearance(bench: Bench, built: Any) -> Any:
     moment = bench.rendered()
     rgb = moment.step.rendering.rgb
-    colors = check_colors(built.colors(moment.step, rgb), rgb.shape)
+    colors = check_colors(bench.ask(built.colors, moment.step, rgb), rgb.shape)
+    require(colors.requires_grad, "the colours are cut off from autograd: nothing would be learnt")
     colors.mean().backward()
-    return [colors.detach(), _gradients(moment)]
+    return [colors.detach(), _gradients(moment, built)]
 
 
 def _ask_regularizer(bench: Bench, built: Any) -> Any:
     moment = bench.rendered()
     check_moves(built.moves, PARAMETER_GROUPS)
-    loss = check_loss(built.loss(moment.step))
+    loss = check_loss(bench.ask(built.loss, moment.step))
     if loss.requires_grad:
         loss.backward()
-    return [loss.detach(), _gradients(moment)]
+    gradients = _gradients(moment, built)
+    reached = any(bool(gradient.any()) for gradient in gradients)
+    if loss and bench.size.rich:
+        require(
+            reached,
+            f"the loss is {float(loss.detach()):g} and changes nothing: no gradient reaches the Gaussians or "
+            "the component's own parameters; was it computed outside autograd?",
+        )
+    return [loss.detach(), gradients]
 
 
 def _ask_modifier(bench: Bench, built: Any) -> Any:
     moment = bench.begun()
-    return check_opacity_scale(built.opacity_scale(moment.step), moment.model.count).clone()
+    return check_opacity_scale(
+        bench.ask(built.opacity_scale, moment.step), moment.model.count
+    ).clone()
 
 
 def _ask_densification(bench: Bench, built: Any) -> Any:
     moment = bench.differentiated()
-    edit = check_edit(built.refine(moment.step), moment.model.count)
+    edit = check_edit(bench.ask(built.refine, moment.step), moment.model.count)
     if edit is None:
         return None
     added = None if edit.add is None else dict(vars(edit.add))
@@ -130,64 +143,66 @@ def _ask_densification(bench: Bench, built: Any) -> Any:
 
 def _ask_opacity(bench: Bench, built: Any) -> Any:
     moment = bench.differentiated()
-    update = check_opacity_update(built.update(moment.step), moment.model.count)
+    update = check_opacity_update(bench.ask(built.update, moment.step), moment.model.count)
     return None if update is None else [update.opacities.clone(), update.reset_moments]
 
 
 def _ask_perturbation(bench: Bench, built: Any) -> Any:
     moment = bench.differentiated()
-    return dict(check_offsets(built.offsets(moment.step), moment.model.read))
+    return dict(check_offsets(bench.ask(built.offsets, moment.step), moment.model.read))
 
 
-def _gradients(moment: Moment) -> list[Tensor]:
-    return [moment.model.gradient(name).clone() for name in PARAMETERS]
+def _gradients(moment: Moment, built: Any) -> list[Tensor]:
+    """Of the Gaussians, and of the component's own parameters; finite."""
+    own = [tensor.grad for group in built.parameters() for tensor in group.tensors]
+    gradients = [moment.model.gradient(name).clone() for name in PARAMETERS]
+    gradients += [gradient for gradient in own if gradient is not None]
+    for gradient in gradients:
+        require(bool(torch.isfinite(gradient).all()), "a gradient of the answer is not finite")
+    return gradients
 
 
 def _ask_metric(bench: Bench, built: Any) -> Any:
-    scene = bench.scene
-    first, second = scene.train
-    equal, other = (
-        check_score(built.measure_view(rendering, first, scene))
-        for rendering in (pictured(first, 1.0), pictured(second, 1.5))
+    first, second = bench.scene.train
+    mask = torch.zeros(first.image.shape[:2], dtype=torch.bool)
+    mask[: -(-len(mask) // 2)] = True
+    looks = (
+        (pictured(first, 1.0), first),
+        (pictured(second, 1.5), first),
+        (pictured(second, 1.5), replace(first, mask=mask)),
     )
-    mask = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
-    mask[4:20, 4:28] = True
-    masked = check_score(
-        built.measure_view(pictured(second, 1.5), replace(first, mask=mask), scene)
-    )
-    if isinstance(equal, Unavailable) or isinstance(other, Unavailable):
-        answers = (equal, other, masked)
-        reasons = [answer.reason for answer in answers if isinstance(answer, Unavailable)]
-        require(len(reasons) == 3, "the metric is available for some renders of a view only")
-        require(all(reasons), "a metric that is not available must say why")
-        return reasons
-    better = equal > other if built.higher_is_better else equal < other
-    require(better, "equal images must score better than different ones (`higher_is_better`)")
-    return [other, masked]
+    scores = [
+        check_score(bench.ask(built.measure_view, rendering, view, bench.scene))
+        for rendering, view in looks
+    ]
+    reasons = [score.reason for score in scores if isinstance(score, Unavailable)]
+    numbers = [score for score in scores if not isinstance(score, Unavailable)]
+    require(all(reasons), "a metric that is not available must say why")
+    if not bench.size.rich:
+        return scores
+    require(not (reasons and numbers), "the metric is available for some renders of a view only")
+    if built.equal_images_are_best and numbers:
+        equal, other, _ = numbers
+        better = equal > other if built.higher_is_better else equal < other
+        require(
+            better,
+            "equal images must score better than different ones (`higher_is_better`), or the class "
+            "say that it looks at something else: equal_images_are_best = False",
+        )
+    return scores
 
 
 def _ask_exporter(bench: Bench, built: Any) -> Any:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files = built.export(bench.model().reader(), bench.scene, folder)
+        files = bench.ask(built.export, bench.model().reader(), bench.scene, folder)
         require_files(files)
         return [(file.name, file.read_bytes()) for file in sorted(files)]
 
 
 def _ask_report(bench: Bench, built: Any) -> Any:
-    results = {
-        "pipeline": "tiny",
-        "scene": {"name": "tiny"},
-        "test": {"score": 20.0},
-        "train": {"score": 30.0},
-        "views": {"test": {"view1": {"score": 20.0}}, "train": {}},
-        "unavailable": {},
-    }
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "renders").mkdir()
-        (folder / "results.json").write_text(json.dumps(results), "utf-8")
-        files = built.write(folder, bench.scene)
+    with finished_run(bench) as folder:
+        files = bench.ask(built.write, folder, bench.scene)
         require_files(files)
         return [file.name for file in sorted(files)]
 

@@ -28,8 +28,6 @@ class FaintGrowthSettings(Settings):
 class FaintGrowth(Densification[FaintGrowthSettings]):
     """Adds invisible copies of Gaussians; what is to become of them, another policy says."""
 
-    Settings = FaintGrowthSettings
-
     def refine(self, step: Step) -> Edit | None:
         """Return the additions; None where the share is less than one Gaussian."""
         import torch

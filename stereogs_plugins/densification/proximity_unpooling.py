@@ -34,8 +34,6 @@ class ProximityUnpoolingSettings(Settings):
 class ProximityUnpooling(Densification[ProximityUnpoolingSettings]):
     """New Gaussians halfway between large ones and their three nearest neighbours."""
 
-    Settings = ProximityUnpoolingSettings
-
     def refine(self, step: Step) -> Edit | None:
         """Return the edit; None where no Gaussian is far and large. Logs how many were added."""
         from core_rasterizer import Edit

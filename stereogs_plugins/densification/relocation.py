@@ -24,8 +24,6 @@ class RelocationSettings(Settings):
 class DeadRelocation(Densification[RelocationSettings]):
     """Each dead Gaussian becomes a copy of a living one, drawn in proportion to its opacity."""
 
-    Settings = RelocationSettings
-
     def refine(self, step: Step) -> Edit | None:
         """Return the relocation; None where nobody is dead, or all are. Logs how many moved."""
         import torch

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import ImageMetricSettings, Metric, Register, hookimpl
+from registry import ImageMetricSettings, Metric, Register, Unavailable, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+WINDOW = 7
+"""Pixels along each side of it, scikit-image's default."""
 
 
 class ScikitImageSSIM(Metric[ImageMetricSettings]):
@@ -18,8 +21,12 @@ class ScikitImageSSIM(Metric[ImageMetricSettings]):
 
     average_error_role = "structural_similarity"
 
-    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
-        """Return the similarity, at most 1. The images must be at least 7x7."""
+    def measure(
+        self, rendered: Tensor, photograph: Tensor, mask: Tensor | None
+    ) -> float | Unavailable:
+        """Return the similarity, at most 1; not available below 7x7 pixels."""
+        if min(photograph.shape[:2]) < WINDOW:
+            return Unavailable(f"the image is smaller than the window of {WINDOW}x{WINDOW} pixels")
         from skimage.metrics import structural_similarity
 
         from registry import white_outside
@@ -28,7 +35,9 @@ class ScikitImageSSIM(Metric[ImageMetricSettings]):
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)
         )
-        score = structural_similarity(first, second, data_range=1.0, channel_axis=2)
+        score = structural_similarity(
+            first, second, win_size=WINDOW, data_range=1.0, channel_axis=2
+        )
         return float(score)
 
 

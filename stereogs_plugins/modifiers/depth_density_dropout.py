@@ -44,8 +44,6 @@ class DepthDensityDropoutSettings(Settings):
 class DepthDensityDropout(Modifier[DepthDensityDropoutSettings]):
     """Opacity factors of 0 or 1."""
 
-    Settings = DepthDensityDropoutSettings
-
     def __init__(self, settings: DepthDensityDropoutSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._density: Tensor | None = None

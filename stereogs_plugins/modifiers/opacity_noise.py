@@ -26,8 +26,6 @@ class OpacityNoiseSettings(Settings):
 class OpacityNoise(Modifier[OpacityNoiseSettings]):
     """Opacity factors 1 + sigma * normal noise, the noise kept in [-1, 1] and the opacity below 1."""
 
-    Settings = OpacityNoiseSettings
-
     def opacity_scale(self, step: Step) -> Tensor:
         """Return `[N]` factors."""
         import torch

@@ -20,8 +20,6 @@ class ExpectedOpacitySettings(Settings):
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
     """alpha <- (1 - p) alpha; no step of the optimizer moves it in that iteration."""
 
-    Settings = ExpectedOpacitySettings
-
     def update(self, step: Step) -> OpacityUpdate:
         """Return the opacities that are to be looked at."""
         opacities = (1 - self.settings.rate) * step.model.opacities()

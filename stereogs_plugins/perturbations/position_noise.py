@@ -31,8 +31,6 @@ class PositionNoiseSettings(Settings):
 class PositionNoise(Perturbation[PositionNoiseSettings]):
     """mean <- mean + rate * factor * sigmoid(-steepness (alpha - opacity)) * Sigma * normal noise."""
 
-    Settings = PositionNoiseSettings
-
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
         """Return the offsets of the means, `[N, 3]` world units."""
         import torch

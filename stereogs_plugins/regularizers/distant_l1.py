@@ -38,8 +38,6 @@ class DistantL1(Regularizer[DistantL1Settings]):
     The render's colours are clamped to [0, 1], as in the authors' code.
     """
 
-    Settings = DistantL1Settings
-
     def __init__(self, settings: DistantL1Settings, context: Context) -> None:
         super().__init__(settings, context)
         self._far: dict[str, Tensor] = {}

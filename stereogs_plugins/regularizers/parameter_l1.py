@@ -22,8 +22,6 @@ class ParameterL1Settings(Settings):
 class ParameterL1(Regularizer[ParameterL1Settings]):
     """mean alpha over the Gaussians, or mean sigma over the Gaussians and their three axes."""
 
-    Settings = ParameterL1Settings
-
     def loss(self, step: Step) -> Tensor:
         """The mean, in autograd."""
         return step.parameter(self.settings.parameter).mean()

@@ -51,8 +51,6 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     z is as blended, not divided by alpha. Where one of the two is constant the term is 0.
     """
 
-    Settings = PearsonDepthSettings
-
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._known: dict[str, Tensor] = {}

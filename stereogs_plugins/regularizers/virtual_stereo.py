@@ -35,8 +35,6 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
     wider than the image, a pixel counts for nothing.
     """
 
-    Settings = VirtualStereoSettings
-
     def loss(self, step: Step) -> Tensor:
         """The term for this iteration's view."""
         import torch

@@ -44,7 +44,8 @@ class ToyPointsSettings(r.Settings):
 class ToyPoints(r.Initializer[ToyPointsSettings]):
     def initialize(self, scene: r.TrainingScene, priors: Mapping[str, Any]) -> r.PointCloud:
         points = scene.points
-        assert points is not None
+        if points is None:
+            raise r.SceneError("the scene has no points", where=scene.name, fix="use another one")
         end = self.settings.count
         return r.PointCloud(points.positions[:end], points.colors[:end])
 

@@ -74,6 +74,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     """Points from a multi-view depth prior, filtered by agreement between the views."""
 
     ablation_baseline = "sfm"
+    needs_priors = ("multi_view_depth",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, with facts, a picture and the confirmed depth of each training view.

@@ -78,6 +78,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     without a pixel to trust).
     """
 
+    needs_priors = ("stereo_disparity",)
+
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
         from .lazy_refresh import LazyRefresh
 

@@ -6,7 +6,6 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
 from registry import PointCloud, Scene, Unavailable, View
-from registry.testing import check
 from stereogs_plugins.metrics.depth_error import (
     DepthError,
     DepthWithin,
@@ -38,12 +37,6 @@ def scene(points: Tensor | None = None) -> Scene:
 def test_are_offered() -> None:
     names = {"depth_error": DepthError, "depth_within": DepthWithin}
     assert offered(stereogs_register_metrics) == names
-
-
-@pytest.mark.parametrize("against", ["depth", "points"])
-def test_keep_the_contract(against: str) -> None:
-    check(DepthError, against=against)
-    check(DepthWithin, against=against, percent=40.0)
 
 
 def test_the_true_depth_has_no_error() -> None:

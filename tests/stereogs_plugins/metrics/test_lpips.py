@@ -12,7 +12,6 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from registry import PluginError, Unavailable
-from registry.testing import check
 from stereogs_plugins.metrics.lpips import LPIPS, ProperLPIPS, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.metrics.lpips_network import (
@@ -161,12 +160,6 @@ def test_a_file_may_measure_by_itself(tmp_path: Path, kind: str) -> None:
     assert build(LPIPS, **chosen).measure(first, second, None) == pytest.approx(expected, rel=1e-5)
     proper = build(ProperLPIPS, **chosen).measure(first, second, None)
     assert proper == pytest.approx(2 * expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("component", [LPIPS, ProperLPIPS])
-def test_keep_the_contract(component: type[LPIPS], tmp_path: Path) -> None:
-    check(component)
-    check(component, **settings(onnx_difference(tmp_path / "whole.onnx")))
 
 
 def test_without_a_file_it_says_so(network: Path, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from scipy.ndimage import correlate
 from torch import Tensor
 
 from core_rasterizer import photometric_loss
-from registry.testing import check
 from stereogs_plugins.metrics.ssim import SSIM, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 
@@ -82,7 +81,3 @@ def test_png8_compares_what_a_png_would_hold() -> None:
     score = build(SSIM, quantize="png8").measure(first, second, None)
     assert score == pytest.approx(build(SSIM).measure(stored[0], stored[1], None), abs=1e-12)
     assert score != build(SSIM).measure(first, second, None)
-
-
-def test_keeps_the_contract() -> None:
-    check(SSIM, quantize="png8")

@@ -6,7 +6,6 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from registry.testing import check
 from stereogs_plugins.metrics.ssim_skimage import ScikitImageSSIM, stereogs_register_metrics
 from tests.stereogs_plugins.building import build, offered
 
@@ -59,7 +58,3 @@ def test_png8_compares_what_a_png_would_hold() -> None:
         build(ScikitImageSSIM).measure(stored[0], stored[1], None), abs=1e-12
     )
     assert score != build(ScikitImageSSIM).measure(first, second, None)
-
-
-def test_keeps_the_contract() -> None:
-    check(ScikitImageSSIM, quantize="png8")

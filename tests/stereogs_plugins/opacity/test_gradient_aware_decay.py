@@ -7,7 +7,6 @@ import torch
 
 from core_rasterizer import GaussianModel, Gaussians
 from registry import OpacityUpdate, Step
-from registry.testing import check
 from registry.training.field import OPACITY_MARGIN
 from stereogs_plugins.opacity.gradient_aware_decay import (
     GradientAwareDecay,
@@ -208,8 +207,3 @@ def test_the_number_of_gaussians_may_change_between_two_updates() -> None:
         update = updated(decay, step_with(some_gaussians([0.1] * count, [0.5] * count)))
         assert update.opacities.shape == (count,)
         decay.carry(torch.tensor(source), torch.zeros(len(source), dtype=torch.bool))
-
-
-@pytest.mark.parametrize("scope", ["all", "visible", "contributing"])
-def test_keeps_the_contract(scope: str) -> None:
-    check(GradientAwareDecay, scope=scope)

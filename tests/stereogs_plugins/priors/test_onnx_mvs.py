@@ -11,7 +11,6 @@ import torch
 
 from core_rasterizer import Camera
 from registry import DepthMap, PluginError, View
-from registry.testing import check
 from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 
@@ -49,10 +48,6 @@ def depth_of(answer: DepthMap) -> float:
 
 def test_is_offered_as_onnx_mvs() -> None:
     assert offered(stereogs_register_priors) == {"onnx_mvs": OnnxMvs}
-
-
-def test_keeps_the_contract(tmp_path: Path) -> None:
-    check(OnnxMvs, model=graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0)))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from registry import MonocularDepthPrior, Settings
 class Brightness(MonocularDepthPrior[Settings]):
     """The lighter, the nearer: the sum of the three channels."""
 
-    Settings = Settings
     asked: int = 0
 
     def estimate(self, image: Tensor) -> Tensor:

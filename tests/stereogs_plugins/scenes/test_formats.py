@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from registry import Scene, SceneLoader
-from registry.testing import check
 from stereogs_plugins.scenes.blender import BlenderScene
 from stereogs_plugins.scenes.colmap import ColmapScene
 from stereogs_plugins.scenes.dtu import DTUScene
@@ -83,8 +82,3 @@ def test_its_folder_is_recognized_by_no_other_loader(case: Case, tmp_path: Path)
     folder = write(tmp_path, world)
     assert [other for other, *_ in CASES.values() if other.recognizes(folder)] == [loader]
     assert not loader.recognizes(tmp_path / "nowhere")
-
-
-def test_the_contract_of_a_scene_loader(case: Case, tmp_path: Path) -> None:
-    loader, write, world, settings = case
-    check(loader, path=write(tmp_path, world), **settings)

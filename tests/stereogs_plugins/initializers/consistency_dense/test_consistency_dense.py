@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from registry import PluginError, PointCloud, Scene, SceneError, View
-from registry.testing import check
 from stereogs_plugins.initializers.consistency_dense import (
     ConsistencyDense,
     stereogs_register_initializers,
@@ -40,15 +39,6 @@ def dense(scene: Scene, depth_of: Any = true_depth, **settings: Any) -> PointClo
 
 def test_is_offered_as_consistency_dense() -> None:
     assert offered(stereogs_register_initializers) == {"consistency_dense": ConsistencyDense}
-
-
-@pytest.mark.parametrize("settings", [{}, {**COMPLETE, "sigma": 0.5, "opacity": 0.9, "stride": 2}])
-def test_keeps_the_contract(settings: dict[str, Any]) -> None:
-    check(
-        ConsistencyDense,
-        priors={"flat": prior_of(lambda view: torch.full(view.image.shape[:2], 3.0))},
-        **settings,
-    )
 
 
 def test_points_lie_on_the_true_surfaces_despite_outliers(scene: Scene) -> None:

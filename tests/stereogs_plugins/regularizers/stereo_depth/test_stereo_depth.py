@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from registry import PluginError, Settings, StereoPrior
-from registry.testing import check
 from stereogs_plugins.regularizers.stereo_depth import StereoDepth, stereogs_register_regularizers
 from tests.stereogs_plugins.building import build, offered
 
@@ -49,11 +48,6 @@ def everywhere(disparity: float) -> Tensor:
 
 def test_is_offered_as_stereo_depth() -> None:
     assert offered(stereogs_register_regularizers) == {"stereo_depth": StereoDepth}
-
-
-def test_keeps_the_contract() -> None:
-    check(StereoDepth, priors={"matcher": build(BlockMatcher)})
-    check(StereoDepth, priors={"matcher": build(BlockMatcher)}, refresh_threshold=0.0, tau=1.0)
 
 
 def test_true_geometry_costs_a_fraction_of_a_pixel() -> None:

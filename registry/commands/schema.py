@@ -1,0 +1,36 @@
+"""`stereogs schema`: what a pipeline may say, for editors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from .output import Verbs, add_verb, error_console
+
+_EPILOG = """\
+examples:
+  stereogs schema > pipeline.schema.json
+
+It holds the settings of every installed plugin, third parties' included. An editor that knows YAML (in
+VS Code the extension YAML of Red Hat) completes and checks a pipeline whose first line is
+
+  # yaml-language-server: $schema=pipeline.schema.json
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(verbs, "schema", "print the JSON schema of pipelines, for editors", _EPILOG)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print it; plugins that cannot be loaded are told of, and left out."""
+    from ..inspection.schema import pipeline_schema
+    from ..plugins import Plugins
+
+    plugins = Plugins()
+    print(json.dumps(pipeline_schema(plugins.all()), indent=1))
+    for fault in plugins.broken.values():
+        error_console().print(str(fault))
+    return 0

@@ -1,0 +1,161 @@
+"""What a pipeline will do, told before it does it: what runs when, what it reads and needs, what it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..pipeline.parts import TRAINING_SECTIONS
+from ..pipeline.pipeline import Item, Pipeline
+
+STAGES: Mapping[str, Mapping[str, str]] = {
+    "before training": {
+        "scene": "the files that it names",
+        "priors": "images and views that others show it",
+        "initializer": "training views, their points, bounds; priors",
+    },
+    "in an iteration, before the render": {
+        "samplers": "the step and its sample: view, camera, target, background",
+        "modifiers": "the step: scene, sample, Gaussians, priors",
+    },
+    "in an iteration, for the loss": {
+        "appearances": "the step, the render and its colours",
+        "regularizers": "the step, the render, other fields; renders more views if it likes",
+    },
+    "in an iteration, after the backward pass": {
+        "opacity": "the step, the Gaussians and their gradients",
+        "densification": "the step, the Gaussians and their gradients",
+    },
+    "in an iteration, after the optimizer's step": {
+        "perturbations": "the step, the Gaussians, learning rates",
+    },
+    "after training": {
+        "metrics": "renders of test and training views, the scene with its truth",
+        "exporters": "the Gaussians, the scene",
+        "reports": "the run folder, the scene",
+    },
+}
+"""The sections of a pipeline in the order in which they are at work, and what each is given."""
+
+ARRAYS = 4
+"""Numbers kept for each parameter: itself, its gradient, Adam's two moments."""
+_FLOAT_BYTES = 4
+_UNKNOWN_COUNT = 100_000
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One component of a pipeline.
+
+    Args:
+        name: in the pipeline, for example "regularizers.stereo_depth".
+        notes: what it is, when it is asked, what it reads and needs; label and text.
+    """
+
+    name: str
+    notes: tuple[tuple[str, str], ...]
+
+
+def explained(pipeline: Pipeline) -> Iterator[tuple[str, tuple[Explained, ...]]]:
+    """Each stage that has something to do, with its components."""
+    for stage, sections in STAGES.items():
+        items = [item for section in sections for item in pipeline.items[section]]
+        if items:
+            yield stage, tuple(_explained(item, pipeline) for item in items)
+
+
+def faults(pipeline: Pipeline) -> list[str]:
+    """What can be known to go wrong, or to come to nothing, before anything is loaded."""
+    found = []
+    for item in pipeline:
+        found += [
+            f"{item.qualified_name}: {path} does not exist"
+            for path in _paths(item)
+            if not path.exists()
+        ]
+        found += [
+            f"{item.qualified_name}: needs a prior that can do {capability}, and there is none"
+            for capability in item.offer.component.needs_priors
+            if not _able(pipeline, capability)
+        ]
+        if item.point.section in TRAINING_SECTIONS and not _due(item, pipeline):
+            found.append(f"{item.qualified_name}: is never due")
+    return found
+
+
+def memory(pipeline: Pipeline) -> str:
+    """An estimate of what the Gaussians take, in words."""
+    from core_rasterizer.layout import row_count
+
+    training = pipeline.training
+    each = ARRAYS * _FLOAT_BYTES * row_count(training.sh_degree) * training.fields
+    count = training.max_gaussians or _UNKNOWN_COUNT
+    bound = "at most (max_gaussians)" if training.max_gaussians else "if there were that many"
+    return (
+        f"{each} bytes a Gaussian for parameters, gradients and moments, SH degree "
+        f"{training.sh_degree}, fields {training.fields}: {each * count / 1e6:.0f} MB for {count:,}, "
+        f"{bound}; photographs (`stereogs check` counts them), renders and plugins come on top"
+    )
+
+
+def _explained(item: Item, pipeline: Pipeline) -> Explained:
+    component, section = item.offer.component, item.point.section
+    notes = [("is", (component.__doc__ or "").strip().partition("\n")[0])]
+    notes.append(("from", f"{item.offer.distribution} {item.offer.version}, {item.place}"))
+    if section in TRAINING_SECTIONS:
+        notes.append(("when", _when(item, pipeline)))
+    given = next(sections[section] for sections in STAGES.values() if section in sections)
+    notes.append(("reads", given))
+    notes += [("file", f"{path}, {_size(path)}") for path in _paths(item)]
+    for capability in component.needs_priors:
+        able = ", ".join(_able(pipeline, capability)) or "none in the pipeline"
+        notes.append(("needs", f"a prior that can do {capability}: {able}"))
+    return Explained(item.qualified_name, tuple(notes))
+
+
+def _able(pipeline: Pipeline, capability: str) -> list[str]:
+    """The names of the priors that have a capability."""
+    return [
+        item.name
+        for item in pipeline.items["priors"]
+        if getattr(item.offer.component, "capability", None) == capability
+    ]
+
+
+def _due(item: Item, pipeline: Pipeline) -> list[int]:
+    """The iterations in which a component is called."""
+    if item.host.weight == 0:
+        return []
+    return [n for n in range(1, pipeline.training.iterations + 1) if item.schedule.due(n)]
+
+
+def _when(item: Item, pipeline: Pipeline) -> str:
+    due = _due(item, pipeline)
+    if not due:
+        return f"never in {pipeline.training.iterations} iterations"
+    if len(due) <= 3:
+        return f"iteration {', '.join(map(str, due))}"
+    return f"iterations {due[0]}, {due[1]} to {due[-1]}, {len(due)} times"
+
+
+def _paths(item: Item) -> list[Path]:
+    """Every path among the settings, in mappings and sequences too."""
+    return list(_paths_in([value for _, value in item.settings]))
+
+
+def _paths_in(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from _paths_in(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _paths_in(inner)
+
+
+def _size(path: Path) -> str:
+    if path.is_dir():
+        return "a folder"
+    return f"{path.stat().st_size / 1e6:.1f} MB" if path.exists() else "which does not exist"

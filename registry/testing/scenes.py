@@ -1,0 +1,142 @@
+"""Small scenes with known depth, and iterations that look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from core_rasterizer import Camera, GaussianModel, Rendering
+
+from ..contract.maps import DepthMap
+from ..contract.prior import Prior
+from ..contract.scene import PointCloud, Scene, View, validate
+from ..contract.step import Sample, Step
+from ..pipeline.training_settings import TrainingSettings
+from ..training.learning_rates import learning_rates
+from ..training.step_rendering import StepRenderer
+from .judging import require
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a scene is.
+
+    Args:
+        title: for messages.
+        width, height: of its images, in pixels.
+        points: how many there are.
+        hidden: no Gaussian is in view, images are of one colour, and no point and depth is known.
+    """
+
+    title: str
+    width: int
+    height: int
+    points: int
+    hidden: bool = False
+
+    @property
+    def rich(self) -> bool:
+        """Whether there is enough to see for an answer to mean something."""
+        return not self.hidden and self.points > 1
+
+
+SMALL = Size("a small scene", 32, 24, 60)
+REAL = Size("images of 320 x 240 and 5,000 Gaussians", 320, 240, 5000)
+EMPTY = Size("a scene with nothing in view", 32, 24, 60, hidden=True)
+PIXEL = Size("images of one pixel and one Gaussian", 1, 1, 1)
+
+
+def tiny_scene() -> Scene:
+    """Three cameras side by side that look at points between z = 2 and 4, and a wall at 3; 32x24."""
+    return scene_of(SMALL)
+
+
+def scene_of(size: Size) -> Scene:
+    """Two training views with a test view between them, looking along +z at a wall at z = 3."""
+    views = [_view(size, index) for index in range(3)]
+    points = None if size.hidden else points_of(size)
+    return validate(
+        Scene("tiny", (views[0], views[2]), (views[1],), bounds=(1.5, 5.0), points=points)
+    )
+
+
+def _view(size: Size, index: int) -> View:
+    width, height = size.width, size.height
+    rows = torch.linspace(0, 1, height)[:, None].expand(height, width)
+    columns = torch.linspace(0, 1, width)[None].expand(height, width)
+    image = torch.stack([rows, columns, torch.full_like(rows, 0.2 + 0.3 * index)], dim=2)
+    if size.hidden:
+        image = torch.full((height, width, 3), 0.5)
+    pose = torch.eye(4)
+    pose[0, 3] = 0.2 * (1 - index)
+    camera = Camera.centered(pose, 30 / 32 * width, width, height)
+    depth = torch.full((height, width), 0.0 if size.hidden else 3.0)
+    return View(f"view{index}", camera, image, depth=depth)
+
+
+def points_of(size: Size) -> PointCloud:
+    """Points of random colours between z = 2 and 4, or far behind the cameras."""
+    generator = torch.Generator().manual_seed(1)
+    positions = torch.rand(size.points, 3, generator=generator) * 2 - 1
+    positions[:, 2] += -30 if size.hidden else 3
+    return PointCloud(positions, torch.rand(size.points, 3, generator=generator))
+
+
+def pictured(view: View, depth_factor: float) -> Rendering:
+    """A render that shows the view's photograph, and its true depth times a factor."""
+    assert view.depth is not None
+    return Rendering(view.image.clone(), depth_factor * view.depth, torch.ones_like(view.depth))
+
+
+def step_of(
+    model: GaussianModel,
+    scene: Scene,
+    *,
+    rendering: Rendering | None = None,
+    iteration: int = 10,
+    iterations: int = 100,
+    extent: float | None = None,
+    priors: Mapping[str, Prior[Any]] | None = None,
+    maps: Mapping[str, DepthMap] | None = None,
+    log: Callable[[str, float], None] | None = None,
+) -> Step:
+    """An iteration that looks at a scene's first training view, for tests of one's own.
+
+    Args:
+        model: the Gaussians.
+        scene: the step sees it without test views and true depth.
+        rendering: of that view; None for the moment before the render.
+        iteration, iterations: the number of this one, and of all.
+        extent: world units; None takes the scene's.
+        priors: prior models by name.
+        maps: the initializer's depth by the view's name.
+        log: what `step.log` calls; None only checks that it is given a name and a number.
+    """
+    known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
+    extent = known.extent if extent is None else extent
+    view = known.train[0]
+    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
+    step = Step(
+        iteration=iteration,
+        iterations=iterations,
+        scene=known,
+        sample=sample,
+        model=model.reader(),
+        extent=extent,
+        priors=priors or {},
+        render=StepRenderer(model, sample),
+        log=log or _check_log,
+        maps=maps or {},
+        learning_rates=learning_rates(iteration, settings, extent),
+    )
+    if rendering is not None:
+        step.rendered(lambda: rendering)
+    return step
+
+
+def _check_log(name: str, value: float) -> None:
+    require(isinstance(name, str), "step.log takes a name and a number")
+    float(value)

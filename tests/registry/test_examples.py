@@ -1,0 +1,62 @@
+"""The example packages are installed from their own folders, found through their entry points, and work."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from registry.plugins import SELECTION, Plugins
+from tests.packages import ROOT, install, run_python
+
+PACKAGES = sorted(path.parent for path in (ROOT / "docs" / "examples").glob("*/pyproject.toml"))
+PIPELINE = """\
+name: examples
+scene: {use: procedural, width: 48, height: 36}
+initializer: {use: flat, points_per_view: 200}
+opacity: {use: idle_fade, patience: 2}
+densification: {use: gradient_threshold, start: 2, every: 3}
+training: {iterations: 8, sh_degree: 0}
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(PACKAGES, tmp_path_factory.mktemp("examples"))
+
+
+def test_there_is_one_of_each_kind_that_the_page_promises() -> None:
+    page = (ROOT / "docs" / "plugin-authors.md").read_text("utf-8")
+    assert all(f"(examples/{package.name})" in page for package in PACKAGES)
+
+
+def test_they_are_found_through_their_entry_points(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.delenv(SELECTION)
+    offers = {offer.name: offer for offer in Plugins().all()}
+    for package in PACKAGES:
+        project = tomllib.loads((package / "pyproject.toml").read_text("utf-8"))["project"]
+        for name in project["entry-points"]["stereogs.plugins"]:
+            found = (offers[name].distribution, offers[name].version)
+            assert found == (project["name"], project["version"])
+
+
+def test_their_own_tests_pass(site: Path, tmp_path: Path) -> None:
+    tests = [str(file) for package in PACKAGES for file in package.glob("test_*.py")]
+    assert len(tests) == len(PACKAGES)
+    options = ("-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), "-c", "/dev/null")
+    run_python("-m", "pytest", *options, *tests, folder=tmp_path, site=site)
+
+
+def test_a_pipeline_of_them_trains(site: Path, tmp_path: Path) -> None:
+    (tmp_path / "examples.yaml").write_text(PIPELINE, "utf-8")
+    command = ("-m", "registry", "train", "examples.yaml", "--out", "run")
+    run_python(*command, folder=tmp_path, site=site)
+    provenance = json.loads((tmp_path / "run" / "provenance.json").read_text("utf-8"))
+    assert provenance["plugins"]["opacity.idle_fade"] == "stereogs-idle-opacity 0.1.0"
+    last = (tmp_path / "run" / "metrics.jsonl").read_text("utf-8").splitlines()[-1]
+    assert "fading" in json.loads(last)

@@ -1,0 +1,351 @@
+"""The conformance suite passes good components and catches each kind of bad one."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+import pytest
+import torch
+
+import registry as r
+from core_rasterizer import ExplainedError
+from registry.testing import check
+
+from .. import toy_doors as doors
+from .. import toy_plugin as toys
+
+
+@pytest.mark.parametrize(
+    "component",
+    [
+        toys.ToyScene,
+        toys.ToyPoints,
+        toys.ToyPrior,
+        toys.ToyTerm,
+        toys.ToyDropout,
+        toys.ToyGrowth,
+        toys.ToyFade,
+        toys.ToyExporter,
+        toys.ToyReport,
+        toys.ToyPsnr,
+        doors.ToyTarget,
+        doors.ToyExposure,
+        doors.ToyNoise,
+        doors.ToyShape,
+    ],
+)
+def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
+    check(component)
+
+
+def test_metrics_may_be_unavailable_or_look_at_the_whole_view() -> None:
+    check(Blind)
+    check(Deep)
+
+
+def test_a_metric_may_look_at_something_else_than_likeness() -> None:
+    check(Bright)
+
+
+def test_a_report_may_read_all_that_a_run_leaves() -> None:
+    check(Reader)
+
+
+def test_a_component_may_refuse_what_it_cannot_do_in_words() -> None:
+    check(NeedsWindow)
+
+
+def test_the_cost_is_told() -> None:
+    cost = check(Slow)
+    assert 0.05 < cost.seconds < 5
+    assert cost.megabytes is None or cost.megabytes > 50
+    assert str(cost).startswith("0.")
+
+
+class Forgetful(toys.ToyTerm):
+    def restore(self, state: Any) -> None:
+        pass
+
+
+class Unseeded(toys.ToyDropout):
+    def opacity_scale(self, step: r.Step) -> torch.Tensor:
+        return torch.rand(step.model.count)
+
+
+class Meddler(toys.ToyFade):
+    def update(self, step: r.Step) -> r.OpacityUpdate | None:
+        step.model.write("opacity_logits", torch.zeros(step.model.count))  # type: ignore[attr-defined]
+        return None
+
+
+class Upside(toys.ToyPsnr):
+    higher_is_better = False
+
+
+class Blind(toys.ToyPsnr):
+    """Not available, and says why."""
+
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return r.Unavailable("there is no network")
+
+
+class Silent(Blind):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return r.Unavailable("")
+
+
+class Partial(toys.ToyPsnr):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        return 1.0 if rendered.equal(photograph) else r.Unavailable("too different")
+
+
+class Deep(r.ViewMetric[r.Settings]):
+    """Judges depth, not colours."""
+
+    higher_is_better = False
+
+    def measure_view(self, rendering: Any, view: r.View, scene: r.Scene) -> float:
+        assert view.depth is not None
+        return float((rendering.depth - view.depth).abs().mean())
+
+
+class Liar(toys.ToyExporter):
+    def export(self, model: Any, scene: r.Scene, folder: Path) -> list[Path]:
+        return [folder / "not-written"]
+
+
+class Bright(toys.ToyPsnr):
+    """Looks at the render alone."""
+
+    equal_images_are_best = False
+
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> float:
+        return float(rendered.mean())
+
+
+class Reader(toys.ToyReport):
+    """Needs the log of training, the pipeline and the pictures of the test views, if there are any."""
+
+    def write(self, folder: Path, scene: r.Scene) -> list[Path]:
+        lines = (folder / "metrics.jsonl").read_text("utf-8").splitlines()
+        assert json.loads(lines[-1])["photometric"] > 0
+        results = json.loads((folder / "results.json").read_text("utf-8"))
+        for view in results["views"]["test"]:
+            assert (folder / "renders" / f"{view}.png").is_file()
+        assert "under_test" not in (folder / "pipeline.yaml").read_text("utf-8")
+        return super().write(folder, scene)
+
+
+class NeedsWindow(toys.ToyPsnr):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
+        if rendered.shape[0] < 7:
+            raise r.PluginError("the image is smaller than the window", fix="use larger images")
+        return super().measure(rendered, photograph, mask)
+
+
+class Slow(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        if step.view.camera.width > 100:
+            time.sleep(0.06)
+            torch.ones(20_000_000)
+        return super().loss(step)
+
+
+class Plain:
+    """No component at all."""
+
+
+class Negative(toys.ToyDropout):
+    def opacity_scale(self, step: r.Step) -> torch.Tensor:
+        return -torch.ones(step.model.count)
+
+
+class Counting(toys.ToyTerm):
+    """Ten times its usual weight in every fifth call."""
+
+    def __init__(self, settings: Any, context: r.Context) -> None:
+        super().__init__(settings, context)
+        self.count = 0
+
+    def loss(self, step: r.Step) -> torch.Tensor:
+        self.count += 1
+        return super().loss(step) * (10 if self.count % 5 == 0 else 1)
+
+
+class Remembering(r.OpacityPolicy[r.Settings]):
+    """Lets each Gaussian fade by its age."""
+
+    def __init__(self, settings: Any, context: r.Context) -> None:
+        super().__init__(settings, context)
+        self.age = torch.zeros(0)
+
+    def update(self, step: r.Step) -> r.OpacityUpdate:
+        if len(self.age) != step.model.count:
+            self.age = torch.arange(step.model.count).float()
+        self.age += 1
+        return r.OpacityUpdate(step.model.opacities() * 0.999**self.age)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        return {"age": self.age}
+
+    def restore(self, state: Any) -> None:
+        self.age = state["age"].clone()
+
+
+class Late(Remembering):
+    """Forgets those that were pruned only when they are at the end."""
+
+    def carry(self, source: torch.Tensor, fresh: torch.Tensor) -> None:
+        new = torch.zeros(max(0, len(source) - len(self.age)))
+        self.age = torch.cat([self.age, new])[: len(source)]
+
+
+class Rigid(Remembering):
+    def update(self, step: r.Step) -> r.OpacityUpdate:
+        if not len(self.age):
+            self.age = torch.zeros(step.model.count)
+        self.age += 1
+        return r.OpacityUpdate((step.model.opacities() + self.age).clamp(max=1))
+
+
+class Painter(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        step.view.image.mul_(0.5)
+        return super().loss(step)
+
+
+class Borrower(toys.ToyPsnr):
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> float:
+        rendered.copy_(photograph)
+        return super().measure(rendered, photograph, mask)
+
+
+class Overwriting(toys.ToyReport):
+    def write(self, folder: Path, scene: r.Scene) -> list[Path]:
+        (folder / "results.json").write_text("{}", "utf-8")
+        return super().write(folder, scene)
+
+
+class Trainer(toys.ToyExporter):
+    def export(self, model: Any, scene: r.Scene, folder: Path) -> list[Path]:
+        model.write("means", torch.zeros(model.count, 3))
+        return super().export(model, scene, folder)
+
+
+class Replacing(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        answer = super().loss(step)
+        step.iteration += 1
+        return answer
+
+
+class Seeding(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        torch.manual_seed(0)
+        return super().loss(step)
+
+
+class NumpyNoise(toys.ToyDropout):
+    def opacity_scale(self, step: r.Step) -> torch.Tensor:
+        return torch.from_numpy(np.random.rand(step.model.count))
+
+
+class Switching(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        answer = super().loss(step)
+        torch.set_grad_enabled(False)
+        return answer
+
+
+class Constant(toys.ToyTerm):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        return step.model.scales().mean()
+
+
+class Cut(doors.ToyExposure):
+    def colors(self, step: r.Step, rgb: torch.Tensor) -> torch.Tensor:
+        return super().colors(step, rgb).detach()
+
+
+class Dividing(toys.ToyTerm):
+    """Not a number where nothing is seen."""
+
+    def loss(self, step: r.Step) -> torch.Tensor:
+        seen = step.rendering.alpha > 0.01
+        return step.rendering.alpha[seen].mean()
+
+
+class Stubborn(toys.ToyPsnr):
+    """Needs more than one pixel and does not say so."""
+
+    def measure(self, rendered: Any, photograph: Any, mask: Any) -> float:
+        return -abs(float(rendered[1, 1, 2]) - float(photograph[1, 1, 2]))
+
+
+class HalfSettings(r.Settings):
+    """A value that is another one once it is read back."""
+
+    value: float = 0.0
+
+    @pydantic.field_validator("value")
+    @classmethod
+    def _halve(cls, value: float) -> float:
+        return value / 2
+
+
+class Halving(r.Regularizer[HalfSettings]):
+    def loss(self, step: r.Step) -> torch.Tensor:
+        return step.rendering.alpha.mean()
+
+
+class ListState(toys.ToyTerm):
+    def state(self) -> Any:
+        return {"calls": [1.0]}
+
+
+@pytest.mark.parametrize(
+    ("component", "settings", "message"),
+    [
+        (Forgetful, {}, "restore"),
+        (Unseeded, {}, "global random state of torch"),
+        (Meddler, {}, "no attribute 'write'"),
+        (Upside, {}, "score better"),
+        (Silent, {}, "must say why"),
+        (Partial, {}, "some renders of a view only"),
+        (Liar, {}, "was not written"),
+        (Plain, {}, "derives from none"),
+        (Negative, {}, "negative"),
+        (toys.ToyTerm, {"fault": "shape"}, "expected one floating-point"),
+        (toys.ToyTerm, {"fault": "gradient"}, "undefined gradient"),
+        (toys.ToyGrowth, {"wrong": True}, "clone"),
+        (toys.ToyFade, {"value": 2.0}, "outside"),
+        (Counting, {}, r"resumed after iteration \d+ differs .* does state\(\) hand out"),
+        (Remembering, {}, r"has \d+ rows after Gaussians were cloned, expected \d+"),
+        (Late, {}, "another Gaussian's row"),
+        (Rigid, {}, "must match the size"),
+        (Painter, {}, r"changed what it was given: step.scene.train\[0\].image"),
+        (Borrower, {}, r"changed what it was given: argument 1.rgb"),
+        (Overwriting, {}, r"changed what it was given: .*run/results.json"),
+        (Trainer, {}, "changed what it was given: argument 1"),
+        (Replacing, {}, "changed what it was given: step.iteration"),
+        (Seeding, {}, "global random state of torch"),
+        (NumpyNoise, {}, "global random state of numpy"),
+        (Switching, {}, "gradients switched off"),
+        (Constant, {}, "changes nothing"),
+        (Cut, {}, "cut off from autograd"),
+        (Dividing, {}, "the loss is not finite"),
+        (Stubborn, {}, "out of bounds"),
+        (Halving, {"value": 1.0}, "do not survive being written as JSON"),
+        (ListState, {}, "is not a tensor"),
+    ],
+)
+def test_faults_are_found(component: Any, settings: dict[str, Any], message: str) -> None:
+    kinds = (AssertionError, AttributeError, IndexError, ExplainedError)
+    with pytest.raises(kinds, match=re.compile(message, re.DOTALL)):
+        check(component, **settings)

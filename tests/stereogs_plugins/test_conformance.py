@@ -1,0 +1,157 @@
+"""Every shipped component keeps the contract, and none is left out."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from core_rasterizer import Gaussians, save_ply
+from registry import DepthMap, MultiViewDepthPrior, Prior, TrainingView
+from registry.plugins import GROUP, Offer, Plugins
+from registry.testing import check, tiny_scene
+from tests.stereogs_plugins.building import build
+from tests.stereogs_plugins.metrics.lpips_network import onnx_difference, sha256
+from tests.stereogs_plugins.priors import graphs
+from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import BlockMatcher
+from tests.stereogs_plugins.scenes.small_scenes import (
+    DTU_VIEWS,
+    World,
+    write_blender,
+    write_colmap,
+    write_dtu,
+    write_llff,
+    write_nerfstudio,
+)
+
+Settings = dict[str, Any]
+Write = Callable[[Path], Settings]
+"""Writes the files that a component needs into a folder, and returns settings that name them."""
+
+
+class Wall(MultiViewDepthPrior):
+    """The depth of the tiny scene's wall everywhere."""
+
+    def estimate(
+        self, views: tuple[TrainingView, ...], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
+        """Return it for each view."""
+        known = [torch.ones(view.image.shape[:2], dtype=torch.bool) for view in views]
+        return [DepthMap(3.0 * mask, mask, mask.float()) for mask in known]
+
+
+def needs_nothing(folder: Path) -> Settings:
+    return {}
+
+
+def few_planes(folder: Path) -> Settings:
+    return {"planes": 12}
+
+
+def scene(write: Callable[[Path, World], Path], world: World, **settings: Any) -> Write:
+    return lambda folder: {"path": write(folder, world), **settings}
+
+
+def network(folder: Path) -> Settings:
+    file = onnx_difference(folder / "whole.onnx")
+    return {"network": "alex", "file": file, "sha256": sha256(file)}
+
+
+def gaussians(folder: Path) -> Settings:
+    points = tiny_scene().points
+    assert points is not None
+    size = torch.full((len(points),), 0.1)
+    save_ply(
+        Gaussians.from_points(points.positions, points.colors, size, size, 0), folder / "g.ply"
+    )
+    return {"path": folder / "g.ply"}
+
+
+def complete(folder: Path) -> Settings:
+    return {"fill": True, "back_layer": True, "margin": True, "merge": True, "stride": 2}
+
+
+SHIPPED: dict[str, tuple[Write, ...]] = {
+    "scene.llff": (scene(write_llff, World(), downsample=2),),
+    "scene.blender": (scene(write_blender, World(), train_ids=(1, 3, 5)),),
+    "scene.dtu": (scene(write_dtu, World(count=DTU_VIEWS, shift=(3.0, -2.0))),),
+    "scene.colmap": (scene(write_colmap, World(shift=(3.0, -2.0))),),
+    "scene.nerfstudio": (scene(write_nerfstudio, World(shift=(3.0, -2.0))),),
+    "scene.procedural": (lambda folder: {"width": 32, "height": 24},),
+    "initializer.sfm": (needs_nothing,),
+    "initializer.random": (lambda folder: {"count": 100},),
+    "initializer.ply": (gaussians,),
+    "initializer.consistency_dense": (needs_nothing, complete),
+    "priors.plane_sweep": (few_planes,),
+    "priors.sgm": (
+        needs_nothing,
+        lambda folder: {
+            "cost": "features",
+            "features": graphs.grey_features(folder / "m.onnx"),
+            "max_disparity": 10,
+        },
+    ),
+    "priors.onnx_mvs": (lambda folder: {"model": graphs.pick(folder / "m.onnx", "K", (0, 0, 0))},),
+    "priors.onnx_stereo": (lambda folder: {"model": graphs.matcher(folder / "m.onnx")},),
+    "priors.onnx_mono": tuple(
+        lambda folder, family=family: {
+            "model": graphs.mono(folder / "m.onnx"),
+            "family": family,
+            "short_side": 56,
+        }
+        for family in ("depth_anything_v2", "dpt")
+    ),
+    "regularizers.stereo_depth": (
+        needs_nothing,
+        lambda folder: {"refresh_threshold": 0.0, "tau": 1.0},
+    ),
+    "modifiers.dropout": (needs_nothing,),
+    "densification.gradient_threshold": (needs_nothing,),
+    "opacity.opacity_reset": (needs_nothing,),
+    "opacity.constant_decay": (needs_nothing,),
+    "opacity.gradient_aware_decay": tuple(
+        lambda folder, scope=scope: {"scope": scope} for scope in ("all", "visible", "contributing")
+    ),
+    "metrics.psnr": (needs_nothing, lambda folder: {"quantize": "png8"}),
+    "metrics.ssim": (needs_nothing, lambda folder: {"quantize": "png8"}),
+    "metrics.ssim_skimage": (needs_nothing, lambda folder: {"quantize": "png8"}),
+    "metrics.lpips": (needs_nothing, network),
+    "metrics.lpips_proper": (needs_nothing, network),
+    "metrics.depth_error": (needs_nothing, lambda folder: {"against": "points"}),
+    "metrics.depth_within": (
+        lambda folder: {"percent": 40.0},
+        lambda folder: {"percent": 40.0, "against": "points"},
+    ),
+    "exporters.ply": (needs_nothing,),
+    "reports.html": (needs_nothing,),
+}
+ELSEWHERE = {"scene.photos": "scenes/test_photos.py"}
+"""Tried beside what it needs: its cameras take seconds to find."""
+
+
+def shipped() -> dict[str, Offer]:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))
+    entries = project["project"]["entry-points"][GROUP]
+    plugins = Plugins([EntryPoint(name, module, GROUP) for name, module in entries.items()])
+    return {f"{offer.point.section}.{offer.name}": offer for offer in plugins.all()}
+
+
+def test_none_is_left_out() -> None:
+    offers = shipped()
+    assert sorted([*SHIPPED, *ELSEWHERE]) == sorted(offers)
+    for name, file in ELSEWHERE.items():
+        tests = (Path(__file__).parent / file).read_text("utf-8")
+        assert f"check({offers[name].component.__name__}," in tests
+
+
+@pytest.mark.parametrize(
+    ("name", "write"), [(name, write) for name, writes in SHIPPED.items() for write in writes]
+)
+def test_it_keeps_the_contract(name: str, write: Write, tmp_path: Path) -> None:
+    priors: dict[str, Prior[Any]] = {"matcher": build(BlockMatcher), "wall": build(Wall)}
+    check(shipped()[name].component, priors=priors, **write(tmp_path))
