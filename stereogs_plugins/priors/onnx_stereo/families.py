@@ -18,6 +18,7 @@ FamilyName = Literal[
     "s2m2",
     "lite_any_stereo",
     "raft_stereo",
+    "hitnet",
     "generic",
 ]
 
@@ -28,11 +29,13 @@ class StereoFamily:
 
     Args:
         left, right: names of the inputs `[N, 3, H, W]`; None: the graph's first and second.
-        output: name of the disparity `[N, 1, H, W]` or `[N, H, W]`; None: the only output.
+        output: name of the disparity `[N, 1, H, W]`, `[N, H, W, 1]` or `[N, H, W]`; None: the only output.
         value_range: the numbers of black and white.
         multiple: both sides of an input must be a multiple of this where the graph leaves them open.
         negated: the output is the flow from left to right, which is minus the disparity.
         max_disparity: the largest that the network can see, in its own pixels; None: no limit.
+        stacked: one input `[N, 2, H, W]` (grey) or `[N, 6, H, W]` (colour) takes the left image and
+            behind it the right one; `left` and `right` do not count.
         confidences: names of outputs shaped like the disparity, in [0, 1], 1 = to be trusted.
     """
 
@@ -43,6 +46,7 @@ class StereoFamily:
     multiple: int = 32
     negated: bool = False
     max_disparity: float | None = None
+    stacked: bool = False
     confidences: tuple[str, ...] = ()
 
 
@@ -57,5 +61,6 @@ FAMILIES: dict[FamilyName, StereoFamily] = {
     ),
     "lite_any_stereo": StereoFamily("left", "right", "disparity", max_disparity=192),
     "raft_stereo": StereoFamily(output="flow_up", negated=True),
+    "hitnet": StereoFamily(value_range="0..1", multiple=16, stacked=True),
     "generic": StereoFamily(),
 }

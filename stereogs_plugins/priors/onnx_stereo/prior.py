@@ -48,6 +48,8 @@ class OnnxStereoSettings(OnnxModelSettings):
     """The numbers for black and white that the graph takes."""
     negated: bool | None = None
     """The graph answers minus the disparity."""
+    stacked: bool | None = None
+    """The graph's one input takes both images, the right one's channels behind the left one's."""
     max_disparity: float | None = Field(None, gt=0)
     """The largest disparity that the network can see, in its own pixels."""
     multiple: int | None = Field(None, ge=1)
@@ -155,8 +157,8 @@ def _family(settings: OnnxStereoSettings) -> StereoFamily:
 
 
 def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
-
     from .networks import OneGraph, TwoGraphs
+    from .stacked_graph import StackedGraph
 
     pair = settings.family == "fast_foundation_stereo"
     if pair != (settings.second_model is not None):
@@ -167,7 +169,7 @@ def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwor
         )
     model = settings.open()
     if settings.second_model is None:
-        return OneGraph(model, family)
+        return StackedGraph(model, family) if family.stacked else OneGraph(model, family)
     from registry import OnnxModel
 
     second = OnnxModel(settings.second_model, settings.second_sha256, settings.provider)

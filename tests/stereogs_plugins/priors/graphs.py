@@ -101,6 +101,28 @@ def matcher(
     return graph.save(path)
 
 
+def stacked_matcher(path: Path, channels: int, *, channels_last: bool, batch: int | str = 1) -> Path:
+    """A block matcher whose one input holds both images; only its first channel of each counts."""
+    graph = Graph()
+    pair = graph.input("input", (batch, channels, "H", "W"))
+    half = channels // 2
+    left, right = (graph.slice(pair, 1, start, start + 1) for start in (0, half))
+    disparity = block_matcher(graph, left, right, 12)
+    if channels_last:
+        disparity = graph("Transpose", disparity, perm=[0, 2, 3, 1])
+    shape = (batch, "H", "W", 1) if channels_last else (batch, 1, "H", "W")
+    graph.output("reference_output_disparity", disparity, shape)
+    return graph.save(path)
+
+
+def stacked_echo(path: Path, channels: int, channel: int) -> Path:
+    """One channel of a stacked pair as disparity."""
+    graph = Graph()
+    pair = graph.input("input", (1, channels, "H", "W"))
+    graph.output("disparity", graph.slice(pair, 1, channel, channel + 1), (1, 1, "H", "W"))
+    return graph.save(path)
+
+
 def constant_shift(path: Path, value: float, shape: Shape = OPEN) -> Path:
     """One disparity everywhere."""
     graph = Graph()
