@@ -13,7 +13,7 @@ MOST_ROOMS = 12
 """Modules that one folder may hold before a newcomer loses the way."""
 
 FLOORS = (
-    ("errors", "files", "suggestions", "web_page"),
+    ("errors", "files", "memory", "suggestions", "web_page"),
     ("contract", "cache", "image_fitting"),
     ("drawing", "plugins", "photos"),
     ("priors", "pipeline"),

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..contract.scene import Scene
 from ..files import jsonable
+from ..memory import peak_memory_mb
 from ..pipeline.blame import blame
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
 from .folder import RunFolder
-from .memory import peak_memory_mb
 from .origin.provenance import describe_device
 
 if TYPE_CHECKING:

@@ -170,9 +170,7 @@ def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwor
     model = settings.open()
     if settings.second_model is None:
         return StackedGraph(model, family) if family.stacked else OneGraph(model, family)
-    from registry import OnnxModel
-
-    second = OnnxModel(settings.second_model, settings.second_sha256, settings.provider)
+    second = settings.open_another(settings.second_model, settings.second_sha256)
     return TwoGraphs(
         model, second, family, groups=settings.groups, normalized=settings.normalize_groups
     )

@@ -101,7 +101,9 @@ def matcher(
     return graph.save(path)
 
 
-def stacked_matcher(path: Path, channels: int, *, channels_last: bool, batch: int | str = 1) -> Path:
+def stacked_matcher(
+    path: Path, channels: int, *, channels_last: bool, batch: int | str = 1
+) -> Path:
     """A block matcher whose one input holds both images; only its first channel of each counts."""
     graph = Graph()
     pair = graph.input("input", (batch, channels, "H", "W"))
