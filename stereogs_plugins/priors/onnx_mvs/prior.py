@@ -103,11 +103,12 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
                 where=str(self._model.path),
                 fix="use more training views, or export the graph with an open number of views",
             )
-        return [self._depth_of(view, views, bounds) for view in views]
+        return [self.depth_of(view, views, bounds) for view in views]
 
-    def _depth_of(
+    def depth_of(
         self, view: TrainingView, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> DepthMap:
+        """The depth of one view, with the help of those among `views` that overlap it; see `estimate`."""
         import torch
 
         from .sources import sorted_by_use

@@ -169,7 +169,10 @@ def test_keep_the_contract(component: type[LPIPS], tmp_path: Path) -> None:
     check(component, **settings(onnx_difference(tmp_path / "whole.onnx")))
 
 
-def test_without_a_file_it_says_so(network: Path, tmp_path: Path) -> None:
+def test_without_a_file_it_says_so(
+    network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     answer = build(LPIPS).measure(*images(), None)
     assert isinstance(answer, Unavailable)
     assert "no network is named" in answer.reason
