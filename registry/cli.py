@@ -14,7 +14,18 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
+from .commands import (
+    ablate,
+    check,
+    compare,
+    demo,
+    doctor,
+    evaluate,
+    plugins,
+    priors,
+    render,
+    train,
+)
 from .commands.output import error_console
 from .suggestions import did_you_mean, listing
 
@@ -34,6 +45,7 @@ VERBS = {
     "compare": compare,
     "ablate": ablate,
     "plugins": plugins,
+    "priors": priors,
     "doctor": doctor,
     "demo": demo,
 }
@@ -48,6 +60,7 @@ examples:
   stereogs render runs/3dgs-fern --path
   stereogs ablate pipelines/ablations/parts.yaml
   stereogs plugins                            what a pipeline can name
+  stereogs priors check FILE.onnx             how to run a network of your own, and how good it is
 
 environment:
   STEREOGS_DATA      folder of data sets that the ready pipelines read

@@ -25,6 +25,11 @@ class OnnxModelSettings(Settings):
     threads: int | None = Field(None, ge=1)
     """Processor threads that run the model; null: as many as this process may use."""
 
+    @classmethod
+    def naming(cls, model: OnnxModel) -> dict[str, str]:
+        """The settings that name a model's file, as a pipeline holds them."""
+        return {"model": str(model.path), "sha256": model.sha256}
+
     def open(self) -> OnnxModel:
         """The model, loaded."""
         return self.open_another(self.model, self.sha256)

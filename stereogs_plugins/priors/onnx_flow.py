@@ -6,12 +6,13 @@ only ever run on graphs of that form whose answer is known, on no network's weig
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_args
 
 from pydantic import Field
 
 from registry import (
     Context,
+    OnnxModel,
     OnnxModelSettings,
     OpticalFlowPrior,
     PluginError,
@@ -21,6 +22,8 @@ from registry import (
 from registry.image_fitting import ValueRange
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
 
@@ -67,6 +70,19 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
                     fix="name the right inputs with `first` and `second`",
                 )
         self._output = self._model.output(settings.output)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """Two images to two numbers a pixel, in all meanings of black and white."""
+        images = [len(spec.shape) == 4 and spec.shape[1] == 3 for spec in model.inputs]
+        flows = [s.name for s in model.outputs if len(s.shape) == 4 and s.shape[1] == 2]
+        if images != [True, True]:
+            return []
+        return [
+            {**OnnxFlowSettings.naming(model), "output": output, "value_range": value_range}
+            for output in flows
+            for value_range in get_args(ValueRange)
+        ]
 
     def fingerprint(self) -> str:
         """The model file's hash and what runs it."""

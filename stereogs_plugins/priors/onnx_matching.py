@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
@@ -17,6 +17,7 @@ from registry import (
     Context,
     Matches,
     MatchingPrior,
+    OnnxModel,
     OnnxModelSettings,
     PluginError,
     Register,
@@ -27,6 +28,8 @@ from registry import (
 from registry.image_fitting import ValueRange
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
 KEYPOINTS, DESCRIPTORS = "keypoints", "descriptors"
@@ -97,6 +100,13 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
             self._matcher.input(name)
         for name in (MATCHES, SCORES):
             self._matcher.output(name)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """A file that finds keypoints; its `matcher` has to be said."""
+        answers = [spec.name for spec in model.outputs]
+        found = KEYPOINTS in answers and DESCRIPTORS in answers
+        return [OnnxMatchingSettings.naming(model)] if found else []
 
     def fingerprint(self) -> str:
         """Both files' hashes and what runs them."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import Field
 
 from registry import (
     Context,
     MonocularDepthPrior,
+    OnnxModel,
     OnnxModelSettings,
+    OnnxTensor,
     PluginError,
     Register,
     hookimpl,
@@ -18,6 +20,8 @@ from registry import (
 from registry.image_fitting import ValueRange
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
@@ -79,6 +83,21 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 fix="name the right one with `input`",
             )
 
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """Each family, as depth and as inverse depth, and other numbers, for one image to one map."""
+        image, maps = model.inputs[0], [spec for spec in model.outputs if _is_map(spec)]
+        if len(model.inputs) != 1 or len(image.shape) != 4 or image.shape[1] != 3:
+            return []
+        kinds: list[dict[str, str]] = [{"family": name} for name in FAMILIES]
+        kinds += [{"family": "dpt", "value_range": numbers} for numbers in ("0..1", "0..255")]
+        return [
+            {**OnnxMonoSettings.naming(model), **kind, "output": output.name, "answers": answers}
+            for output in maps
+            for kind in kinds
+            for answers in get_args(Answer)
+        ]
+
     def fingerprint(self) -> str:
         """The model file's hash and what runs it."""
         return self._model.fingerprint
@@ -126,6 +145,10 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 fix="leave `answers` out if the graph answers inverse depth; check `value_range`",
             )
         return 1 / depth.clamp(min=SMALLEST_DEPTH * float(known.median()))
+
+
+def _is_map(spec: OnnxTensor) -> bool:
+    return len(spec.shape) == 3 or (len(spec.shape) == 4 and spec.shape[1] == 1)
 
 
 def _family(settings: OnnxMonoSettings) -> MonoFamily:

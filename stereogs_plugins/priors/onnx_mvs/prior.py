@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,7 @@ from registry import (
     Context,
     DepthMap,
     MultiViewDepthPrior,
+    OnnxModel,
     OnnxModelSettings,
     PluginError,
     Register,
@@ -81,6 +82,17 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         self._model.output(family.depth)
         if settings.min_confidence > 0:
             self._model.output(family.confidence)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """The family that the graph has the names of, with both grids for intrinsics."""
+        inputs, outputs = ([spec.name for spec in specs] for specs in (model.inputs, model.outputs))
+        return [
+            {**OnnxMvsSettings.naming(model), "family": name, "intrinsics": grid}
+            for name, family in FAMILIES.items()
+            if {family.images, *family.camera_inputs} <= set(inputs) and family.depth in outputs
+            for grid in ("full", "quarter")
+        ]
 
     def fingerprint(self) -> str:
         """The model file's hash and what runs it."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
 from registry import (
     Context,
+    OnnxModel,
     OnnxModelSettings,
     PluginError,
     Register,
@@ -22,6 +23,8 @@ from registry.image_fitting import Padding, ValueRange
 from .families import FAMILIES, FamilyName, StereoFamily
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
     from .networks import StereoNetwork
@@ -80,6 +83,13 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         self._output = self._network.last.output(self._family.output).name
         for name in self._family.confidences:
             self._network.last.output(name)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """One for a family whose names the graph has, or else one for each meaning of its numbers."""
+        from .recognition import guesses
+
+        return [{**OnnxStereoSettings.naming(model), **guess} for guess in guesses(model)]
 
     @property
     def max_disparity(self) -> float | None:
@@ -151,7 +161,8 @@ def _family(settings: OnnxStereoSettings) -> StereoFamily:
     said = {
         field.name: value
         for field in fields(StereoFamily)
-        if (value := getattr(settings, field.name)) is not None
+        if field.name in OnnxStereoSettings.model_fields
+        and (value := getattr(settings, field.name)) is not None
     }
     return replace(FAMILIES[settings.family], **said)
 
