@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         OpticalFlowPrior,
         StereoPrior,
     )
+    from .priors.epipolar import epipolar_distances
     from .priors.learned_features import LearnedFeatures
     from .priors.model_file import Sha256, read_model_file
     from .priors.onnx_model import OnnxModel, OnnxTensor
@@ -121,6 +122,7 @@ __all__ = [
     "View",
     "ViewMetric",
     "cache",
+    "epipolar_distances",
     "first_line",
     "grey",
     "hookimpl",

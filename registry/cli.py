@@ -23,6 +23,7 @@ from .commands import (
     evaluate,
     explain,
     plugins,
+    priors,
     render,
     replay,
     resume,
@@ -51,6 +52,7 @@ VERBS = {
     "ablate": ablate,
     "explain": explain,
     "plugins": plugins,
+    "priors": priors,
     "schema": schema,
     "doctor": doctor,
     "demo": demo,
@@ -68,6 +70,7 @@ examples:
   stereogs ablate pipelines/ablations/parts.yaml
   stereogs explain pipelines/3dgs.yaml        what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
+  stereogs priors check FILE.onnx             how to run a network of your own, and how good it is
 
 environment:
   STEREOGS_DATA      folder of data sets that the ready pipelines read

@@ -59,6 +59,11 @@ class Fit:
         """What a distance along a row of the network's answer is multiplied with."""
         return self.image[1] / self.content[1]
 
+    @property
+    def height_factor(self) -> float:
+        """The same along a column."""
+        return self.image[0] / self.content[0]
+
     def apply(
         self,
         images: Tensor,
@@ -99,6 +104,15 @@ class Fit:
         weights = interpolate(known.float(), self.image, mode="bilinear")
         nearest = interpolate(known.float(), self.image, mode="nearest-exact") > 0
         return torch.where(nearest, values / weights, torch.nan)[:, 0]
+
+    def undo_points(self, points: Tensor) -> Tensor:
+        """Positions `[N, 2]` (column, row) in the target as positions in the image.
+
+        The middle of the first pixel is (0.5, 0.5) in both; what lies in the padding comes out outside.
+        """
+        top, left = self._offset
+        moved = points - points.new_tensor([left, top])
+        return moved * points.new_tensor([self.width_factor, self.height_factor])
 
     @property
     def _offset(self) -> Size:
@@ -151,7 +165,7 @@ def full_size_maps(
 
     Args:
         name: of the output, for the message too.
-        shape: (N, H, W); one more side of 1 after the first is taken, too.
+        shape: (N, H, W); one more side of 1, for the channel, after the first or at the end is taken, too.
         where: the model's file.
 
     Raises:
@@ -159,7 +173,7 @@ def full_size_maps(
     """
     count, height, width = shape
     answer = answers[name]
-    if tuple(answer.shape) not in ((count, 1, height, width), shape):
+    if tuple(answer.shape) not in ((count, 1, height, width), (count, height, width, 1), shape):
         raise PluginError(
             f"the output {name!r} has the shape {list(answer.shape)}, "
             f"expected [{count}, 1, {height}, {width}]",

@@ -13,7 +13,7 @@ MOST_ROOMS = 12
 """Modules that one folder may hold before a newcomer loses the way."""
 
 FLOORS = (
-    ("errors", "files", "suggestions", "terminal", "web_page"),
+    ("errors", "files", "memory", "suggestions", "terminal", "web_page"),
     ("contract", "cache", "image_fitting", "calls", "results_file"),
     ("drawing", "plugins", "photos", "virtual_views"),
     ("priors", "pipeline", "scaffolding"),

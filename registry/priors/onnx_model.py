@@ -6,12 +6,15 @@ it; weights kept in a second file beside it are refused.
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
+from ..memory import peak_memory_mb
 from .model_file import read_model_file
 from .onnx_session import (
     OnnxProvider,
@@ -19,6 +22,7 @@ from .onnx_session import (
     choose_provider,
     first_line,
     open_session,
+    processors,
     running_provider,
 )
 
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+_log = logging.getLogger("stereogs.priors")
 _TYPES = {  # names of torch's types
     "tensor(float)": "float32",
     "tensor(float16)": "float16",
@@ -59,15 +64,19 @@ class OnnxTensor:
 class OnnxModel:
     """An ONNX model, loaded and ready; the same question gets the same bits on one provider.
 
+    The first answer is told of in the log: seconds, threads and memory; later ones at the level DEBUG.
+
     Args:
         path: the `.onnx` file.
         sha256: 64 hexadecimal digits that the file must have, or None: any file is taken.
         provider: what runs it, or None: the first of `OnnxProvider` that is installed.
+        threads: of the processor, or None: as many as this process may use.
 
     Attributes:
         path: the file.
         sha256: the file's own hash, 64 hexadecimal digits.
         provider: what runs it, one of `OnnxProvider`.
+        threads: how many run it on the processor.
         inputs, outputs: in the graph's order.
 
     Raises:
@@ -76,17 +85,24 @@ class OnnxModel:
     """
 
     def __init__(
-        self, path: str | Path, sha256: str | None = None, provider: OnnxProvider | None = None
+        self,
+        path: str | Path,
+        sha256: str | None = None,
+        provider: OnnxProvider | None = None,
+        *,
+        threads: int | None = None,
     ) -> None:
         self.path = Path(path).expanduser()
         file = read_model_file(self.path, sha256)
         check_in_one_file(file.content, self.path)
         self.sha256 = file.sha256
         chosen = choose_provider(provider)
-        self._session = open_session(file.content, self.path, chosen)
+        self.threads = threads or processors()
+        self._session = open_session(file.content, self.path, chosen, self.threads)
         self.provider = running_provider(self._session, provider)
         self.inputs = _described(self._session.get_inputs(), self.path)
         self.outputs = _described(self._session.get_outputs(), self.path)
+        self._told = False
 
     @property
     def fingerprint(self) -> str:
@@ -132,6 +148,7 @@ class OnnxModel:
                 f"given without being asked {unknown}, asked for and not given {missing}"
             )
         feed = {spec.name: self._converted(spec, inputs[spec.name]) for spec in self.inputs}
+        begin = time.perf_counter()
         try:
             answers = self._session.run(None, feed)
         except Exception as error:  # onnxruntime's exceptions have no base of their own
@@ -140,10 +157,30 @@ class OnnxModel:
                 where=str(self.path),
                 fix="check that the graph fits the images' size; make them smaller if memory ran out",
             ) from error
+        self._tell(time.perf_counter() - begin, feed)
         return {
             spec.name: torch.from_numpy(np.array(answer, dtype=np.float32))
             for spec, answer in zip(self.outputs, answers, strict=True)
         }
+
+    def _tell(self, seconds: float, feed: Mapping[str, Any]) -> None:
+        """What an answer cost; onnxruntime keeps its memory, so the first one shows nearly all of it."""
+        level = logging.DEBUG if self._told else logging.INFO
+        self._told = True
+        if not _log.isEnabledFor(level):
+            return
+        sizes = ", ".join(f"{name} {list(value.shape)}" for name, value in feed.items())
+        memory = peak_memory_mb()
+        _log.log(
+            level,
+            "%s: %.2f s on %s, %d threads, for %s%s",
+            self.path.name,
+            seconds,
+            self.provider,
+            self.threads,
+            sizes,
+            "" if memory is None else f"; memory of this process at most {memory:.0f} MB so far",
+        )
 
     def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
         import torch

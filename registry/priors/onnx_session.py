@@ -60,8 +60,10 @@ def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, st
     return [_PROVIDERS[wanted]]
 
 
-def open_session(content: bytes, path: Path, providers: list[tuple[str, dict[str, str]]]) -> Any:
-    """An `onnxruntime.InferenceSession`.
+def open_session(
+    content: bytes, path: Path, providers: list[tuple[str, dict[str, str]]], threads: int
+) -> Any:
+    """An `onnxruntime.InferenceSession` on so many processor threads.
 
     Raises:
         PluginError: the bytes are no model that it can load.
@@ -69,7 +71,7 @@ def open_session(content: bytes, path: Path, providers: list[tuple[str, dict[str
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = _processors()
+    options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
     options.log_severity_level = 3
@@ -103,7 +105,7 @@ def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:
     return name
 
 
-def _processors() -> int:
+def processors() -> int:
     """How many processors this process may use; fewer than the machine's in a container."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

@@ -14,12 +14,12 @@ from ..calls.loan import Loan, of_scene
 from ..contract.scene import Scene
 from ..errors import PluginError, RunError
 from ..files import jsonable
+from ..memory import peak_memory_mb
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
 from .folder import RunFolder
-from .memory import peak_memory_mb
 from .origin.provenance import describe_device
 
 if TYPE_CHECKING:

@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import Field
 
 from registry import (
     Context,
     MonocularDepthPrior,
+    OnnxModel,
     OnnxModelSettings,
+    OnnxTensor,
     PluginError,
     Register,
     hookimpl,
 )
+from registry.image_fitting import ValueRange
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
-    from registry.image_fitting import ValueRange
-
 FamilyName = Literal["dpt", "depth_anything_v2"]
+Answer = Literal["inverse_depth", "depth"]
+SMALLEST_DEPTH = 1e-3
+"""Of the median of a network's depths; what is less, or not above 0, counts as this much."""
 
 
 @dataclass(frozen=True)
 class MonoFamily:
-    """How a family wants its image: its numbers, its short side in pixels, and whole multiples."""
+    """How a family wants its image, its numbers, short side in pixels and whole multiples; its answer."""
 
     value_range: ValueRange
     short_side: int
     multiple: int
+    answers: Answer = "inverse_depth"
 
 
 FAMILIES: dict[FamilyName, MonoFamily] = {
@@ -41,13 +48,19 @@ FAMILIES: dict[FamilyName, MonoFamily] = {
 
 class OnnxMonoSettings(OnnxModelSettings):
     family: FamilyName = "depth_anything_v2"
-    """What the network is: how its image is resized and normalized (docs/prior_models.md)."""
+    """What the network is; the settings below that are null take its values (docs/prior_models.md)."""
     input: str | None = None
     """The graph's name for the image; null: its only input."""
     output: str | None = None
-    """The graph's name for the inverse depth; null: its only output."""
+    """The graph's name for the map; null: its only output."""
     short_side: int | None = Field(None, ge=1)
-    """Pixels of the image's shorter side, where the graph leaves it open; null: the family's."""
+    """Pixels of the image's shorter side, where the graph leaves it open."""
+    multiple: int | None = Field(None, ge=1)
+    """Both sides must be a multiple of this, where the graph leaves them open."""
+    value_range: ValueRange | None = None
+    """The numbers for black and white that the graph takes."""
+    answers: Answer | None = None
+    """What the graph says of a pixel: relative inverse depth, or depth in any unit, larger = farther."""
 
 
 class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
@@ -59,7 +72,7 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
 
     def __init__(self, settings: OnnxMonoSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._family = FAMILIES[settings.family]
+        self._family = _family(settings)
         self._model = settings.open()
         self._input = self._model.input(settings.input)
         self._output = self._model.output(settings.output)
@@ -70,6 +83,21 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 fix="name the right one with `input`",
             )
 
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """Each family, as depth and as inverse depth, and other numbers, for one image to one map."""
+        image, maps = model.inputs[0], [spec for spec in model.outputs if _is_map(spec)]
+        if len(model.inputs) != 1 or len(image.shape) != 4 or image.shape[1] != 3:
+            return []
+        kinds: list[dict[str, str]] = [{"family": name} for name in FAMILIES]
+        kinds += [{"family": "dpt", "value_range": numbers} for numbers in ("0..1", "0..255")]
+        return [
+            {**OnnxMonoSettings.naming(model), **kind, "output": output.name, "answers": answers}
+            for output in maps
+            for kind in kinds
+            for answers in get_args(Answer)
+        ]
+
     def fingerprint(self) -> str:
         """The model file's hash and what runs it."""
         return self._model.fingerprint
@@ -78,15 +106,14 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         """Relative inverse depth `[H, W]`, larger = nearer.
 
         Raises:
-            PluginError: the graph answers anything but one map.
+            PluginError: the graph answers anything but one map, or depths none of which is above 0.
         """
         from torch.nn.functional import interpolate
 
         from registry.image_fitting import in_range, stretched
 
         size = (int(image.shape[0]), int(image.shape[1]))
-        short = self.settings.short_side or self._family.short_side
-        factor = short / min(size)
+        factor = self._family.short_side / min(size)
         scaled = (round(size[0] * factor), round(size[1] * factor))
         frozen = (self._input.shape[2], self._input.shape[3])
         target = stretched(scaled, frozen, self._family.multiple).target
@@ -99,11 +126,39 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 f"the output {self._output.name!r} has the shape {list(answer.shape)}, "
                 "expected [1, H, W] or [1, 1, H, W]",
                 where=str(self._model.path),
-                fix="name the inverse depth with `output`",
+                fix="name the map with `output`",
             )
+        if self._family.answers == "depth":
+            answer = self._inverted(answer)
         # Values have no unit, so a network may answer at a size of its own.
         maps = answer.reshape(1, 1, *answer.shape[-2:])
         return interpolate(maps, size, mode="bilinear")[0, 0]
+
+    def _inverted(self, depth: Tensor) -> Tensor:
+        import torch
+
+        known = depth[torch.isfinite(depth) & (depth > 0)]
+        if not len(known):
+            raise PluginError(
+                "no depth that the graph answers is above 0",
+                where=str(self._model.path),
+                fix="leave `answers` out if the graph answers inverse depth; check `value_range`",
+            )
+        return 1 / depth.clamp(min=SMALLEST_DEPTH * float(known.median()))
+
+
+def _is_map(spec: OnnxTensor) -> bool:
+    return len(spec.shape) == 3 or (len(spec.shape) == 4 and spec.shape[1] == 1)
+
+
+def _family(settings: OnnxMonoSettings) -> MonoFamily:
+    """The family with what the settings say otherwise."""
+    said = {
+        field.name: value
+        for field in fields(MonoFamily)
+        if (value := getattr(settings, field.name)) is not None
+    }
+    return replace(FAMILIES[settings.family], **said)
 
 
 @hookimpl

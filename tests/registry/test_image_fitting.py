@@ -84,3 +84,12 @@ def test_numbers_of_black_and_white_are_those_of_the_plain_formulas() -> None:
     assert torch.equal(in_range(images, "0..255"), images * 255)
     assert torch.equal(in_range(images, "0..1"), images)
     assert torch.equal(in_range(images * 3 - 1, "0..1"), (images * 3 - 1).clamp(0, 1))
+
+
+def test_points_come_back_to_the_image() -> None:
+    """100x288 is shrunk to 33x96 and padded to 64x96: 15 rows above, 16 below."""
+    fit = padded((100, 288), (64, 96), 1)
+    assert fit.content == (33, 96)
+    points = torch.tensor([[0.0, 15.0], [96.0, 48.0], [48.0, 31.5], [0.0, 0.0]])
+    expected = torch.tensor([[0.0, 0.0], [288.0, 100.0], [144.0, 50.0], [0.0, -15 * 100 / 33]])
+    assert torch.allclose(fit.undo_points(points), expected)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 import pydantic
 
@@ -25,6 +25,8 @@ from registry import (
     Unavailable,
     hookimpl,
 )
+
+from .known_files import FOLDER_VARIABLE, KNOWN, NetworkName, known_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,12 +45,12 @@ Distance: TypeAlias = "Callable[[Tensor, Tensor], float]"
 
 
 class LPIPSSettings(ImageMetricSettings):
-    network: Literal["vgg", "alex"] = "vgg"
-    """Which network the files hold; the published tables use VGG."""
+    network: NetworkName = "vgg"
+    """Which network the files hold; the published tables use VGG. Give a second one a `name`."""
     file: Path | None = None
     """A local .onnx or TorchScript file: either the network up to its five layers, one image in and
-    five features out, or all of LPIPS, two images in and one number out. Without it the score is not
-    available."""
+    five features out, or all of LPIPS, two images in and one number out. null: this project's files in
+    the folder STEREOGS_MODELS (docs/protocols.md); without them the score is not available."""
     sha256: Sha256 | None = None
     """The file's SHA-256, 64 hexadecimal digits."""
     heads: Path | None = None
@@ -101,7 +103,7 @@ class LPIPS(Metric[LPIPSSettings]):
 
         settings = self.settings
         if settings.file is None or settings.sha256 is None:
-            return Unavailable("no network is named: set `file`, `sha256` and, if need be, `heads`")
+            return self._known_distance()
         for path in (settings.file, settings.heads):
             if path is not None and not path.expanduser().is_file():
                 return Unavailable(f"there is no file {path}, and nothing is downloaded")
@@ -110,6 +112,24 @@ class LPIPS(Metric[LPIPSSettings]):
             return _WholeDistance(network, settings.file)
         heads = read_heads(settings.heads.expanduser(), settings.heads_sha256, settings.network)
         return _FeatureDistance(network, heads, settings.file)
+
+    def _known_distance(self) -> Distance | Unavailable:
+        from .files import read_heads, read_network
+
+        name = self.settings.network
+        found = known_files(name)
+        if found is None:
+            wanted = KNOWN[name]
+            return Unavailable(
+                "no network is named: set `file`, `sha256` and, if need be, `heads`, or the variable "
+                f"{FOLDER_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
+            )
+        try:
+            heads = read_heads(found.heads, found.heads_sha256, name)
+            network = read_network(found.network, found.sha256)
+        except PluginError as error:  # nobody named these files: no run fails for them
+            return Unavailable(f"{error.where}: {error.what}")
+        return _FeatureDistance(network, heads, found.network)
 
 
 class ProperLPIPS(LPIPS):

@@ -29,6 +29,7 @@ class MvsFamily:
         images: name of the input `[1, V, 3, H, W]`.
         depth: name of the output `[1, 1, H, W]` or `[1, H, W]`, z-depth in the cameras' units.
         confidence: name of an output like it in [0, 1], used if the graph has it.
+        camera_inputs: names of inputs that every graph of the family has.
         multiple: H and W must be a multiple of this where the graph leaves them open.
         cameras: the other inputs by name: of a graph, for cameras of the size of the images, near and
             far z-depth and the factor from the images' intrinsics to the network's.
@@ -37,6 +38,7 @@ class MvsFamily:
     images: str
     depth: str
     confidence: str
+    camera_inputs: tuple[str, ...]
     multiple: int
     cameras: Callable[[OnnxModel, Cameras, Bounds, float], dict[str, Tensor]]
     value_range: ValueRange = "imagenet"
@@ -94,6 +96,13 @@ def _poses(cameras: Cameras) -> Tensor:
 
 
 FAMILIES: dict[FamilyName, MvsFamily] = {
-    "mvsanywhere": MvsFamily("images", "depth", "conf", 32, _posed),
-    "mvsformer": MvsFamily("imgs", "refined_depth", "photometric_confidence", 64, _staged),
+    "mvsanywhere": MvsFamily("images", "depth", "conf", ("K", "cam_T_world"), 32, _posed),
+    "mvsformer": MvsFamily(
+        "imgs",
+        "refined_depth",
+        "photometric_confidence",
+        (*_MVSFORMER_STAGES, "depth_values"),
+        64,
+        _staged,
+    ),
 }

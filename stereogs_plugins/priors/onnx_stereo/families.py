@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from registry.image_fitting import ValueRange
+    from registry.image_fitting import FrozenSize, ValueRange
 
 FamilyName = Literal[
     "foundation_stereo",
@@ -18,6 +18,7 @@ FamilyName = Literal[
     "s2m2",
     "lite_any_stereo",
     "raft_stereo",
+    "hitnet",
     "generic",
 ]
 
@@ -28,11 +29,14 @@ class StereoFamily:
 
     Args:
         left, right: names of the inputs `[N, 3, H, W]`; None: the graph's first and second.
-        output: name of the disparity `[N, 1, H, W]` or `[N, H, W]`; None: the only output.
+        output: name of the disparity `[N, 1, H, W]`, `[N, H, W, 1]` or `[N, H, W]`; None: the only output.
         value_range: the numbers of black and white.
         multiple: both sides of an input must be a multiple of this where the graph leaves them open.
         negated: the output is the flow from left to right, which is minus the disparity.
         max_disparity: the largest that the network can see, in its own pixels; None: no limit.
+        stacked: one input `[N, 2, H, W]` (grey) or `[N, 6, H, W]` (colour) takes the left image and
+            behind it the right one; `left` and `right` do not count.
+        frozen: the size to which all of its files are frozen, if they are to one.
         confidences: names of outputs shaped like the disparity, in [0, 1], 1 = to be trusted.
     """
 
@@ -43,6 +47,8 @@ class StereoFamily:
     multiple: int = 32
     negated: bool = False
     max_disparity: float | None = None
+    stacked: bool = False
+    frozen: FrozenSize = (None, None)
     confidences: tuple[str, ...] = ()
 
 
@@ -55,7 +61,10 @@ FAMILIES: dict[FamilyName, StereoFamily] = {
         "output_disp",
         confidences=("output_occ", "output_conf"),
     ),
-    "lite_any_stereo": StereoFamily("left", "right", "disparity", max_disparity=192),
+    "lite_any_stereo": StereoFamily(
+        "left", "right", "disparity", max_disparity=192, frozen=(384, 1248)
+    ),
     "raft_stereo": StereoFamily(output="flow_up", negated=True),
+    "hitnet": StereoFamily(value_range="0..1", multiple=16, stacked=True),
     "generic": StereoFamily(),
 }

@@ -158,7 +158,7 @@ def image_inputs(model: OnnxModel, family: StereoFamily) -> tuple[str, str]:
         raise PluginError(
             f"the graph has {len(model.inputs)} input, a stereo pair needs two",
             where=str(model.path),
-            fix="use the ONNX file of a stereo network",
+            fix="use the ONNX file of a stereo network; set `stacked` if its input takes both images",
         )
     specs = [
         model.inputs[index] if name is None else model.input(name)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
 from registry import (
     Context,
+    OnnxModel,
     OnnxModelSettings,
     PluginError,
     Register,
@@ -22,6 +23,8 @@ from registry.image_fitting import Padding, ValueRange
 from .families import FAMILIES, FamilyName, StereoFamily
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
     from .networks import StereoNetwork
@@ -48,6 +51,8 @@ class OnnxStereoSettings(OnnxModelSettings):
     """The numbers for black and white that the graph takes."""
     negated: bool | None = None
     """The graph answers minus the disparity."""
+    stacked: bool | None = None
+    """The graph's one input takes both images, the right one's channels behind the left one's."""
     max_disparity: float | None = Field(None, gt=0)
     """The largest disparity that the network can see, in its own pixels."""
     multiple: int | None = Field(None, ge=1)
@@ -78,6 +83,13 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         self._output = self._network.last.output(self._family.output).name
         for name in self._family.confidences:
             self._network.last.output(name)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """One for a family whose names the graph has, or else one for each meaning of its numbers."""
+        from .recognition import guesses
+
+        return [{**OnnxStereoSettings.naming(model), **guess} for guess in guesses(model)]
 
     @property
     def max_disparity(self) -> float | None:
@@ -149,14 +161,15 @@ def _family(settings: OnnxStereoSettings) -> StereoFamily:
     said = {
         field.name: value
         for field in fields(StereoFamily)
-        if (value := getattr(settings, field.name)) is not None
+        if field.name in OnnxStereoSettings.model_fields
+        and (value := getattr(settings, field.name)) is not None
     }
     return replace(FAMILIES[settings.family], **said)
 
 
 def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
-
     from .networks import OneGraph, TwoGraphs
+    from .stacked_graph import StackedGraph
 
     pair = settings.family == "fast_foundation_stereo"
     if pair != (settings.second_model is not None):
@@ -167,10 +180,8 @@ def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwor
         )
     model = settings.open()
     if settings.second_model is None:
-        return OneGraph(model, family)
-    from registry import OnnxModel
-
-    second = OnnxModel(settings.second_model, settings.second_sha256, settings.provider)
+        return StackedGraph(model, family) if family.stacked else OneGraph(model, family)
+    second = settings.open_another(settings.second_model, settings.second_sha256)
     return TwoGraphs(
         model, second, family, groups=settings.groups, normalized=settings.normalize_groups
     )

@@ -44,7 +44,10 @@ EYE_LEVEL = -0.1
 
 class ProceduralSettings(Settings):
     train_views: int = Field(3, ge=1, le=1000)
-    """How many training views, on an arc in front of the room."""
+    """How many training views, in front of the room."""
+    row_spacing: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """Metres between neighbouring training cameras that stand in a row, from left to right, and all
+    look straight ahead: any two are a rectified pair. null: they stand on an arc and look inwards."""
     test_views: int = Field(4, ge=0, le=1000)
     """How many test views, between the training views and at other heights."""
     width: int = Field(252, ge=16, le=4096)
@@ -74,12 +77,19 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
         focal = settings.width / 2 / math.tan(FIELD_OF_VIEW / 2)
         surfaces = furnish(focal, generator)
         train = [
-            self._view(f"train_{k:02d}", surfaces, _angle(k, settings.train_views, 1.0), _lift(k))
+            self._view(f"train_{k:02d}", surfaces, self._train_camera(k))
             for k in range(settings.train_views)
         ]
         test = [
             self._view(
-                f"test_{k:02d}", surfaces, _angle(k, settings.test_views, 0.8), -_lift(k) / 2
+                f"test_{k:02d}",
+                surfaces,
+                _camera_on_arc(
+                    _angle(k, settings.test_views, 0.8),
+                    -_lift(k) / 2,
+                    settings.width,
+                    settings.height,
+                ),
             )
             for k in range(settings.test_views)
         ]
@@ -96,13 +106,20 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
             )
         )
 
-    def _view(self, name: str, surfaces: list[Surface], angle: float, lift: float) -> View:
+    def _train_camera(self, index: int) -> Camera:
+        settings = self.settings
+        size = (settings.width, settings.height)
+        if settings.row_spacing is None:
+            return _camera_on_arc(_angle(index, settings.train_views, 1.0), _lift(index), *size)
+        place = settings.row_spacing * (index - (settings.train_views - 1) / 2)
+        return _camera_in_row(place, *size)
+
+    def _view(self, name: str, surfaces: list[Surface], camera: Camera) -> View:
         import numpy as np
         import torch
 
         from .ray_casting import cast
 
-        camera = _camera_on_arc(angle, lift, self.settings.width, self.settings.height)
         colors, depth = cast(surfaces, camera)
         return View(
             name=name,
@@ -140,6 +157,17 @@ def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
     focal = width / 2 / math.tan(FIELD_OF_VIEW / 2)
     return Camera(torch.from_numpy(pose), focal, focal, width / 2, height / 2, width, height)
+
+
+def _camera_in_row(place: float, width: int, height: int) -> Camera:
+    """A camera at eye level, `place` metres to the right of the middle, that looks straight ahead."""
+    import torch
+
+    from core_rasterizer import Camera
+
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, 3] = torch.tensor([-place, -EYE_LEVEL, 0.0])
+    return Camera.centered(pose, width / 2 / math.tan(FIELD_OF_VIEW / 2), width, height)
 
 
 def _sample_points(

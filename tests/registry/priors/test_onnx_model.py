@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from registry import OnnxModel, PluginError
+from registry import OnnxModel, OnnxModelSettings, PluginError
 
 FLOAT, HALF, BYTE, LONG = (
     TensorProto.FLOAT,
@@ -72,6 +76,30 @@ def test_the_answer_is_that_of_the_graph(path: Path) -> None:
     assert list(answer) == ["z"]
     assert answer["z"].dtype == torch.float32
     assert torch.equal(answer["z"], x + y + 1)
+
+
+def test_the_first_answer_tells_what_it_cost(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    model = OnnxModel(path, threads=3)
+    with caplog.at_level(logging.INFO, "stereogs.priors"):
+        for _ in range(2):
+            model.run({"x": torch.zeros(2, 3), "y": torch.zeros(3)})
+    (said,) = caplog.messages
+    assert re.match(r"model\.onnx: \d+\.\d\d s on \w+, 3 threads, for x \[2, 3\], y \[3\]", said)
+    assert said.endswith("MB so far")
+
+
+def test_threads_are_those_of_the_setting(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    session = onnxruntime.InferenceSession
+
+    def watched(content: bytes, options: Any, **others: Any) -> Any:
+        asked.append(options.intra_op_num_threads)
+        return session(content, options, **others)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", watched)
+    assert OnnxModelSettings(model=path, threads=3).open().threads == 3
+    assert asked == [3]
+    assert OnnxModelSettings(model=path).open().threads == asked[1] >= 1
 
 
 @pytest.mark.parametrize("result", [FLOAT, HALF, LONG])

@@ -162,7 +162,10 @@ def test_a_file_may_measure_by_itself(tmp_path: Path, kind: str) -> None:
     assert proper == pytest.approx(2 * expected, rel=1e-5)
 
 
-def test_without_a_file_it_says_so(network: Path, tmp_path: Path) -> None:
+def test_without_a_file_it_says_so(
+    network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     answer = build(LPIPS).measure(*images(), None)
     assert isinstance(answer, Unavailable)
     assert "no network is named" in answer.reason

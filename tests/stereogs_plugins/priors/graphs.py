@@ -51,6 +51,13 @@ class Graph:
         """`value[start:end]` along an axis."""
         return self("Slice", value, *(self.constant([n], np.int64) for n in (start, end, axis)))
 
+    def largest(self, value: str, count: int) -> tuple[str, str]:
+        """The largest values along the last axis, sorted, and where they are."""
+        names = (f"value{len(self._nodes)}", f"place{len(self._nodes)}")
+        limit = self.constant([count], np.int64)
+        self._nodes.append(helper.make_node("TopK", [value, limit], names))
+        return names
+
     def save(self, path: Path) -> Path:
         """Write the file; onnx's own checker agrees with it."""
         graph = helper.make_graph(self._nodes, "tiny", self._inputs, self._outputs, self._constants)
@@ -98,6 +105,30 @@ def matcher(
     disparity = block_matcher(graph, left, right, candidates)
     signed = graph("Mul", disparity, graph.constant(sign))
     graph.output(names[2], signed, [shape[0], 1, *shape[2:]], output_kind)
+    return graph.save(path)
+
+
+def stacked_matcher(
+    path: Path, channels: int, *, channels_last: bool, batch: int | str = 1
+) -> Path:
+    """A block matcher whose one input holds both images; only its first channel of each counts."""
+    graph = Graph()
+    pair = graph.input("input", (batch, channels, "H", "W"))
+    half = channels // 2
+    left, right = (graph.slice(pair, 1, start, start + 1) for start in (0, half))
+    disparity = block_matcher(graph, left, right, 12)
+    if channels_last:
+        disparity = graph("Transpose", disparity, perm=[0, 2, 3, 1])
+    shape = (batch, "H", "W", 1) if channels_last else (batch, 1, "H", "W")
+    graph.output("reference_output_disparity", disparity, shape)
+    return graph.save(path)
+
+
+def stacked_echo(path: Path, channels: int, channel: int) -> Path:
+    """One channel of a stacked pair as disparity."""
+    graph = Graph()
+    pair = graph.input("input", (1, channels, "H", "W"))
+    graph.output("disparity", graph.slice(pair, 1, channel, channel + 1), (1, 1, "H", "W"))
     return graph.save(path)
 
 
@@ -293,6 +324,68 @@ def color_features(path: Path) -> Path:
     graph = Graph()
     image = graph.input("image", OPEN)
     graph.output("feat", image, OPEN)
+    return graph.save(path)
+
+
+def brightest_pixels(path: Path, height: int, width: int, count: int = 3, batch: int = 1) -> Path:
+    """Keypoints at the pixels with most red, described by how much that is."""
+    graph = Graph()
+    image = graph.input("image", (batch, 3, height, width))
+    flat = graph("Reshape", graph.slice(image, 1, 0, 1), graph.constant([-1], np.int64))
+    values, places = graph.largest(flat, count)
+    columns = graph.constant([width], np.int64)
+    u = graph("Cast", graph("Mod", places, columns), to=FLOAT)
+    v = graph("Cast", graph("Div", places, columns), to=FLOAT)
+    one = graph.constant([1], np.int64)
+    points = graph("Concat", graph("Unsqueeze", u, one), graph("Unsqueeze", v, one), axis=1)
+    graph.output("keypoints", points, (count, 2))
+    graph.output("descriptors", graph("Unsqueeze", values, one), (count, 1))
+    return graph.save(path)
+
+
+def matcher_of_points(path: Path, count: int = 3, *, beyond: int = 0) -> Path:
+    """Each point of the first image with the one whose descriptor is nearest; the score falls with it.
+
+    Args:
+        beyond: added to the numbers of the second image's points.
+    """
+    graph = Graph()
+    for name in ("kpts0", "kpts1"):
+        graph.input(name, (1, "n", 2))
+    first, second = (graph.input(name, (1, "n", 1)) for name in ("desc0", "desc1"))
+    apart = graph("Abs", graph("Sub", first, graph("Transpose", second, perm=[0, 2, 1])))
+    nearest = graph("ArgMin", apart, axis=2, keepdims=0)  # [1, n]
+    nearest = graph("Add", nearest, graph.constant([[beyond]], np.int64))
+    own = graph.constant([list(range(count))], np.int64)
+    pairs = graph("Transpose", graph("Concat", own, nearest, axis=0), perm=[1, 0])
+    graph.output("matches", graph("Cast", pairs, to=FLOAT), ("m", 2), TensorProto.INT64)
+    least = graph("ReduceMin", apart, axes=[0, 2], keepdims=0)
+    graph.output("scores", graph("Sub", graph.constant(1.0), least), ("m",))
+    return graph.save(path)
+
+
+def flow_of_brightness(
+    path: Path, flow: tuple[float, float], shape: Shape = OPEN, *, channels: int = 2
+) -> Path:
+    """The flow is `flow` times how much brighter the first image is than the second; so it comes back."""
+    graph = Graph()
+    images = [graph.input(name, shape) for name in ("image1", "image2")]
+    first, second = (graph("ReduceMean", image, axes=[1, 2, 3], keepdims=1) for image in images)
+    nothing = graph("Mul", graph.slice(images[0], 1, 0, 1), graph.constant(0.0))
+    brighter = graph("Add", nothing, graph("Sub", first, second))
+    vector = graph.constant(np.resize(np.reshape(flow, (1, 2, 1, 1)), (1, channels, 1, 1)))
+    sizes = (shape[0], channels, *shape[2:])
+    graph.output("flow_up", graph("Mul", brighter, vector), sizes)
+    return graph.save(path)
+
+
+def constant_flow(path: Path, flow: tuple[float, float], shape: Shape = OPEN) -> Path:
+    """One flow everywhere, whichever image comes first."""
+    graph = Graph()
+    image, _ = graph.input("image1", shape), graph.input("image2", shape)
+    nothing = graph("Mul", graph.slice(image, 1, 0, 1), graph.constant(0.0))
+    vector = graph.constant(np.reshape(flow, (1, 2, 1, 1)))
+    graph.output("flow_up", graph("Add", nothing, vector), (shape[0], 2, *shape[2:]))
     return graph.save(path)
 
 

@@ -112,6 +112,28 @@ def test_a_graph_may_freeze_its_size_and_be_shrunk_to(
     assert torch.allclose(answer, torch.tensor(10.0), atol=1e-4)
 
 
+def test_short_side_multiple_and_numbers_may_be_said(
+    tmp_path: Path, sizes: list[tuple[int, ...]]
+) -> None:
+    path = graphs.mono(tmp_path / "m.onnx")
+    prior = mono(path, short_side=80, multiple=16, value_range="0..255")
+    answer = prior.inverse_depth(torch.full((50, 70, 3), 0.8))
+    assert sizes == [(1, 3, 80, 112)]
+    assert torch.allclose(answer, torch.tensor(10 + 204.0))
+
+
+def test_a_graph_may_answer_depth(tmp_path: Path) -> None:
+    """Depths of 0 and below become a thousandth of the median, and the largest inverse depth."""
+    path = graphs.mono(tmp_path / "m.onnx", shape=(1, 3, 32, 32), offset=-0.25)
+    image = torch.full((32, 32, 3), 0.75)
+    image[:4], image[4:8] = 0.25, 0.0
+    answer = mono(path, answers="depth", value_range="0..1").inverse_depth(image)
+    assert torch.allclose(answer[8:], torch.tensor(2.0))
+    assert torch.allclose(answer[:8], torch.tensor(2000.0))
+    with pytest.raises(PluginError, match="no depth that the graph answers is above 0"):
+        mono(path, answers="depth", value_range="0..1").inverse_depth(0 * image)
+
+
 def test_inputs_and_outputs_may_be_named(tmp_path: Path) -> None:
     path = graphs.mono(tmp_path / "m.onnx", "l_x_")
     image = torch.rand(30, 40, 3)

@@ -12,6 +12,7 @@ import torch
 from core_rasterizer import Camera
 from registry import DepthMap, PluginError, View
 from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
+from stereogs_plugins.priors.onnx_mvs.sources import overlap
 from tests.stereogs_plugins.building import build, offered
 
 from . import graphs
@@ -76,7 +77,7 @@ def test_the_view_itself_comes_first_and_then_its_neighbours_by_distance(tmp_pat
     order = []
     for place in range(3):
         path = graphs.pick(tmp_path / f"{place}.onnx", "images", (place, 0))
-        answers = asked(path, value_range="0..1")
+        answers = asked(path, value_range="0..1", min_overlap=0.0)
         order.append([round((depth_of(answer) - 0.2) / 0.3) for answer in answers])
     assert list(zip(*order, strict=True)) == [(0, 2, 1), (1, 0, 2), (2, 0, 1)]
 
@@ -169,6 +170,52 @@ def test_sources_are_limited_and_a_graph_may_insist_on_their_number(tmp_path: Pa
     path = graphs.pick(tmp_path / "eight.onnx", "K", (0, 0, 0), views=8)
     with pytest.raises(PluginError, match="takes 8 views at once, there are 3"):
         asked(path)
+
+
+def test_a_view_that_shows_something_else_does_not_help(tmp_path: Path) -> None:
+    """View 2, the nearest to view 0, turns away; view 0 is then shown view 1 alone."""
+    views = three_views()
+    away = views[2].camera.world_to_camera
+    away[:3] = torch.diag(torch.tensor([-1.0, 1, -1], dtype=torch.float64)) @ away[:3]
+    second = graphs.pick(tmp_path / "m.onnx", "images", (1, 0))
+    first, other, turned = asked(second, views, value_range="0..1")
+    assert round((depth_of(first) - 0.2) / 0.3) == 1
+    assert round((depth_of(other) - 0.2) / 0.3) == 0
+    assert not turned.valid.any()
+    assert (turned.depth == 0).all()
+    # A graph that insists on its number of views is given the others behind those that help.
+    third = graphs.pick(tmp_path / "three.onnx", "images", (2, 0), views=3)
+    first = asked(third, views, value_range="0..1")[0]
+    assert round((depth_of(first) - 0.2) / 0.3) == 2
+
+
+def test_overlap_is_what_another_camera_may_see() -> None:
+    pose = torch.eye(4, dtype=torch.float64)
+    camera = Camera(pose, 50.0, 50.0, 25.0, 20.0, 50, 40)
+    assert overlap(camera, camera, BOUNDS) == 1
+    # Half the width of what is seen at the distance 2, to the right: half is left.
+    assert overlap(camera, camera.shifted_right(1.0), (2.0, 2.0)) == pytest.approx(0.5, abs=0.05)
+    assert overlap(camera, camera.shifted_right(100.0), BOUNDS) == 0
+
+
+def test_depth_that_the_graph_is_not_sure_of_is_unknown(tmp_path: Path) -> None:
+    path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0), confidence=0.5)
+    assert asked(path, min_confidence=0.5)[0].valid.all()
+    unsure = asked(path, min_confidence=0.51)[0]
+    assert not unsure.valid.any()
+    assert (unsure.confidence == 0).all()
+    silent = graphs.pick(tmp_path / "s.onnx", "K", (0, 0, 0), confidence=None)
+    with pytest.raises(PluginError, match="no output 'conf'"):
+        mvs(silent, min_confidence=0.3)
+
+
+def test_large_images_are_shrunk_unless_a_size_is_said(tmp_path: Path) -> None:
+    path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0))
+    views = three_views(300, 150)
+    assert depth_of(asked(path, views, max_side=128)[0]) == pytest.approx(45 * 128 / 300)
+    assert depth_of(asked(path, views, max_side=128, size=(192, 96))[0]) == pytest.approx(
+        45 * 192 / 300
+    )
 
 
 def test_a_size_may_be_chosen(tmp_path: Path) -> None:

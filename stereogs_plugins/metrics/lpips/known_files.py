@@ -1,0 +1,52 @@
+"""The files that LPIPS takes from the folder of models where a pipeline names none: by name and hash.
+
+The hashes are part of what the score means: wherever it is taken without a file of one's own, it is
+this network's. Where the files come from: docs/prior_models.md.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+FOLDER_VARIABLE = "STEREOGS_MODELS"
+"""Environment variable: the folder that is looked in."""
+
+NetworkName = Literal["vgg", "alex"]
+
+
+class Files(NamedTuple):
+    """A network up to its five layers, and the weights of their channels."""
+
+    network: Path
+    sha256: str
+    heads: Path
+    heads_sha256: str
+
+
+KNOWN: dict[NetworkName, Files] = {
+    "vgg": Files(
+        Path("lpips_backbones", "vgg16_lpips_features_w16.onnx"),
+        "5d131baa7cd450966866da7a806c705634e50cf6f7f726fe75b2fbb05308f467",
+        Path("lpips_lin_v0.1", "vgg.pth"),
+        "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868",
+    ),
+    "alex": Files(
+        Path("lpips_backbones", "alexnet_lpips_features.onnx"),
+        "37c11ff9d44661a85836f3553e7318a726c6b8d990b79fe4f58b44efe215faaf",
+        Path("lpips_lin_v0.1", "alex.pth"),
+        "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0",
+    ),
+}
+"""Relative to the folder; the VGG file holds its weights as float16."""
+
+
+def known_files(network: NetworkName) -> Files | None:
+    """A network's files in the folder of models, or None if one of them is not there."""
+    root = os.environ.get(FOLDER_VARIABLE)
+    if not root:
+        return None
+    known = KNOWN[network]
+    found = known._replace(network=Path(root, known.network), heads=Path(root, known.heads))
+    return found if found.network.is_file() and found.heads.is_file() else None

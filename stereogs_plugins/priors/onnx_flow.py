@@ -1,0 +1,168 @@
+"""`onnx_flow`: optical flow from a network in an ONNX file.
+
+Written after RAFT's interface (Teed and Deng, ECCV 2020), which FlowFormer++ and SEA-RAFT share. It was
+only ever run on graphs of that form whose answer is known, on no network's weights.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, get_args
+
+from pydantic import Field
+
+from registry import (
+    Context,
+    OnnxModel,
+    OnnxModelSettings,
+    OpticalFlowPrior,
+    PluginError,
+    Register,
+    hookimpl,
+)
+from registry.image_fitting import ValueRange
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
+
+
+class OnnxFlowSettings(OnnxModelSettings):
+    first: str | None = None
+    """The graph's name for the first image; null: its first input."""
+    second: str | None = None
+    """The graph's name for the second image; null: its second input."""
+    output: str | None = None
+    """The graph's name for the flow; null: its only output."""
+    value_range: ValueRange = "0..255"
+    """The numbers for black and white that the graph takes."""
+    multiple: int = Field(8, ge=1)
+    """Both sides of an image must be a multiple of this, where the graph leaves them open."""
+    max_cycle_error: float | None = Field(1.0, gt=0)
+    """A vector is unknown where the flow back ends farther than this from where it began, pixels; null
+    keeps all, also those of pixels that the other image does not show, and asks the graph once."""
+
+
+class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
+    """A flow network's answer; images are padded, and shrunk for a graph of a smaller frozen size.
+
+    Raises:
+        PluginError: see `OnnxModel`; or a graph that does not take two images.
+    """
+
+    def __init__(self, settings: OnnxFlowSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self._model = settings.open()
+        if len(self._model.inputs) != 2:
+            raise PluginError(
+                f"the graph has {len(self._model.inputs)} inputs, optical flow needs two images",
+                where=str(self._model.path),
+                fix="use the ONNX file of a flow network",
+            )
+        first, second = self._model.inputs
+        self._first = self._model.input(settings.first) if settings.first else first
+        self._second = self._model.input(settings.second) if settings.second else second
+        for spec in (self._first, self._second):
+            if len(spec.shape) != 4 or spec.shape[1] not in (None, 3):
+                raise PluginError(
+                    f"the input {spec} takes no image; expected [1, 3, H, W]",
+                    where=str(self._model.path),
+                    fix="name the right inputs with `first` and `second`",
+                )
+        self._output = self._model.output(settings.output)
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """Two images to two numbers a pixel, in all meanings of black and white."""
+        images = [len(spec.shape) == 4 and spec.shape[1] == 3 for spec in model.inputs]
+        flows = [s.name for s in model.outputs if len(s.shape) == 4 and s.shape[1] == 2]
+        if images != [True, True]:
+            return []
+        return [
+            {**OnnxFlowSettings.naming(model), "output": output, "value_range": value_range}
+            for output in flows
+            for value_range in get_args(ValueRange)
+        ]
+
+    def fingerprint(self) -> str:
+        """The model file's hash and what runs it."""
+        return self._model.fingerprint
+
+    def estimate(self, first: Tensor, second: Tensor) -> Tensor:
+        """Flow `[H, W, 2]`, pixels; not finite where it does not come back.
+
+        Raises:
+            PluginError: the graph answers anything but two maps of its input's size.
+        """
+        from registry.image_fitting import stretched
+
+        size, other = ((int(image.shape[0]), int(image.shape[1])) for image in (first, second))
+        # The second image is looked at in the size of the first.
+        there = stretched(other, size, 1).apply(second.permute(2, 0, 1)[None])
+        here = first.permute(2, 0, 1)[None]
+        flow = self._asked(here, there)
+        if self.settings.max_cycle_error is not None:
+            error = _cycle_error(flow, self._asked(there, here))
+            flow = flow.where(error[..., None] <= self.settings.max_cycle_error, float("nan"))
+        if other == size:
+            return flow
+        places = _pixel_centers(*size)
+        factors = flow.new_tensor([other[1] / size[1], other[0] / size[0]])
+        return (places + flow) * factors - places
+
+    def _asked(self, first: Tensor, second: Tensor) -> Tensor:
+        """The flow `[H, W, 2]` between images `[1, 3, H, W]`."""
+        import torch
+
+        from registry.image_fitting import in_range, padded
+
+        size = (int(first.shape[2]), int(first.shape[3]))
+        frozen = (self._first.shape[2], self._first.shape[3])
+        fit = padded(size, frozen, self.settings.multiple)
+        images = [
+            in_range(fit.apply(image), self.settings.value_range) for image in (first, second)
+        ]
+        answers = self._model.run({self._first.name: images[0], self._second.name: images[1]})
+        answer = answers[self._output.name]
+        if tuple(answer.shape) != (1, 2, *fit.target):
+            raise PluginError(
+                f"the output {self._output.name!r} has the shape {list(answer.shape)}, "
+                f"expected [1, 2, {fit.target[0]}, {fit.target[1]}]",
+                where=str(self._model.path),
+                fix="name the flow at full size with `output`",
+            )
+        along_rows, along_columns = fit.undo(answer[0])
+        return torch.stack(
+            [along_rows * fit.width_factor, along_columns * fit.height_factor], dim=2
+        )
+
+
+def _cycle_error(flow: Tensor, back: Tensor) -> Tensor:
+    """Pixels `[H, W]` between where a pixel is and where it comes back to; infinite outside."""
+    import torch
+    from torch.nn.functional import grid_sample
+
+    height, width = flow.shape[:2]
+    size = flow.new_tensor([width, height])
+    ends = _pixel_centers(height, width) + flow
+    inside = ((ends >= 0) & (ends <= size)).all(dim=2)
+    sampled = grid_sample(
+        back.permute(2, 0, 1)[None],
+        (2 * ends / size - 1)[None],
+        align_corners=False,
+        padding_mode="border",
+    )[0].permute(1, 2, 0)
+    return (flow + sampled).norm(dim=2).where(inside, torch.inf)
+
+
+def _pixel_centers(height: int, width: int) -> Tensor:
+    """Positions `[H, W, 2]` (column, row)."""
+    import torch
+
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    return torch.stack([u, v], dim=2)
+
+
+@hookimpl
+def stereogs_register_priors(register: Register[OnnxFlow]) -> None:
+    register("onnx_flow", OnnxFlow)

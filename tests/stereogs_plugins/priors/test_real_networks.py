@@ -1,0 +1,38 @@
+"""Published networks through the adapters, against the truth, where STEREOGS_MODELS has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from benchmarks.priors_depth import point_errors
+from benchmarks.priors_stereo import load_pair, score
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs
+from stereogs_plugins.priors.onnx_stereo import OnnxStereo
+from stereogs_plugins.scenes.llff import LLFFScene
+from tests.data import data_folder, models_folder
+from tests.stereogs_plugins.building import build
+
+
+def test_hitnet_on_cones() -> None:
+    model = models_folder("hitnet_eth3d") / "hitnet_eth3d.onnx"
+    pair = load_pair(data_folder("stereo_cones"))
+    prior = build(OnnxStereo, model=model, max_disparity=128.0)
+    assert score(prior.disparity(pair.left, pair.right), pair).bad_2 <= 5
+
+
+def test_itermvs_on_a_view_of_fern() -> None:
+    """Shares of the points of COLMAP whose depth is right within 3 %: of all, and where it is sure."""
+    model = models_folder("itermvs") / "itermvs_blendedmvs.onnx"
+    folder = data_folder("llff_fern")
+    scene = build(LLFFScene, path=folder, train_views=3).load()
+    prior = build(OnnxMvs, model=model, size=(512, 384))
+    *others, view = scene.train
+    answer = prior.depth_of(view, scene.train, scene.bounds)
+    unknown = [torch.zeros_like(answer.depth) for _ in others]
+    sure = torch.where(answer.confidence >= 0.3, answer.depth, 0.0)
+    for depth, least in ((answer.depth, 0.80), (sure, 0.95)):
+        errors = point_errors(folder, scene, [map_.numpy() for map_ in (*unknown, depth)])
+        known = errors[np.isfinite(errors)]
+        assert len(known) > 100
+        assert (known < 0.03).mean() >= least
