@@ -91,24 +91,23 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
-        from .disconnected import refuse_disconnected
-        from .found_cameras import remembered_model
+        from .disconnected import require_one_piece
+        from .found_cameras import remembered_cameras
         from .structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
-
-        def compute(empty: Path) -> Path:
-            result = reconstruct(found, decoder, settings.share_lens, empty)
-            refuse_disconnected(result, [photo.path.name for photo in found], str(folder))
-            return result.models[0][0]
-
-        treatment = f"{settings.matching_size} {settings.share_lens}"
-        return remembered_model(found, treatment, compute)
+        cameras = remembered_cameras(
+            found,
+            f"{settings.matching_size} {settings.share_lens}",
+            lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
+        )
+        names = [photo.path.name for photo in found]
+        return require_one_piece(cameras, names, str(folder))
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
-    from .structure_from_motion import image_index
+    from .image_names import image_index
 
     stems = [photo.path.stem for photo in found]
     return [

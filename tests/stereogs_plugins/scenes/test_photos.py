@@ -14,11 +14,13 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import Scene, SceneError
 from registry.drawing.pictures import to_bytes
+from registry.photos import ColmapModel
 from registry.testing import check
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.photos import PhotosScene, stereogs_register_scenes
-from stereogs_plugins.scenes.photos.disconnected import refuse_disconnected
-from stereogs_plugins.scenes.photos.found_cameras import remembered_model
+from stereogs_plugins.scenes.photos.disconnected import require_one_piece
+from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
+from stereogs_plugins.scenes.photos.mapping import Piece
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from stereogs_plugins.scenes.procedural import ProceduralScene
@@ -93,6 +95,15 @@ def pose_errors(found: list[Camera], truth: list[Camera]) -> tuple[Array, Array]
     return rotations, directions
 
 
+NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
+MATCHES = {(0, 1): 200, (0, 2): 90, (1, 2): 150, (3, 4): 80, (2, 3): 12, (1, 3): 9}
+
+
+def reconstruction_of(entry: Path) -> Reconstruction:
+    """What an entry of the cache holds, with other matches."""
+    return Reconstruction([Piece(entry / "piece_0", [0, 1, 2, 3, 4])], MATCHES, [900] * COUNT)
+
+
 def test_is_offered_as_photos() -> None:
     assert offered(stereogs_register_scenes) == {"photos": PhotosScene}
 
@@ -163,26 +174,32 @@ def test_damaged_cameras_are_found_anew(
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
-    def compute(empty: Path) -> Path:
+    def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return shutil.copytree(whole, empty / "model")
+        return reconstruction_of(whole)
 
-    before = remembered_model(photos, "treatment", compute)
+    before = remembered_cameras(photos, "treatment", compute)
     (kept,) = tmp_path.glob("cameras/*")
-    content = bytearray((kept / "images.bin").read_bytes())
+    images = kept / "piece_0" / "images.bin"
+    content = bytearray(images.read_bytes())
     if damage == "flip":
         content[20] ^= 1
-        (kept / "images.bin").write_bytes(content)
+        images.write_bytes(content)
     elif damage == "cut":
-        (kept / "images.bin").write_bytes(content[:100])
+        images.write_bytes(content[:100])
     elif damage == "missing":
-        (kept / "images.bin").unlink()
+        images.unlink()
     else:
         (kept / "checksum.txt").write_bytes(b"\xff")
-    after = remembered_model(photos, "treatment", compute)
+    after = remembered_cameras(photos, "treatment", compute)
     assert "damaged" in caplog.text
-    assert after.images == before.images
-    assert remembered_model(photos, "treatment", compute).points == before.points
+    assert before.model is not None
+    assert after.model is not None
+    assert after.model.images == before.model.images
+    again = remembered_cameras(photos, "treatment", compute)
+    assert again.model is not None
+    assert again.model.points == before.model.points
+    assert again.reconstruction.matches == before.reconstruction.matches == MATCHES
     assert len(asked) == 2
 
 
@@ -194,12 +211,12 @@ def test_other_photographs_or_settings_are_other_cameras(
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
-    def compute(empty: Path) -> Path:
+    def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return whole
+        return reconstruction_of(whole)
 
     for treatment, chosen in (("a", photos), ("a", photos), ("b", photos), ("a", photos[1:])):
-        remembered_model(chosen, treatment, compute)
+        remembered_cameras(chosen, treatment, compute)
     assert len(asked) == 3
 
 
@@ -229,10 +246,6 @@ def test_the_contract(folder: Path, cached: Path) -> None:
     check(PhotosScene, path=folder)
 
 
-NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
-MATCHES = {(0, 1): 200, (0, 2): 90, (1, 2): 150, (3, 4): 80, (2, 3): 12, (1, 3): 9}
-
-
 class TestExplanation:
     def explain(
         self,
@@ -240,10 +253,10 @@ class TestExplanation:
         features: tuple[int, ...] = (900,) * len(NAMES),
         matches: dict[tuple[int, int], int] = MATCHES,
     ) -> SceneError:
-        models = [(Path(), members) for members in pieces]
-        found = Reconstruction(models, matches, list(features))
+        found = Reconstruction([Piece(Path(), p) for p in pieces], matches, list(features))
+        model = ColmapModel({}, [], [], Path()) if pieces else None
         with pytest.raises(SceneError) as caught:
-            refuse_disconnected(found, NAMES, "folder")
+            require_one_piece(FoundCameras(found, model), NAMES, "folder")
         return caught.value
 
     def test_groups_matches_and_the_picture_between(self) -> None:
@@ -270,14 +283,26 @@ class TestExplanation:
         error = self.explain([[0, 1, 2, 3]], (900, 900, 900, 900, 17))
         assert "take e.jpg again: 17 details" in error.fix
 
+    def test_many_matches_are_not_called_few(self) -> None:
+        error = self.explain([[0, 1, 2, 3]], matches=MATCHES | {(3, 4): 1660})
+        assert "e.jpg shares 1,660 matches with d.jpg" in error.fix
+        assert "only" not in error.fix
+
     def test_nothing_at_all(self) -> None:
-        error = self.explain([])
+        error = self.explain([], matches={(0, 1): 12})
         assert "no two of the 5 photographs overlap" in error.what
         assert "group" not in error.what
 
+    def test_matches_without_depth(self) -> None:
+        error = self.explain([], matches={(0, 1): 1660})
+        assert "share up to 1,660 matches" in error.what
+        assert "overlap" not in str(error)
+        assert "step to the side" in error.fix
+
     def test_one_piece_is_accepted(self) -> None:
-        found = Reconstruction([(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
-        refuse_disconnected(found, NAMES, "folder")
+        found = Reconstruction([Piece(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
+        model = ColmapModel({}, [], [], Path())
+        assert require_one_piece(FoundCameras(found, model), NAMES, "folder") is model
 
 
 def write_pictures(folder: Path, count: int) -> None:
