@@ -16,6 +16,7 @@ FLOORS = (
     ("errors", "files", "suggestions", "web_page"),
     ("contract", "cache", "image_fitting"),
     ("drawing", "plugins", "photos"),
+    ("recognition",),
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs", "testing"),

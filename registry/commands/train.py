@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +16,19 @@ if TYPE_CHECKING:
     from ..runs.run import Run
 
 INTERRUPTED = 130
+FOR_FOLDERS = "weightfree_fast"
+"""The ready pipeline that a folder alone is trained with."""
 
 _EPILOG = """\
 examples:
-  stereogs train pipelines/3dgs.yaml
-  stereogs train pipelines/3dgs.yaml --set scene.path=photos --set training.iterations=5000
-  stereogs train pipelines/3dgs.yaml --disable opacity_reset --out runs/without-reset
+  stereogs train my-photos                           a folder of pictures or data
+  stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
+  stereogs train my.yaml --set training.iterations=5000
+  stereogs train 3dgs --disable opacity_reset --out runs/without-reset
   stereogs train --resume runs/3dgs-fern
 
+A folder is read by the loader that knows it by its content (see `stereogs check`). Where that is another
+than the pipeline's, the settings that the pipeline has for its own loader fall away.
 Ctrl-C stops after the current iteration and leaves a checkpoint; --resume goes on from it to the
 same result.
 """
@@ -30,8 +36,15 @@ same result.
 
 def add(verbs: Verbs) -> None:
     """Add the verb."""
-    parser = add_verb(verbs, "train", "train a scene as a pipeline file says", _EPILOG)
-    parser.add_argument("pipeline", nargs="?", type=Path, metavar="PIPELINE", help="a YAML file")
+    parser = add_verb(verbs, "train", "train a scene as a pipeline says", _EPILOG)
+    parser.add_argument(
+        "pipeline",
+        nargs="?",
+        type=Path,
+        metavar="PIPELINE",
+        help=f"a YAML file, the name of a ready one, or a folder of pictures or data: {FOR_FOLDERS} "
+        "is trained on it",
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -63,6 +76,7 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 130 after Ctrl-C."""
     from ..pipeline.pipeline import load_pipeline
+    from ..pipeline.settings_check import escape_variables
     from ..plugins import Plugins
     from ..session import resume, train
 
@@ -92,11 +106,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise RunError(
             "there is nothing to train",
             where="the command line",
-            fix="give a pipeline file, for example pipelines/3dgs.yaml",
+            fix="give a folder of photographs, or a pipeline, for example 3dgs",
         )
-    pipeline = load_pipeline(
-        arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
-    )
+    given, overrides = arguments.pipeline, arguments.set
+    if given.is_dir():
+        folder = json.dumps(escape_variables(str(given)))
+        given, overrides = Path(FOR_FOLDERS), [f"scene.path={folder}", *overrides]
+    pipeline = load_pipeline(given, Plugins(), overrides=overrides, disabled=arguments.disable)
     from ..runs.training_run import in_runs
 
     run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         stored_size,
         upright_size,
     )
+    from .images.heif import HEIF_SUFFIXES, read_heif
     from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
     from .images.image_source import ImageSourceSettings
     from .images.parallel import in_parallel
@@ -48,6 +49,7 @@ else:
 
 __all__ = [
     "BACKGROUNDS",
+    "HEIF_SUFFIXES",
     "IMAGE_SUFFIXES",
     "POINTS_FIX",
     "Bounds",
@@ -88,6 +90,7 @@ __all__ = [
     "pose_from_opengl",
     "read_colmap_model",
     "read_document",
+    "read_heif",
     "read_mask",
     "split",
     "split_rule",

@@ -23,6 +23,7 @@ from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_mode
 from .image_names import image_name
 from .mapping import Piece, place_cameras
 from .structure_from_motion import Reconstruction, reconstruct
+from .support import agreeing_share
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
@@ -67,7 +68,13 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         treatment,
         version("pycolmap"),
         source_digest(
-            reconstruct, place_cameras, image_name, UnposedPhoto, Decoder, longest_side
+            reconstruct,
+            place_cameras,
+            agreeing_share,
+            image_name,
+            UnposedPhoto,
+            Decoder,
+            longest_side,
         ),
         *(photo.digest for photo in photos),
     )

@@ -3,7 +3,8 @@
 Incremental mapping (Schoenberger and Frahm 2016) starts from two photographs whose rays meet at a wide
 angle. COLMAP asks for 16 degrees, which makes for an exact start and which photographs that all look
 forward do not have; from 2 degrees on they succeed too. Global mapping (Pan et al. 2024) needs no
-first pair. A wrong start shows in the lens: such models bend it beyond what cameras have.
+first pair. A wrong model shows in the matches that it leaves unexplained (support.py) and in the lens,
+which it bends beyond what cameras have.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import logging
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .image_names import image_index
+from .support import agreeing_share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +26,8 @@ FOCAL_RANGE = (0.3, 4.0)
 """In units of the longer side: from the widest lens of a phone to its longest."""
 MOST_DISTORTION = 1.0
 """Of the radial term k1; beyond, a picture would be folded before its corners."""
+LEAST_SUPPORT = 0.9
+"""Share of the matches that agree with a model; right ones have 0.99 and more, wrong ones 0.8 and less."""
 _FIRST_PAIR_DEGREES = (16.0, 2.0)
 _log = logging.getLogger("stereogs.photos")
 
@@ -47,6 +51,8 @@ def place_cameras(
 ) -> list[Piece]:
     """The pieces of the best attempt, the best first; none if no two photographs fit together.
 
+    Models that the matches contradict are no pieces.
+
     Attempts are made in order of their cost until one places all photographs with a plausible lens.
     Otherwise the attempt wins that places most with such a lens, of equals the first.
 
@@ -60,18 +66,21 @@ def place_cameras(
     for name, attempt in _attempts(colmap):
         target = folder / name
         target.mkdir()
-        pieces = _pieces(attempt(database, images, target), target)
-        if pieces and _worth(pieces) > _worth(best):
+        found = [
+            model
+            for model in attempt(database, images, target).values()
+            if agreeing_share(colmap, database, model, 2 * MAX_ERROR) >= LEAST_SUPPORT
+        ]
+        pieces = _pieces(found, target)
+        if pieces and worth(pieces) > worth(best):
             best = pieces
-        if _worth(best) == (True, count):
+        if worth(best) == (True, count):
             break
-        _log.info(
-            "%s placed %d of %d photographs", name, len(pieces[0].members) if pieces else 0, count
-        )
     return best
 
 
-def _worth(pieces: list[Piece]) -> tuple[bool, int]:
+def worth(pieces: list[Piece]) -> tuple[bool, int]:
+    """What the better of two attempts has more of: a plausible lens, photographs in the best piece."""
     return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
 
 
@@ -106,9 +115,9 @@ def _global_options(colmap: Any) -> Any:
     return options
 
 
-def _pieces(found: dict[int, Any], folder: Path) -> list[Piece]:
+def _pieces(found: list[Any], folder: Path) -> list[Piece]:
     pieces = []
-    for number, model in found.items():
+    for number, model in enumerate(found):
         path = folder / f"model_{number}"
         path.mkdir()
         model.write(path)

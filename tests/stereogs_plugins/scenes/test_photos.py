@@ -3,6 +3,7 @@ from __future__ import annotations
 import logging
 import math
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,14 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import Scene, SceneError
 from registry.drawing.pictures import to_bytes
-from registry.photos import ColmapModel
+from registry.photos import ColmapModel, Decoder
 from registry.testing import check
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.photos import PhotosScene, stereogs_register_scenes
+from stereogs_plugins.scenes.photos import (
+    PhotosScene,
+    stereogs_register_scenes,
+    structure_from_motion,
+)
 from stereogs_plugins.scenes.photos.disconnected import require_one_piece
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
 from stereogs_plugins.scenes.photos.mapping import Piece
@@ -338,18 +343,88 @@ def test_a_file_that_is_no_picture(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-def test_equal_pictures(tmp_path: Path) -> None:
+def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     shutil.copy(tmp_path / "0.jpg", tmp_path / "copy.jpg")
     with pytest.raises(SceneError, match=r"0\.jpg and copy\.jpg are the same picture"):
         load(tmp_path)
+    (tmp_path / "in").mkdir()
+    shutil.copy(tmp_path / "1.jpg", tmp_path / "in" / "1.jpg")
+    with pytest.raises(SceneError) as caught:
+        load(tmp_path)
+    assert caught.value.what.splitlines()[1:] == ["  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg"]
+    assert caught.value.fix == "take out of the folder: copy.jpg, in/1.jpg"
 
 
 def test_pictures_of_a_kind_that_is_not_read_are_not_left_out(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
-    (tmp_path / "IMG_1.HEIC").write_bytes(b"")
-    with pytest.raises(SceneError, match=r"IMG_1\.HEIC"):
+    (tmp_path / "IMG_1.CR3").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"IMG_1\.CR3"):
         load(tmp_path)
+
+
+def test_a_phones_folder(tmp_path: Path) -> None:
+    dcim = tmp_path / "DCIM"
+    (dcim / "100APPLE").mkdir(parents=True)
+    (dcim / "101APPLE").mkdir()
+    write_pictures(dcim / "100APPLE", 3)
+    (dcim / "100APPLE" / "1.jpg").rename(dcim / "101APPLE" / "1.jpg")
+    for name in ("Thumbs.db", "IMG_1.MOV", "IMG_1.AAE", "__MACOSX/x.jpg", ".thumbnails/y.jpg"):
+        (dcim / name).parent.mkdir(exist_ok=True)
+        (dcim / name).touch()
+    assert PhotosScene.recognizes(tmp_path)
+    assert [photo.name for photo in read_folder(tmp_path)] == [
+        "DCIM/100APPLE/0.jpg",
+        "DCIM/100APPLE/2.jpg",
+        "DCIM/101APPLE/1.jpg",
+    ]
+
+
+def test_heic_is_read_with_pillow_heif(tmp_path: Path) -> None:
+    pillow_heif = pytest.importorskip("pillow_heif", reason="pip install pillow-heif")
+    write_pictures(tmp_path, 2)
+    picture = Image.linear_gradient("L").resize((64, 48)).convert("RGB")
+    pillow_heif.from_pillow(picture).save(tmp_path / "IMG_1.HEIC", quality=95)
+    photo = read_folder(tmp_path)[-1]
+    assert (photo.name, photo.size) == ("IMG_1.HEIC", (64, 48))
+    difference = np.asarray(picture, dtype=float) - Decoder(upright=True).read(photo.path)
+    assert np.abs(difference).mean() < 4
+
+
+def test_heic_without_pillow_heif(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    write_pictures(tmp_path, 3)
+    for index in range(5):
+        (tmp_path / f"IMG_{index}.HEIC").touch()
+    with pytest.raises(SceneError) as caught:
+        load(tmp_path)
+    assert "IMG_0.HEIC, IMG_1.HEIC, IMG_2.HEIC and 2 more" in caught.value.what
+    assert "pip install 'stereogs-plugins[heic]'" in caught.value.fix
+
+
+def test_transparent_pictures_are_laid_on_the_background(
+    folder: Path,
+    cached: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (whole,) = cached.glob("cameras/*")
+    monkeypatch.setenv("STEREOGS_CACHE", "")
+    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: reconstruction_of(whole))
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    for path, alpha in (("train_01", 0), ("train_03", 255)):
+        with Image.open(copy / f"{path}.jpg") as file:
+            picture = file.convert("RGBA")
+        picture.paste((255, 0, 0, alpha), (0, 0, 5, 5))
+        picture.save(copy / f"{path}.png")
+        (copy / f"{path}.jpg").unlink()
+    assert [photo.name for photo in read_folder(copy) if photo.transparent] == ["train_01.png"]
+    scene = load(copy, test_every=0)
+    assert "1 of 5 pictures are transparent in places, train_01.png first" in caplog.text
+    assert "background (0 0 0)" in caplog.text
+    assert float(scene.train[1].image[:3, :3].max()) < 0.2
+    assert scene.background == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -379,6 +454,8 @@ def test_folders_that_are_recognized(tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
     write_pictures(tmp_path, 1)
     (tmp_path / ".hidden").touch()
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "Thumbs.db").touch()
     assert PhotosScene.recognizes(tmp_path)
     (tmp_path / "cameras.txt").touch()
     assert not PhotosScene.recognizes(tmp_path)
