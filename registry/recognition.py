@@ -35,7 +35,7 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
         raise SceneError(
             f"the folder may be of several formats: {names}",
             where=str(folder),
-            fix=f"say which, for example --format {found[0].name}",
+            fix=f"say which: `check --format {found[0].name}`, `train --set scene.use={found[0].name}`",
         )
     lines = ["the folder's format is not known. These were looked for:"]
     lines += [f"  {o.name}: {k.recognized_by}" for o, k in loaders if k.recognized_by]
@@ -43,7 +43,8 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
     raise SceneError(
         "\n".join(lines),
         where=str(folder),
-        fix="give the folder that holds one of them, or name the loader with --format",
+        fix="give the folder that holds one of them, or name the loader: `check --format NAME`, "
+        "`train --set scene.use=NAME`",
     )
 
 

@@ -11,8 +11,11 @@ from ..errors import RunError
 from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
+    from ..plugins import Plugins
     from ..runs.run import Run
 
 INTERRUPTED = 130
@@ -27,8 +30,8 @@ examples:
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
   stereogs train --resume runs/3dgs-fern
 
-A folder is read by the loader that knows it by its content (see `stereogs check`). Where that is another
-than the pipeline's, the settings that the pipeline has for its own loader fall away.
+A folder is read by the loader that knows it by its content (see `stereogs check`), with that
+loader's defaults and what --set scene.SETTING=VALUE says.
 Ctrl-C stops after the current iteration and leaves a checkpoint; --resume goes on from it to the
 same result.
 """
@@ -76,7 +79,6 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 130 after Ctrl-C."""
     from ..pipeline.pipeline import load_pipeline
-    from ..pipeline.settings_check import escape_variables
     from ..plugins import Plugins
     from ..session import resume, train
 
@@ -108,15 +110,30 @@ def run(arguments: argparse.Namespace) -> int:
             where="the command line",
             fix="give a folder of photographs, or a pipeline, for example 3dgs",
         )
+    plugins = Plugins()
     given, overrides = arguments.pipeline, arguments.set
     if given.is_dir():
-        folder = json.dumps(escape_variables(str(given)))
-        given, overrides = Path(FOR_FOLDERS), [f"scene.path={folder}", *overrides]
-    pipeline = load_pipeline(given, Plugins(), overrides=overrides, disabled=arguments.disable)
+        given, overrides = Path(FOR_FOLDERS), [_scene(given, plugins, overrides), *overrides]
+    pipeline = load_pipeline(given, plugins, overrides=overrides, disabled=arguments.disable)
     from ..runs.training_run import in_runs
 
     run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
     return conclude(run, output)
+
+
+def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
+    """The override that makes a folder the scene, read by the loader that knows it or is asked for.
+
+    Raises:
+        SceneError: none or several know it.
+    """
+    from ..pipeline.settings_check import escape_variables
+    from ..recognition import recognize
+
+    scene = {"path": escape_variables(str(folder))}
+    if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
+        scene["use"] = recognize(folder, plugins).name
+    return f"scene={json.dumps(scene)}"
 
 
 def conclude(run: Run, output: Console) -> int:

@@ -22,6 +22,8 @@ from registry.photos import (
     split_rule,
 )
 
+from .picture_files import is_pictures_alone, list_content
+
 if TYPE_CHECKING:
     from .unposed_photos import UnposedPhoto
 
@@ -59,8 +61,6 @@ class PhotosScene(SceneLoader[PhotosSettings]):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Whether it holds pictures, in folders within too, and nothing but what comes with them."""
-        from .picture_files import is_pictures_alone
-
         return is_pictures_alone(folder)
 
     def load(self) -> Scene:
@@ -91,7 +91,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
-            *loaded.split_facts(split_rule(settings.test_every)),
+            *_left_out_facts(folder),
+            *loaded.split_facts(split_rule(settings.test_every), len(found)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
 
@@ -145,6 +146,14 @@ def _tell_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
             "%d of %d pictures are transparent in places, %s first; laid on the background (%s)",
             *(len(transparent), len(found), transparent[0], color),
         )
+
+
+def _left_out_facts(folder: Path) -> list[Fact]:
+    """What lies beside the photographs and is none."""
+    names = [path.name for path in list_content(folder).left_out]
+    few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    text = f"{len(names)} left out: {few}"
+    return [Fact("other_files", len(names), text, affects_scores=False)] if names else []
 
 
 @hookimpl

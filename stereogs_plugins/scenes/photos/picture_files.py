@@ -35,6 +35,11 @@ class FolderContent(NamedTuple):
     beside: list[Path]
     others: list[Path]
 
+    @property
+    def left_out(self) -> list[Path]:
+        """What is no photograph."""
+        return [*self.beside, *self.others]
+
 
 def list_content(folder: Path) -> FolderContent:
     """What a folder holds, told by names and endings."""
