@@ -68,5 +68,5 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,plot,video]'
+	$(PIP) --editable '.[dev,heic,plot,video]'
 	@touch $@

@@ -62,13 +62,14 @@ _EPILOG = """\
 examples:
   stereogs demo                               three photographs to a scored scene, in minutes
   stereogs check FOLDER                       what is in a folder of photographs or data
-  stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
+  stereogs train FOLDER                       train on it
+  stereogs train 3dgs --set scene.path=FOLDER     with a ready pipeline of your choice
   stereogs resume runs/3dgs-fern
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
-  stereogs ablate pipelines/ablations/parts.yaml
-  stereogs explain pipelines/3dgs.yaml        what runs when, and what it needs
+  stereogs ablate ablations/parts
+  stereogs explain 3dgs                       what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
   stereogs priors check FILE.onnx             how to run a network of your own, and how good it is
 

@@ -28,6 +28,7 @@ from .errors import PipelineError, SceneError
 from .pipeline.edits import SECTIONS
 from .pipeline.pipeline import Item, Pipeline
 from .pipeline.pipeline import build_pipeline as checked_pipeline
+from .pipeline.ready import find_pipeline
 from .pipeline.schedule import HostSettings
 from .pipeline.yaml_source import Node, Place, parse, read, to_yaml
 from .plugins import Plugins
@@ -57,8 +58,8 @@ def build_pipeline(
     """A checked pipeline. Without a `scene` it is one for a scene that is given to `train`.
 
     Args:
-        source: plain values as a pipeline file holds them; the path of a pipeline file; or, if it is a
-            `str` with a line break or a "{" at its start, YAML text.
+        source: plain values as a pipeline file holds them; the path of a pipeline file, or the name of
+            a ready one; or, if it is a `str` with a line break or a "{" at its start, YAML text.
         overrides: `a.b=value`, as for `--set`; applied before `disable`.
         disable: names of components to switch off, as for `--disable`.
         plugins: where components are looked for; None: the installed plugins.
@@ -338,7 +339,7 @@ def _tree(source: Mapping[str, Any] | PathLike) -> Node:
         return parse(text, "the pipeline's values", has_lines=False)
     if _is_text(source):
         return parse(str(source), "the pipeline's text")
-    return read(Path(source).expanduser())
+    return read(find_pipeline(Path(source).expanduser()))
 
 
 def _plain(value: object) -> object:

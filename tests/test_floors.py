@@ -16,6 +16,7 @@ FLOORS = (
     ("errors", "files", "memory", "suggestions", "terminal", "web_page"),
     ("contract", "cache", "image_fitting", "calls", "results_file"),
     ("drawing", "plugins", "photos", "virtual_views"),
+    ("recognition",),
     ("priors", "pipeline", "scaffolding"),
     ("training", "inspection"),
     ("runs",),

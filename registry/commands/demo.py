@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..plugins import Plugins
 
 DATA = "STEREOGS_DATA"
+PIPELINE = "demo"
+"""The ready pipeline that is run."""
 
 _EPILOG = """\
 examples:
@@ -38,20 +40,18 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train the demo's pipeline and show what came out."""
     import shutil
-    from importlib import resources
 
     from ..drawing.pictures import COMPARISONS
     from ..files import replacing
-    from ..pipeline.pipeline import parse_pipeline
+    from ..pipeline.pipeline import load_pipeline
     from ..plugins import Plugins
     from ..runs.results import RENDERS
     from ..runs.training_run import in_runs
     from ..session import train
 
     output = console()
-    text = resources.files("registry").joinpath("data", "demo.yaml").read_text("utf-8")
     plugins = Plugins()
-    pipeline = parse_pipeline(text, plugins, source="demo.yaml", overrides=_scene(plugins))
+    pipeline = load_pipeline(Path(PIPELINE), plugins, overrides=_scene(plugins))
     run = train(pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device)
     folder = run.folder_or_refuse()
     if run.finished:
@@ -73,8 +73,8 @@ def photographs(plugins: Plugins) -> dict[str, Any] | None:
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
         return None
-    from ..inspection.scene_source import scene_loaders
     from ..pipeline.settings_check import escape_variables
+    from ..recognition import scene_loaders
 
     loaders = scene_loaders(plugins)
     for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,20 +19,28 @@ from .output import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
+    from ..plugins import Plugins
     from ..runs.run import Run
 
 FAILED = 1
 """Exit status of a run that is finished, but a metric, an exporter or a report failed."""
 INTERRUPTED = 130
+FOR_FOLDERS = "weightfree_fast"
+"""The ready pipeline that a folder alone is trained with."""
 
 _EPILOG = """\
 examples:
-  stereogs train pipelines/3dgs.yaml
-  stereogs train pipelines/3dgs.yaml --set scene.path=photos --set training.iterations=5000
-  stereogs train pipelines/3dgs.yaml --disable opacity_reset --out runs/without-reset
+  stereogs train my-photos                           a folder of pictures or data
+  stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
+  stereogs train my.yaml --set training.iterations=5000
+  stereogs train 3dgs --disable opacity_reset --out runs/without-reset
 
+A folder is read by the loader that knows it by its content (see `stereogs check`), with that
+loader's defaults and what --set scene.SETTING=VALUE says.
 Ctrl-C or SIGTERM stops after the current iteration and leaves a checkpoint; `stereogs resume` goes on
 from it to the same result.
 """
@@ -39,8 +48,15 @@ from it to the same result.
 
 def add(verbs: Verbs) -> None:
     """Add the verb."""
-    parser = add_verb(verbs, "train", "train a scene as a pipeline file says", _EPILOG)
-    parser.add_argument("pipeline", nargs="?", type=Path, metavar="PIPELINE", help="a YAML file")
+    parser = add_verb(verbs, "train", "train a scene as a pipeline says", _EPILOG)
+    parser.add_argument(
+        "pipeline",
+        nargs="?",
+        type=Path,
+        metavar="PIPELINE",
+        help=f"a YAML file, the name of a ready one, or a folder of pictures or data: {FOR_FOLDERS} "
+        "is trained on it",
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -78,12 +94,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise RunError(
             "there is nothing to train",
             where="the command line",
-            fix="give a pipeline file, for example pipelines/3dgs.yaml",
+            fix="give a folder of photographs, or a pipeline, for example 3dgs",
         )
+    plugins = Plugins()
     with WATCHDOG.ending(arguments.hang_after):
-        pipeline = load_pipeline(
-            arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
-        )
+        given, overrides = arguments.pipeline, arguments.set
+        if given.is_dir():
+            given, overrides = Path(FOR_FOLDERS), [_scene(given, plugins, overrides), *overrides]
+        pipeline = load_pipeline(given, plugins, overrides=overrides, disabled=arguments.disable)
     from ..runs.training_run import in_runs
 
     run = train(
@@ -94,6 +112,21 @@ def run(arguments: argparse.Namespace) -> int:
         **watching(arguments),
     )
     return conclude(run, output)
+
+
+def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
+    """The override that makes a folder the scene, read by the loader that knows it or is asked for.
+
+    Raises:
+        SceneError: none or several know it.
+    """
+    from ..pipeline.settings_check import escape_variables
+    from ..recognition import recognize
+
+    scene = {"path": escape_variables(str(folder))}
+    if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
+        scene["use"] = recognize(folder, plugins).name
+    return f"scene={json.dumps(scene)}"
 
 
 def conclude(run: Run, output: Console) -> int:

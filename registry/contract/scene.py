@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError, SceneError
@@ -23,6 +24,9 @@ _FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _ROTATION_TOLERANCE = 1e-4
 _FARTHEST = 1e9
 """World units; beyond, squares and products of positions leave single precision."""
+_FEWEST_BESIDE_COPIES = 3
+"""Training views that a scene must have beside those that are left out."""
+_log = logging.getLogger("stereogs.scene")
 _FOCAL_RANGE = (1e-2, 1e4)
 """In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
 
@@ -185,10 +189,13 @@ class Scene:
 
 
 def validate(scene: Scene) -> Scene:
-    """Refuse a scene that training could not use; return it unchanged otherwise.
+    """Refuse a scene that training could not use; return it otherwise.
+
+    Of training views with one pose the first stays, if at least three views do; a warning and a fact
+    name the others.
 
     Raises:
-        SceneError: no training view; a repeated or unsafe name; two training views from one pose; a
+        SceneError: no training view; a repeated or unsafe name; two of few views from one pose; a
             rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
             size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
             bool, does not fit or leaves no pixel; an alpha that does not fit or is not in [0, 1]; a
@@ -206,7 +213,7 @@ def validate(scene: Scene) -> Scene:
         if view.name in seen:
             raise SceneError(f"two views are named {view.name!r}", where=scene.name)
         seen.add(view.name)
-    _refuse_equal_poses(scene)
+    scene = _without_equal_poses(scene)
     near, far = scene.bounds
     if not 0 < near < far < float("inf"):
         raise SceneError(
@@ -294,20 +301,44 @@ def _validate_maps(view: View, where: str) -> None:
         raise SceneError("the depth has values that are negative or not finite", where=where)
 
 
-def _refuse_equal_poses(scene: Scene) -> None:
-    """Two photographs from one pose have no parallax; one of the poses is most likely a copy."""
+def _without_equal_poses(scene: Scene) -> Scene:
+    """Leave out training views whose pose an earlier one has: they have no parallax.
+
+    Raises:
+        SceneError: fewer than three others would be left; one of the poses is most likely a copy.
+    """
+    kept: list[View] = []
+    copies: list[tuple[View, View]] = []
+    for view in scene.train:
+        twin = next((other for other in kept if _same_pose(view, other)), None)
+        if twin is None:
+            kept.append(view)
+        else:
+            copies.append((twin, view))
+    if not copies:
+        return scene
+    if len(kept) < _FEWEST_BESIDE_COPIES:
+        first, second = copies[0]
+        raise SceneError(
+            f"the training views {first.name!r} and {second.name!r} have the same pose: "
+            "two photographs from one place say nothing about depth",
+            where=scene.name,
+            fix="leave one of them out, or correct its pose",
+        )
+    for first, second in copies:
+        _log.warning(
+            "%s: the training views %s and %s have the same pose; %s is left out",
+            *(scene.name, first.name, second.name, second.name),
+        )
+    fact = Fact("left_out_for_equal_pose", ", ".join(view.name for _, view in copies))
+    return replace(scene, train=tuple(kept), facts=(*scene.facts, fact))
+
+
+def _same_pose(view: View, other: View) -> bool:
     import torch
 
-    for index, view in enumerate(scene.train):
-        for other in scene.train[:index]:
-            first, second = view.camera.world_to_camera, other.camera.world_to_camera
-            if torch.allclose(first, second, rtol=1e-9, atol=1e-9):
-                raise SceneError(
-                    f"the training views {other.name!r} and {view.name!r} have the same pose: "
-                    "two photographs from one place say nothing about depth",
-                    where=scene.name,
-                    fix="leave one of them out, or correct its pose",
-                )
+    first, second = view.camera.world_to_camera, other.camera.world_to_camera
+    return torch.allclose(first, second, rtol=1e-9, atol=1e-9)
 
 
 def _validate_facts(scene: Scene) -> None:

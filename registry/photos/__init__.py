@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         stored_size,
         upright_size,
     )
+    from .images.heif import HEIF_SUFFIXES, read_heif
     from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
     from .images.image_source import ImageSourceSettings
     from .images.opening import open_image
@@ -51,6 +52,7 @@ else:
 
 __all__ = [
     "BACKGROUNDS",
+    "HEIF_SUFFIXES",
     "IMAGE_SUFFIXES",
     "POINTS_FIX",
     "Bounds",
@@ -94,6 +96,7 @@ __all__ = [
     "read_arrays",
     "read_colmap_model",
     "read_document",
+    "read_heif",
     "read_mask",
     "split",
     "split_rule",

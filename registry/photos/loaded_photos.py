@@ -69,9 +69,21 @@ class LoadedPhotos:
                     fix="resize all photographs of the scene in one way",
                 )
 
-    def split_facts(self, rule: str) -> tuple[Fact, ...]:
-        """The split by numbers of photographs; `rule` says in words how it was made."""
+    def split_facts(self, rule: str, available: int | None = None) -> tuple[Fact, ...]:
+        """The split by numbers of photographs.
+
+        Args:
+            rule: says in words how it was made.
+            available: how many photographs with cameras there are; those in neither part are left out.
+                None where the format does not say.
+        """
+        counts: tuple[Fact, ...] = ()
+        if available is not None:
+            left_out = available - len(self.train) - len(self.test)
+            text = f"{available}, {left_out} of them left out by the split"
+            counts = (Fact("photographs", available, text, affects_scores=False),)
         return (
+            *counts,
             Fact("split", rule),
             Fact("train_photographs", tuple(self.train)),
             Fact("test_photographs", tuple(self.test)),

@@ -2,16 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
+from ..contract.components import SceneLoader
 from ..contract.hook_points import HOOK_POINTS
 from ..errors import PipelineError
+from ..plugins import Plugins
+from ..recognition import recognize, recognizing
 from ..suggestions import did_you_mean, listing
+from .settings_check import plain
 from .yaml_source import Node, Place, parse
 
 SECTIONS = {point.section: point for point in HOOK_POINTS}
 TOP_LEVEL = ("name", "protocol", *SECTIONS, "training")
 """The keys of a pipeline file."""
+_SCENE = "scene"
+_PATH = f"{_SCENE}.path"
+_log = logging.getLogger("stereogs.pipeline")
+
+
+def apply_overrides(root: Node, overrides: Sequence[str], plugins: Plugins) -> None:
+    """Apply several, in place.
+
+    Where they put another folder into the scene and no loader, the folder is read by a loader that knows
+    it by its content: by the one that is written, or by the only other. The settings that are written
+    were for the written one and fall away with it.
+
+    Raises:
+        ExplainedError: see `apply_override`; no loader is written, and none or several know the folder.
+    """
+    keys = [text.partition("=")[0].strip() for text in overrides]
+    left = list(overrides)
+    if _PATH in keys and not {_SCENE, f"{_SCENE}.use"} & {*keys}:
+        apply_override(root, left.pop(keys.index(_PATH)))
+        _choose_loader(root, plugins)
+    for text in left:
+        apply_override(root, text)
+
+
+def _choose_loader(root: Node, plugins: Plugins) -> None:
+    assert isinstance(root.content, dict)
+    scene = root.content[_SCENE]
+    written = expand(scene)
+    folder = Path(str(plain(written["path"]))).expanduser()
+    if not folder.is_dir():
+        return
+    if "use" not in written:
+        chosen = recognize(folder, plugins)
+    else:
+        current = plugins.find(SECTIONS[_SCENE], str(plain(written["use"]))).component
+        others = []
+        if not (issubclass(current, SceneLoader) and current.recognizes(folder)):
+            others = recognizing(folder, plugins)
+        if len(others) != 1:
+            return
+        (chosen,) = others
+    place = written["path"].place
+    scene.content = {"use": Node(chosen.name, place), "path": written["path"]}
+    _log.info("%s is read by the scene loader %s", folder, chosen.name)
 
 
 def apply_override(root: Node, text: str) -> None:

@@ -12,8 +12,9 @@ from ..contract.hook_points import HOOK_POINTS, HookPoint
 from ..errors import PipelineError, PluginError
 from ..plugins import Offer, Plugins
 from ..suggestions import did_you_mean, listing
-from .edits import TOP_LEVEL, apply_override, disable, expand
+from .edits import TOP_LEVEL, apply_overrides, disable, expand
 from .protocol_rules import AppliedProtocol, apply_protocol
+from .ready import find_pipeline
 from .schedule import HostSettings, Schedule, in_iterations
 from .settings_check import escape_variables, plain, validate_settings
 from .training_settings import TrainingSettings
@@ -102,6 +103,7 @@ def load_pipeline(
     """Read and check a pipeline file.
 
     Args:
+        path: of the file, or the name of a ready pipeline.
         overrides: `a.b=value`, as for `--set`; applied before `disabled`.
         disabled: names of components to switch off, as for `--disable`.
 
@@ -109,7 +111,7 @@ def load_pipeline(
         PipelineError: anything wrong with the file or the changes, with its line.
         PluginError: a component that it names cannot be loaded.
     """
-    return build_pipeline(read(path), plugins, overrides, disabled)
+    return build_pipeline(read(find_pipeline(path)), plugins, overrides, disabled)
 
 
 def parse_pipeline(
@@ -137,8 +139,7 @@ def build_pipeline(
             where=str(root.place),
             fix=f"sections: {listing(TOP_LEVEL)}",
         )
-    for text in overrides:
-        apply_override(root, text)
+    apply_overrides(root, overrides, plugins)
     for name in disabled:
         disable(root, name)
     sections = root.content

@@ -87,7 +87,7 @@ def read(path: Path) -> Node:
         raise PipelineError(
             f"the pipeline file cannot be read: {error.strerror or error}",
             where=str(path),
-            fix="give the path of a pipeline file, for example pipelines/3dgs.yaml",
+            fix="give the path of a pipeline file, or the name of a ready one, for example 3dgs",
         ) from error
     if len(data) > _MAX_BYTES:
         raise PipelineError("the file is too large to be a pipeline", where=str(path))

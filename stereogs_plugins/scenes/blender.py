@@ -94,7 +94,9 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         loaded.require_one_size()
         facts = (
             Fact("transparent_pixels", f"laid on {settings.background}"),
-            *loaded.split_facts(f"given numbers train, every {settings.test_every}th tests"),
+            *loaded.split_facts(
+                f"given numbers train, every {settings.test_every}th tests", len(train) + len(test)
+            ),
         )
         return loaded.scene("blender", folder, (settings.near, settings.far), None, facts)
 

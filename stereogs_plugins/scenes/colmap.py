@@ -69,7 +69,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             tracks.check(len(model.images), str(model.folder))
             points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        facts = loaded.split_facts(split_rule(settings.test_every))
+        facts = loaded.split_facts(split_rule(settings.test_every), len(model.images))
         return loaded.scene("colmap", folder, bounds, points, facts)
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from ...errors import PipelineError
 from ...pipeline.edits import TOP_LEVEL
+from ...pipeline.ready import find_pipeline
 from ...pipeline.settings_check import plain
 from ...pipeline.yaml_source import Node, Place, read
 from ...suggestions import did_you_mean, listing
@@ -69,11 +70,13 @@ def read_description(path: Path, pipeline: Path | None = None) -> Description:
     """Read an ablation file, or a pipeline file, which alone toggles and varies nothing.
 
     Args:
-        pipeline: takes the place of the file's own pipeline.
+        path: of the file, or the name of a ready one, such as `ablations/parts`.
+        pipeline: takes the place of the file's own pipeline; a path or a name.
 
     Raises:
         PipelineError: a file that cannot be read, unknown keys, wrong types, nothing in a list.
     """
+    path = find_pipeline(path)
     root = read(path)
     keys = root.content if isinstance(root.content, dict) else {}
     if not any(key in KEYS for key in keys):
@@ -94,7 +97,11 @@ def read_description(path: Path, pipeline: Path | None = None) -> Description:
             )
     return Description(
         path.stem,
-        read(pipeline or _pipeline_path(keys.get("pipeline"), path, root.place)),
+        read(
+            find_pipeline(pipeline)
+            if pipeline
+            else _pipeline_path(keys.get("pipeline"), path, root.place)
+        ),
         _toggles(keys.get("toggles")),
         _variations(keys.get("vary")),
         _scenes(keys.get("scenes")),

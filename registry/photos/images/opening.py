@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
-"""Pillow's names of the formats that are read."""
+"""Pillow's names of the formats that are read; HEIF too, where `read_heif` has let Pillow read it."""
 MOST_PIXELS = 1 << 27
 """Of an image, 134 megapixels; decoded it takes up to four bytes a pixel."""
 UNQUESTIONED_PIXELS = 1 << 24
@@ -44,13 +44,14 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
     """
     from PIL import Image
 
+    formats = (*FORMATS, "HEIF") if "HEIF" in Image.OPEN else FORMATS
     if not path.is_file():
         raise SceneError(f"{what} is missing, or no regular file", where=str(path), fix=fix)
     with decoding(what, path, fix):
-        with Image.open(path, formats=FORMATS) as file:
+        with Image.open(path, formats=formats) as file:
             _check_size(file, path, what)
             file.verify()  # of these formats, PNG alone has checksums; decoding does not look at them
-        with Image.open(path, formats=FORMATS) as file:
+        with Image.open(path, formats=formats) as file:
             yield file
 
 

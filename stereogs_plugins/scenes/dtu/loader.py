@@ -86,7 +86,7 @@ class DTUScene(SceneLoader[DTUSettings]):
         dark = settings.dark_background
         facts = (
             Fact("cameras", settings.cameras),
-            *loaded.split_facts(rule),
+            *loaded.split_facts(rule, len(list_images(photos[0].path.parent))),
             Fact("masks", "metrics inside object masks" if settings.masks else "none"),
             Fact(
                 "dark_background",

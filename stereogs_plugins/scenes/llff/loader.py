@@ -85,7 +85,7 @@ class LLFFScene(SceneLoader[LLFFSettings]):
         bounds = _published_bounds([rows[index] for index in train])
         if settings.bounds == "estimate":
             bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        facts = loaded.split_facts(split_rule(settings.test_every))
+        facts = loaded.split_facts(split_rule(settings.test_every), len(rows))
         return loaded.scene("llff", folder, bounds, points, facts)
 
 

@@ -71,7 +71,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         points = _read_points(folder, transforms, path) if settings.points else None
         bounds = estimate_bounds(loaded.training_cameras, points, str(path))
         seen_by = Fact("points_seen_by", "all photographs" if points else "none")
-        facts = (*loaded.split_facts(rule), seen_by)
+        facts = (*loaded.split_facts(rule, len(all_photos)), seen_by)
         return loaded.scene("nerfstudio", folder, bounds, points, facts)
 
     def _split(self, transforms: Transforms, where: str) -> tuple[list[int], list[int], str]:

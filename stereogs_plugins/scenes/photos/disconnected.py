@@ -9,17 +9,22 @@ from registry import SceneError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from registry.photos import ColmapModel
+
+    from .found_cameras import FoundCameras
     from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
 """A photograph with fewer is blurred, dark, or of a plain surface."""
 ENOUGH_MATCHES = 30
 """What COLMAP needs to add a photograph to others (`abs_pose_min_num_inliers`)."""
+MANY_MATCHES = 200
+"""Photographs that share so many overlap; if they do not fit together, the reason is another."""
 _PARTNERS = 3
 
 
-def refuse_disconnected(found: Reconstruction, names: Sequence[str], where: str) -> None:
-    """Accept a reconstruction that is one piece with every photograph.
+def require_one_piece(cameras: FoundCameras, names: Sequence[str], where: str) -> ColmapModel:
+    """The model of a reconstruction that is one piece with every photograph.
 
     Args:
         names: the photographs' file names, in the order of the indices.
@@ -27,32 +32,42 @@ def refuse_disconnected(found: Reconstruction, names: Sequence[str], where: str)
     Raises:
         SceneError: says which photographs connect, how well, and what to photograph next.
     """
+    found = cameras.reconstruction
     groups = _groups(found, len(names))
-    if len(groups) == 1 and found.models:
-        return
-    if found.models:
-        what = (
-            f"the cameras of {len(groups[0])} of {len(names)} photographs fit together; "
-            "the others do not connect to them"
-        )
-    else:
-        what = (
-            f"no camera could be placed: no two of the {len(names)} photographs overlap enough, "
-            "or all were taken from one place"
-        )
+    if len(groups) == 1 and cameras.model is not None:
+        return cameras.model
+    what = _summary(found, len(groups[0]), len(names))
     lines = [what]
-    if found.models:
+    if found.pieces:
         lines += [f"  group {n}: {_names(group, names)}" for n, group in enumerate(groups, start=1)]
     lines += _table(found, names)
     raise SceneError("\n".join(lines), where=where, fix=_advice(found, groups, names))
+
+
+def _summary(found: Reconstruction, placed: int, count: int) -> str:
+    if found.pieces:
+        return (
+            f"the cameras of {placed} of {count} photographs fit together; "
+            "the others do not connect to them"
+        )
+    if _most_matches(found) < ENOUGH_MATCHES:
+        return f"no camera could be placed: no two of the {count} photographs overlap enough"
+    return (
+        f"no camera could be placed: the {count} photographs share up to {_most_matches(found):,} "
+        "matches, but no depth follows from them"
+    )
+
+
+def _most_matches(found: Reconstruction) -> int:
+    return max(found.matches.values(), default=0)
 
 
 def _groups(found: Reconstruction, count: int) -> list[list[int]]:
     """The pieces, the largest first, then what is left by matches; each photograph once."""
     left = set(range(count))
     groups = []
-    for _, members in found.models:
-        own = [k for k in members if k in left]
+    for piece in found.pieces:
+        own = [k for k in piece.members if k in left]
         left -= set(own)
         if own:
             groups.append(own)
@@ -94,13 +109,18 @@ def _table(found: Reconstruction, names: Sequence[str]) -> list[str]:
 
 
 def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[str]) -> str:
-    if not found.models:
+    if found.pieces:
+        advice = [_bridge(found, group, groups[0], names) for group in groups[1:]]
+        return "\n".join([*advice, "or take those photographs out of the folder"])
+    if _most_matches(found) < ENOUGH_MATCHES:
         return (
             "photograph the scene again from places close together: two thirds of each picture "
-            "should be in the next, which is taken a step to the side, not from the same spot"
+            "should be in the next, which is taken a step to the side"
         )
-    advice = [_bridge(found, group, groups[0], names) for group in groups[1:]]
-    return "\n".join([*advice, "or take those photographs out of the folder"])
+    return (
+        "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
+        "from one spot, or of one flat thing, say nothing about depth"
+    )
 
 
 def _bridge(
@@ -115,6 +135,12 @@ def _bridge(
         )
     links = ((found.matches.get((min(a, b), max(a, b)), 0), -a, -b) for a in group for b in main)
     matches, a, b = max(links)
+    if matches >= MANY_MATCHES:
+        return (
+            f"{names[-a]} shares {matches:,} matches with {names[-b]} and yet does not fit in beside "
+            "it: was something moved, or the picture cropped or zoomed? If not, take another from a "
+            "place to the side"
+        )
     if matches:
         return (
             f"take a picture between {names[-a]} and {names[-b]}, which share only "

@@ -1,60 +1,110 @@
-"""Found cameras on disk, found again by the content of the photographs.
+"""What was found on disk, found again by the content of the photographs.
 
-    STEREOGS_CACHE/cameras/<key>/   a COLMAP model
+    STEREOGS_CACHE/cameras/<key>/found.json   pieces, matches, features
+                                 piece_0/     a COLMAP model, the best; piece_1/ ... the others
 
-The key is a hash over the photographs, the settings, pycolmap's version and the code that computes the
-model.
+The key is a hash over the photographs, the settings, pycolmap's version and the code that computes it.
+A search that placed some of the photographs only, or none, is kept as well: it need not be repeated to
+say so again.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from registry.cache import Cache, content_key, source_digest
 from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .structure_from_motion import reconstruct
+from .image_names import image_name
+from .mapping import Piece, place_cameras
+from .structure_from_motion import Reconstruction, reconstruct
+from .support import agreeing_share
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+_SUMMARY = "found.json"
 _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 
 
-def remembered_model(
-    photos: Sequence[UnposedPhoto], treatment: str, compute: Callable[[Path], Path]
-) -> ColmapModel:
-    """The model that `compute` finds in an empty folder, from the cache if it is there.
+class FoundCameras(NamedTuple):
+    """A reconstruction and the model of its best piece, None if there is no piece.
+
+    The folders of the pieces may be gone.
+    """
+
+    reconstruction: Reconstruction
+    model: ColmapModel | None
+
+
+def remembered_cameras(
+    photos: Sequence[UnposedPhoto], treatment: str, compute: Callable[[Path], Reconstruction]
+) -> FoundCameras:
+    """What `compute` finds with an empty folder, from the cache if it is there.
 
     Args:
-        treatment: all that the model depends on beside the photographs.
-        compute: takes the empty folder, returns the model's folder inside.
+        treatment: all that the answer depends on beside the photographs.
+        compute: takes the empty folder; the models lie inside.
     """
     kept = Cache("cameras")
     key = _key(photos, treatment)
-    model = kept.load(key, _read)
-    if model is not None:
-        return model
+    found = kept.load(key, _read)
+    if found is not None:
+        return found
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
-        found = compute(Path(name))
-        model = _read(found)
-        kept.save(key, lambda folder: [shutil.copy(found / file, folder) for file in _FILES])
-    return model
+        reconstruction = compute(Path(name))
+        kept.save(key, lambda folder: _write(reconstruction, folder))
+        return FoundCameras(reconstruction, _model(reconstruction))
 
 
 def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
     return content_key(
         treatment,
         version("pycolmap"),
-        source_digest(reconstruct, UnposedPhoto, Decoder, longest_side),
+        source_digest(
+            reconstruct,
+            place_cameras,
+            agreeing_share,
+            image_name,
+            UnposedPhoto,
+            Decoder,
+            longest_side,
+        ),
         *(photo.digest for photo in photos),
     )
 
 
-def _read(folder: Path) -> ColmapModel:
-    return read_colmap_model(folder, "clear the cache folder")
+def _write(found: Reconstruction, folder: Path) -> None:
+    for number, piece in enumerate(found.pieces):
+        target = folder / f"piece_{number}"
+        target.mkdir()
+        for file in _FILES:
+            shutil.copy(piece.folder / file, target)
+    summary = {
+        "pieces": [{"members": p.members, "plausible": p.plausible} for p in found.pieces],
+        "matches": [[*pair, count] for pair, count in found.matches.items()],
+        "features": found.features,
+    }
+    (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
+
+
+def _read(folder: Path) -> FoundCameras:
+    summary = json.loads((folder / _SUMMARY).read_bytes())
+    pieces = [
+        Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
+    ]
+    matches = {(first, second): count for first, second, count in summary["matches"]}
+    reconstruction = Reconstruction(pieces, matches, summary["features"])
+    return FoundCameras(reconstruction, _model(reconstruction))
+
+
+def _model(found: Reconstruction) -> ColmapModel | None:
+    if not found.pieces:
+        return None
+    return read_colmap_model(found.pieces[0].folder, "clear the cache folder")

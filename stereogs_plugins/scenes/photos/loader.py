@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -9,7 +10,6 @@ from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneLoader, hookimpl
 from registry.photos import (
-    IMAGE_SUFFIXES,
     ColmapModel,
     Decoder,
     LoadedPhotos,
@@ -22,8 +22,13 @@ from registry.photos import (
     split_rule,
 )
 
+from .picture_files import is_pictures_alone, list_content
+
 if TYPE_CHECKING:
     from .unposed_photos import UnposedPhoto
+
+
+_log = logging.getLogger("stereogs.photos")
 
 
 class PhotosSettings(SplitSettings):
@@ -55,15 +60,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether every file that is not hidden is a picture."""
-        visible = [path for path in folder.iterdir() if not path.name.startswith(".")]
-        return bool(visible) and all(path.suffix.lower() in IMAGE_SUFFIXES for path in visible)
+        """Whether it holds pictures, in folders within too, and nothing but what comes with them."""
+        return is_pictures_alone(folder)
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: fewer than three photographs, one that cannot be read, two equal ones, or
+            SceneError: fewer than three photographs, one that cannot be read, equal ones, or
                 photographs that do not connect; then it says which do and what to photograph next.
         """
         from .unposed_photos import read_folder
@@ -76,6 +80,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         all_photos = _posed(model, found)
         photos = [all_photos[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
+        _tell_of_transparency(found, decoder)
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         tracks = model.tracks()
         tracks.check(len(found), str(folder))
@@ -86,34 +91,34 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
-            *loaded.split_facts(split_rule(settings.test_every)),
+            *_left_out_facts(folder),
+            *loaded.split_facts(split_rule(settings.test_every), len(found)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
-        from .disconnected import refuse_disconnected
-        from .found_cameras import remembered_model
+        from .disconnected import require_one_piece
+        from .found_cameras import remembered_cameras
         from .structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
-
-        def compute(empty: Path) -> Path:
-            result = reconstruct(found, decoder, settings.share_lens, empty)
-            refuse_disconnected(result, [photo.path.name for photo in found], str(folder))
-            return result.models[0][0]
-
-        treatment = f"{settings.matching_size} {settings.share_lens}"
-        return remembered_model(found, treatment, compute)
+        cameras = remembered_cameras(
+            found,
+            f"{settings.matching_size} {settings.share_lens}",
+            lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
+        )
+        names = [photo.name for photo in found]
+        return require_one_piece(cameras, names, str(folder))
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
-    from .structure_from_motion import image_index
+    from .image_names import image_index
 
-    stems = [photo.path.stem for photo in found]
+    names = _names(found)
     return [
         PosedPhoto(
-            name=stems[k] if stems.count(stems[k]) == 1 else found[k].path.name,
+            name=names[k],
             path=found[k].path,
             world_to_camera=image.world_to_camera,
             lens=model.lens(image),
@@ -122,6 +127,33 @@ def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
         for _, image in model.images
         for k in [image_index(image.name)]
     ]
+
+
+def _names(found: list[UnposedPhoto]) -> list[str]:
+    """The stem of each file; all of its path where stems repeat."""
+    stems = [photo.path.stem for photo in found]
+    return [
+        stem if stems.count(stem) == 1 else photo.name.replace("/", "_")
+        for photo, stem in zip(found, stems, strict=True)
+    ]
+
+
+def _tell_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
+    transparent = [photo.name for photo in found if photo.transparent]
+    if transparent:
+        color = " ".join(f"{channel:g}" for channel in decoder.background)
+        _log.warning(
+            "%d of %d pictures are transparent in places, %s first; laid on the background (%s)",
+            *(len(transparent), len(found), transparent[0], color),
+        )
+
+
+def _left_out_facts(folder: Path) -> list[Fact]:
+    """What lies beside the photographs and is none."""
+    names = [path.name for path in list_content(folder).left_out]
+    few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    text = f"{len(names)} left out: {few}"
+    return [Fact("other_files", len(names), text, affects_scores=False)] if names else []
 
 
 @hookimpl

@@ -1,30 +1,31 @@
-"""Cameras from photographs alone: COLMAP's incremental structure from motion on the CPU.
+"""Cameras from photographs alone: COLMAP's structure from motion on the CPU.
 
-SIFT with domain-size pooling (Dong and Soatto 2015), exhaustive matching, two-view geometry by RANSAC,
-incremental mapping with bundle adjustment (Schoenberger and Frahm 2016). Random choices are seeded,
-photographs are numbered before threads see them, and mapping runs on one thread: the result does not
-depend on how threads take turns.
+SIFT (Lowe 2004), exhaustive matching, two-view geometry by RANSAC, then mapping.py. Where that does
+not place every photograph, once more with domain-size pooling (Dong and Soatto 2015), whose
+descriptors are known again from farther away and take several times as long. Random choices are
+seeded, photographs are numbered before threads see them, and mapping runs on one thread: the result
+does not depend on how threads take turns.
 """
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
 from registry.photos import Decoder, import_pycolmap, in_parallel
 
+from .image_names import image_index, image_name
+from .mapping import MAX_ERROR, SEED, Piece, place_cameras, worth
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from .unposed_photos import UnposedPhoto
 
-MAX_ERROR = 2.0
-"""Pixels, of matches and of points; COLMAP's 4 are meant for photographs several times as large."""
-_SEED = 0
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -33,15 +34,19 @@ class Reconstruction:
     """What came of it.
 
     Args:
-        models: for each connected piece, its folder (a COLMAP model) and its photographs, as indices;
-            the largest first. Photographs in the model are named by their index, `0007.png`.
+        pieces: photographs that fit together; the best piece first.
         matches: numbers of matches that fit one two-view geometry, by pair of indices, first < second.
         features: the number of features of each photograph.
     """
 
-    models: list[tuple[Path, list[int]]]
+    pieces: list[Piece]
     matches: dict[tuple[int, int], int]
     features: list[int]
+
+    @property
+    def rank(self) -> tuple[bool, int, int]:
+        """What the better of two has more of: a plausible lens, photographs placed, matches."""
+        return (*worth(self.pieces), sum(self.matches.values()))
 
 
 def reconstruct(
@@ -69,29 +74,38 @@ def reconstruct(
         ),
         range(len(photos)),
     )
-    colmap.set_random_seed(_SEED)
-    colmap.Database.open(database).close()  # import_images wants it to exist
-    for group in _lenses(photos, share_lens):
-        _import(colmap, database, images, group, photos[group[0]], decoder)
-    _extract(colmap, database, images)
+    lenses = _lenses(photos, share_lens)
+    best: Reconstruction | None = None
+    for name, pooled in (("plain", False), ("pooled", True)):
+        workplace = folder / name
+        workplace.mkdir()
+        database = workplace / "matches.db"
+        colmap.set_random_seed(SEED)
+        colmap.Database.open(database).close()  # import_images wants it to exist
+        for group in lenses:
+            _import(colmap, database, images, group, photos[group[0]], decoder)
+        _extract(colmap, database, images, pooled)
+        found = _matched_and_placed(colmap, database, images, workplace, len(photos))
+        if best is None or found.rank > best.rank:
+            best = found
+        if best.rank[:2] == (True, len(photos)):
+            break
+        _log.info("the cameras of %d of %d photographs fit together", best.rank[1], len(photos))
+    assert best is not None
+    return best
+
+
+def _matched_and_placed(
+    colmap: Any, database: Path, images: Path, folder: Path, count: int
+) -> Reconstruction:
     _match(colmap, database)
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches = _verified_matches(colmap, opened, index)
     _log.info("matched %d pairs of photographs; placing the cameras", len(matches))
-    models = _map(colmap, database, images, folder)
-    return Reconstruction(models, matches, [features[k] for k in range(len(photos))])
-
-
-def image_name(index: int) -> str:
-    """What a photograph is called inside a model."""
-    return f"{index:04d}.png"
-
-
-def image_index(name: str) -> int:
-    """The inverse of `image_name`."""
-    return int(Path(name).stem)
+    pieces = place_cameras(colmap, database, images, folder, count)
+    return Reconstruction(pieces, matches, [features[k] for k in range(count)])
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:
@@ -126,15 +140,15 @@ def _import(
     )
 
 
-def _extract(colmap: Any, database: Path, images: Path) -> None:
+def _extract(colmap: Any, database: Path, images: Path, pooled: bool) -> None:
     options = colmap.FeatureExtractionOptions()
-    options.sift.domain_size_pooling = True
+    options.sift.domain_size_pooling = pooled
     colmap.extract_features(database, images, extraction_options=options, device=colmap.Device.cpu)
 
 
 def _match(colmap: Any, database: Path) -> None:
     geometry = colmap.TwoViewGeometryOptions()
-    geometry.ransac.random_seed = _SEED
+    geometry.ransac.random_seed = SEED
     geometry.ransac.max_error = MAX_ERROR
     colmap.match_exhaustive(
         database,
@@ -154,21 +168,3 @@ def _verified_matches(
         if len(geometry.inlier_matches):
             found[first, second] = len(geometry.inlier_matches)
     return found
-
-
-def _map(colmap: Any, database: Path, images: Path, folder: Path) -> list[tuple[Path, list[int]]]:
-    options = colmap.IncrementalPipelineOptions(num_threads=1, random_seed=_SEED, min_model_size=2)
-    # With few photographs most points are seen by two alone, and are needed.
-    options.triangulation.ignore_two_view_tracks = False
-    options.mapper.filter_max_reproj_error = MAX_ERROR
-    options.triangulation.merge_max_reproj_error = MAX_ERROR
-    options.triangulation.complete_max_reproj_error = MAX_ERROR
-    found = colmap.incremental_mapping(database, images, folder / "mapping", options)
-    models = []
-    for number, model in found.items():
-        path = folder / f"model_{number}"
-        path.mkdir()
-        model.write(path)
-        members = sorted(image_index(model.image(k).name) for k in model.reg_image_ids())
-        models.append((path, members))
-    return sorted(models, key=lambda item: -len(item[1]))

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from registry import SceneError
-from registry.photos import Size, in_parallel, list_images, open_image, upright_size
+from registry.photos import Size, in_parallel, open_image, upright_size
+
+from .picture_files import readable_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from PIL import Image
+
 MIN_PHOTOS = 3
 """From two photographs the lens cannot be told from the depth."""
-UNREADABLE = (".heic", ".heif", ".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
-"""Endings of pictures that are not read here, and must not be left out in silence."""
 _FIX = "take it out of the folder, or save it anew as an 8-bit PNG or JPEG"
 _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
@@ -34,55 +36,45 @@ class UnposedPhoto:
     """A picture file.
 
     Args:
+        name: its path within the folder of photographs, with / between folders.
         size: `(width, height)` once it is upright.
         turned: EXIF says that it is stored sideways.
         focal: focal length in units of the longer side, from EXIF; None if it does not say.
         camera: make and model, empty if the file does not say.
         digest: hash of the file's bytes.
+        transparent: some of its pixels let the background through.
     """
 
     path: Path
+    name: str
     size: Size
     turned: bool
     focal: float | None
     camera: str
     digest: str
+    transparent: bool
 
 
 def read_folder(folder: Path) -> list[UnposedPhoto]:
-    """The pictures in a folder, sorted by name.
+    """The pictures in a folder and the folders within, sorted by path.
 
     Raises:
         SceneError: there is no such folder, it has fewer than three pictures, one of a kind that is
-            not read here, one that cannot be opened, or two equal ones.
+            not read here, one that cannot be opened, or equal ones.
     """
-    if not folder.is_dir():
-        raise SceneError(
-            "the folder of photographs does not exist",
-            where=str(folder),
-            fix="set `path` to a folder that holds pictures",
-        )
-    unreadable = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in UNREADABLE)
-    if unreadable:
-        raise SceneError(
-            f"{len(unreadable)} pictures are of a kind that is not read: {', '.join(unreadable[:3])}"
-            + (", ..." if len(unreadable) > 3 else ""),
-            where=str(folder),
-            fix="convert them to JPEG or PNG, or take them out of the folder",
-        )
-    paths = list_images(folder)
+    paths = readable_pictures(folder)
     if len(paths) < MIN_PHOTOS:
         raise SceneError(
             f"cameras are found from at least {MIN_PHOTOS} photographs; here are {len(paths)}",
             where=str(folder),
             fix="add photographs that overlap, taken from different places",
         )
-    photos = in_parallel(_read, paths)
+    photos = in_parallel(lambda path: _read(path, path.relative_to(folder).as_posix()), paths)
     _refuse_copies(photos, folder)
     return photos
 
 
-def _read(path: Path) -> UnposedPhoto:
+def _read(path: Path, name: str) -> UnposedPhoto:
     with open_image(path, "the photograph", _FIX) as file:
         size = upright_size(file)
         turned = size != file.size
@@ -90,7 +82,13 @@ def _read(path: Path) -> UnposedPhoto:
         camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL)).strip()
         focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return UnposedPhoto(path, size, turned, focal, camera, digest)
+        transparent = file.has_transparency_data and _has_clear_pixels(file)
+    return UnposedPhoto(path, name, size, turned, focal, camera, digest, transparent)
+
+
+def _has_clear_pixels(file: Image.Image) -> bool:
+    lowest, _ = file.convert("RGBA").getchannel("A").getextrema()
+    return isinstance(lowest, int | float) and lowest < 255
 
 
 def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
@@ -122,12 +120,18 @@ def _number(exif: dict[int, Any], tag: int) -> float | None:
 
 
 def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
+    """Tell of all copies at once."""
     first: dict[str, UnposedPhoto] = {}
-    for photo in photos:
-        other = first.setdefault(photo.digest, photo)
-        if other is not photo:
-            raise SceneError(
-                f"{other.path.name} and {photo.path.name} are the same picture",
-                where=str(folder),
-                fix="take one of them out of the folder",
-            )
+    copies = [photo for photo in photos if first.setdefault(photo.digest, photo) is not photo]
+    if not copies:
+        return
+    if len(copies) == 1:
+        what = f"{first[copies[0].digest].name} and {copies[0].name} are the same picture"
+    else:
+        lines = (f"  {photo.name} is {first[photo.digest].name}" for photo in copies)
+        what = "\n".join([f"{len(copies)} files are copies of other pictures here:", *lines])
+    raise SceneError(
+        what,
+        where=str(folder),
+        fix=f"take out of the folder: {', '.join(photo.name for photo in copies)}",
+    )

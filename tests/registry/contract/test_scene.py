@@ -100,6 +100,19 @@ def test_a_whole_scene_passes_unchanged() -> None:
         assert validate(scene) is scene
 
 
+def test_of_one_pose_among_many_the_first_view_stays(caplog: pytest.LogCaptureFixture) -> None:
+    scene = tiny_scene()
+    first, second = scene.train[:2]
+    moved = replace(second.camera, world_to_camera=pose_with(0, 3, 3.0))
+    third = replace(second, name="third", camera=moved)
+    copy = replace(second, name="copy", camera=first.camera)
+    checked = validate(replace(scene, train=(first, second, copy, third)))
+    assert [view.name for view in checked.train] == [first.name, second.name, "third"]
+    assert checked.fact("left_out_for_equal_pose") == "copy"
+    assert f"{first.name} and copy have the same pose; copy is left out" in caplog.text
+    assert validate(checked) is checked
+
+
 def test_a_test_view_may_share_a_pose() -> None:
     scene = tiny_scene()
     test = View("again", scene.train[0].camera, scene.train[0].image)

@@ -151,10 +151,6 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         "not a rotation",
     ),
     "one frame twice": (lambda c: c["frames"].append(c["frames"][0]), "two views are named"),
-    "one pose twice": (
-        lambda c: c["frames"][1].update(transform_matrix=c["frames"][4]["transform_matrix"]),
-        "the same pose",
-    ),
 }
 
 

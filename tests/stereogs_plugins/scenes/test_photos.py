@@ -3,6 +3,7 @@ from __future__ import annotations
 import logging
 import math
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,17 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import Scene, SceneError
 from registry.drawing.pictures import to_bytes
+from registry.photos import ColmapModel, Decoder
 from registry.testing import check
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.photos import PhotosScene, stereogs_register_scenes
-from stereogs_plugins.scenes.photos.disconnected import refuse_disconnected
-from stereogs_plugins.scenes.photos.found_cameras import remembered_model
+from stereogs_plugins.scenes.photos import (
+    PhotosScene,
+    stereogs_register_scenes,
+    structure_from_motion,
+)
+from stereogs_plugins.scenes.photos.disconnected import require_one_piece
+from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
+from stereogs_plugins.scenes.photos.mapping import Piece
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from stereogs_plugins.scenes.procedural import ProceduralScene
@@ -93,6 +100,15 @@ def pose_errors(found: list[Camera], truth: list[Camera]) -> tuple[Array, Array]
     return rotations, directions
 
 
+NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
+MATCHES = {(0, 1): 200, (0, 2): 90, (1, 2): 150, (3, 4): 80, (2, 3): 12, (1, 3): 9}
+
+
+def reconstruction_of(entry: Path) -> Reconstruction:
+    """What an entry of the cache holds, with other matches."""
+    return Reconstruction([Piece(entry / "piece_0", [0, 1, 2, 3, 4])], MATCHES, [900] * COUNT)
+
+
 def test_is_offered_as_photos() -> None:
     assert offered(stereogs_register_scenes) == {"photos": PhotosScene}
 
@@ -163,26 +179,32 @@ def test_damaged_cameras_are_found_anew(
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
-    def compute(empty: Path) -> Path:
+    def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return shutil.copytree(whole, empty / "model")
+        return reconstruction_of(whole)
 
-    before = remembered_model(photos, "treatment", compute)
+    before = remembered_cameras(photos, "treatment", compute)
     (kept,) = tmp_path.glob("cameras/*")
-    content = bytearray((kept / "images.bin").read_bytes())
+    images = kept / "piece_0" / "images.bin"
+    content = bytearray(images.read_bytes())
     if damage == "flip":
         content[20] ^= 1
-        (kept / "images.bin").write_bytes(content)
+        images.write_bytes(content)
     elif damage == "cut":
-        (kept / "images.bin").write_bytes(content[:100])
+        images.write_bytes(content[:100])
     elif damage == "missing":
-        (kept / "images.bin").unlink()
+        images.unlink()
     else:
         (kept / "checksum.txt").write_bytes(b"\xff")
-    after = remembered_model(photos, "treatment", compute)
+    after = remembered_cameras(photos, "treatment", compute)
     assert "damaged" in caplog.text
-    assert after.images == before.images
-    assert remembered_model(photos, "treatment", compute).points == before.points
+    assert before.model is not None
+    assert after.model is not None
+    assert after.model.images == before.model.images
+    again = remembered_cameras(photos, "treatment", compute)
+    assert again.model is not None
+    assert again.model.points == before.model.points
+    assert again.reconstruction.matches == before.reconstruction.matches == MATCHES
     assert len(asked) == 2
 
 
@@ -194,12 +216,12 @@ def test_other_photographs_or_settings_are_other_cameras(
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
-    def compute(empty: Path) -> Path:
+    def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return whole
+        return reconstruction_of(whole)
 
     for treatment, chosen in (("a", photos), ("a", photos), ("b", photos), ("a", photos[1:])):
-        remembered_model(chosen, treatment, compute)
+        remembered_cameras(chosen, treatment, compute)
     assert len(asked) == 3
 
 
@@ -229,10 +251,6 @@ def test_the_contract(folder: Path, cached: Path) -> None:
     check(PhotosScene, path=folder)
 
 
-NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
-MATCHES = {(0, 1): 200, (0, 2): 90, (1, 2): 150, (3, 4): 80, (2, 3): 12, (1, 3): 9}
-
-
 class TestExplanation:
     def explain(
         self,
@@ -240,10 +258,10 @@ class TestExplanation:
         features: tuple[int, ...] = (900,) * len(NAMES),
         matches: dict[tuple[int, int], int] = MATCHES,
     ) -> SceneError:
-        models = [(Path(), members) for members in pieces]
-        found = Reconstruction(models, matches, list(features))
+        found = Reconstruction([Piece(Path(), p) for p in pieces], matches, list(features))
+        model = ColmapModel({}, [], [], Path()) if pieces else None
         with pytest.raises(SceneError) as caught:
-            refuse_disconnected(found, NAMES, "folder")
+            require_one_piece(FoundCameras(found, model), NAMES, "folder")
         return caught.value
 
     def test_groups_matches_and_the_picture_between(self) -> None:
@@ -270,14 +288,26 @@ class TestExplanation:
         error = self.explain([[0, 1, 2, 3]], (900, 900, 900, 900, 17))
         assert "take e.jpg again: 17 details" in error.fix
 
+    def test_many_matches_are_not_called_few(self) -> None:
+        error = self.explain([[0, 1, 2, 3]], matches=MATCHES | {(3, 4): 1660})
+        assert "e.jpg shares 1,660 matches with d.jpg" in error.fix
+        assert "only" not in error.fix
+
     def test_nothing_at_all(self) -> None:
-        error = self.explain([])
+        error = self.explain([], matches={(0, 1): 12})
         assert "no two of the 5 photographs overlap" in error.what
         assert "group" not in error.what
 
+    def test_matches_without_depth(self) -> None:
+        error = self.explain([], matches={(0, 1): 1660})
+        assert "share up to 1,660 matches" in error.what
+        assert "overlap" not in str(error)
+        assert "step to the side" in error.fix
+
     def test_one_piece_is_accepted(self) -> None:
-        found = Reconstruction([(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
-        refuse_disconnected(found, NAMES, "folder")
+        found = Reconstruction([Piece(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
+        model = ColmapModel({}, [], [], Path())
+        assert require_one_piece(FoundCameras(found, model), NAMES, "folder") is model
 
 
 def write_pictures(folder: Path, count: int) -> None:
@@ -313,18 +343,88 @@ def test_a_file_that_is_no_picture(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-def test_equal_pictures(tmp_path: Path) -> None:
+def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     shutil.copy(tmp_path / "0.jpg", tmp_path / "copy.jpg")
     with pytest.raises(SceneError, match=r"0\.jpg and copy\.jpg are the same picture"):
         load(tmp_path)
+    (tmp_path / "in").mkdir()
+    shutil.copy(tmp_path / "1.jpg", tmp_path / "in" / "1.jpg")
+    with pytest.raises(SceneError) as caught:
+        load(tmp_path)
+    assert caught.value.what.splitlines()[1:] == ["  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg"]
+    assert caught.value.fix == "take out of the folder: copy.jpg, in/1.jpg"
 
 
 def test_pictures_of_a_kind_that_is_not_read_are_not_left_out(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
-    (tmp_path / "IMG_1.HEIC").write_bytes(b"")
-    with pytest.raises(SceneError, match=r"IMG_1\.HEIC"):
+    (tmp_path / "IMG_1.CR3").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"IMG_1\.CR3"):
         load(tmp_path)
+
+
+def test_a_phones_folder(tmp_path: Path) -> None:
+    dcim = tmp_path / "DCIM"
+    (dcim / "100APPLE").mkdir(parents=True)
+    (dcim / "101APPLE").mkdir()
+    write_pictures(dcim / "100APPLE", 3)
+    (dcim / "100APPLE" / "1.jpg").rename(dcim / "101APPLE" / "1.jpg")
+    for name in ("Thumbs.db", "IMG_1.MOV", "IMG_1.AAE", "__MACOSX/x.jpg", ".thumbnails/y.jpg"):
+        (dcim / name).parent.mkdir(exist_ok=True)
+        (dcim / name).touch()
+    assert PhotosScene.recognizes(tmp_path)
+    assert [photo.name for photo in read_folder(tmp_path)] == [
+        "DCIM/100APPLE/0.jpg",
+        "DCIM/100APPLE/2.jpg",
+        "DCIM/101APPLE/1.jpg",
+    ]
+
+
+def test_heic_is_read_with_pillow_heif(tmp_path: Path) -> None:
+    pillow_heif = pytest.importorskip("pillow_heif", reason="pip install pillow-heif")
+    write_pictures(tmp_path, 2)
+    picture = Image.linear_gradient("L").resize((64, 48)).convert("RGB")
+    pillow_heif.from_pillow(picture).save(tmp_path / "IMG_1.HEIC", quality=95)
+    photo = read_folder(tmp_path)[-1]
+    assert (photo.name, photo.size) == ("IMG_1.HEIC", (64, 48))
+    difference = np.asarray(picture, dtype=float) - Decoder(upright=True).read(photo.path)
+    assert np.abs(difference).mean() < 4
+
+
+def test_heic_without_pillow_heif(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    write_pictures(tmp_path, 3)
+    for index in range(5):
+        (tmp_path / f"IMG_{index}.HEIC").touch()
+    with pytest.raises(SceneError) as caught:
+        load(tmp_path)
+    assert "IMG_0.HEIC, IMG_1.HEIC, IMG_2.HEIC and 2 more" in caught.value.what
+    assert "pip install 'stereogs-plugins[heic]'" in caught.value.fix
+
+
+def test_transparent_pictures_are_laid_on_the_background(
+    folder: Path,
+    cached: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (whole,) = cached.glob("cameras/*")
+    monkeypatch.setenv("STEREOGS_CACHE", "")
+    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: reconstruction_of(whole))
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    for path, alpha in (("train_01", 0), ("train_03", 255)):
+        with Image.open(copy / f"{path}.jpg") as file:
+            picture = file.convert("RGBA")
+        picture.paste((255, 0, 0, alpha), (0, 0, 5, 5))
+        picture.save(copy / f"{path}.png")
+        (copy / f"{path}.jpg").unlink()
+    assert [photo.name for photo in read_folder(copy) if photo.transparent] == ["train_01.png"]
+    scene = load(copy, test_every=0)
+    assert "1 of 5 pictures are transparent in places, train_01.png first" in caplog.text
+    assert "background (0 0 0)" in caplog.text
+    assert float(scene.train[1].image[:3, :3].max()) < 0.2
+    assert scene.background == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -354,6 +454,8 @@ def test_folders_that_are_recognized(tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
     write_pictures(tmp_path, 1)
     (tmp_path / ".hidden").touch()
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "Thumbs.db").touch()
     assert PhotosScene.recognizes(tmp_path)
     (tmp_path / "cameras.txt").touch()
     assert not PhotosScene.recognizes(tmp_path)

@@ -1,0 +1,133 @@
+"""From matches to cameras: several ways of mapping, until one places every photograph.
+
+Incremental mapping (Schoenberger and Frahm 2016) starts from two photographs whose rays meet at a wide
+angle. COLMAP asks for 16 degrees, which makes for an exact start and which photographs that all look
+forward do not have; from 2 degrees on they succeed too. Global mapping (Pan et al. 2024) needs no
+first pair. A wrong model shows in the matches that it leaves unexplained (support.py) and in the lens,
+which it bends beyond what cameras have.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .image_names import image_index
+from .support import agreeing_share
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+MAX_ERROR = 2.0
+"""Pixels, of matches and of points; COLMAP's 4 are meant for photographs several times as large."""
+SEED = 0
+FOCAL_RANGE = (0.3, 4.0)
+"""In units of the longer side: from the widest lens of a phone to its longest."""
+MOST_DISTORTION = 1.0
+"""Of the radial term k1; beyond, a picture would be folded before its corners."""
+LEAST_SUPPORT = 0.9
+"""Share of the matches that agree with a model; right ones have 0.99 and more, wrong ones 0.8 and less."""
+_FIRST_PAIR_DEGREES = (16.0, 2.0)
+_log = logging.getLogger("stereogs.photos")
+
+
+class Piece(NamedTuple):
+    """Photographs that fit together.
+
+    Args:
+        folder: a COLMAP model, in which photographs are named by their index.
+        members: indices of its photographs, sorted.
+        plausible: its lenses are ones that cameras have.
+    """
+
+    folder: Path
+    members: list[int]
+    plausible: bool = True
+
+
+def place_cameras(
+    colmap: Any, database: Path, images: Path, folder: Path, count: int
+) -> list[Piece]:
+    """The pieces of the best attempt, the best first; none if no two photographs fit together.
+
+    Models that the matches contradict are no pieces.
+
+    Attempts are made in order of their cost until one places all photographs with a plausible lens.
+    Otherwise the attempt wins that places most with such a lens, of equals the first.
+
+    Args:
+        database: keypoints, matches and two-view geometries.
+        images: the folder of the photographs, from which points take their colours.
+        folder: takes the models.
+        count: of photographs.
+    """
+    best: list[Piece] = []
+    for name, attempt in _attempts(colmap):
+        target = folder / name
+        target.mkdir()
+        found = [
+            model
+            for model in attempt(database, images, target).values()
+            if agreeing_share(colmap, database, model, 2 * MAX_ERROR) >= LEAST_SUPPORT
+        ]
+        pieces = _pieces(found, target)
+        if pieces and worth(pieces) > worth(best):
+            best = pieces
+        if worth(best) == (True, count):
+            break
+    return best
+
+
+def worth(pieces: list[Piece]) -> tuple[bool, int]:
+    """What the better of two attempts has more of: a plausible lens, photographs in the best piece."""
+    return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
+
+
+def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
+    """Name and mapping of each attempt, the cheapest first."""
+
+    def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
+        options = _incremental_options(colmap, degrees)
+        return lambda *paths: colmap.incremental_mapping(*paths, options)
+
+    return [
+        *((f"incremental_{degrees:g}", incremental(degrees)) for degrees in _FIRST_PAIR_DEGREES),
+        ("global", lambda *paths: colmap.global_mapping(*paths, _global_options(colmap))),
+    ]
+
+
+def _incremental_options(colmap: Any, degrees: float) -> Any:
+    options = colmap.IncrementalPipelineOptions(num_threads=1, random_seed=SEED, min_model_size=2)
+    options.mapper.init_min_tri_angle = degrees
+    # With few photographs most points are seen by two alone, and are needed.
+    options.triangulation.ignore_two_view_tracks = False
+    options.mapper.filter_max_reproj_error = MAX_ERROR
+    options.triangulation.merge_max_reproj_error = MAX_ERROR
+    options.triangulation.complete_max_reproj_error = MAX_ERROR
+    return options
+
+
+def _global_options(colmap: Any) -> Any:
+    options = colmap.GlobalPipelineOptions(num_threads=1, random_seed=SEED)
+    options.mapper.num_threads = 1
+    options.mapper.retriangulation.ignore_two_view_tracks = False
+    return options
+
+
+def _pieces(found: list[Any], folder: Path) -> list[Piece]:
+    pieces = []
+    for number, model in enumerate(found):
+        path = folder / f"model_{number}"
+        path.mkdir()
+        model.write(path)
+        members = sorted(image_index(model.image(k).name) for k in model.reg_image_ids())
+        plausible = all(_is_plausible(camera) for camera in model.cameras.values())
+        pieces.append(Piece(path, members, plausible))
+    return sorted(pieces, key=lambda piece: (not piece.plausible, -len(piece.members)))
+
+
+def _is_plausible(camera: Any) -> bool:
+    focal = camera.focal_length / max(camera.width, camera.height)
+    distortion = abs(float(camera.params[camera.extra_params_idxs()[0]]))
+    return FOCAL_RANGE[0] < float(focal) < FOCAL_RANGE[1] and distortion < MOST_DISTORTION
