@@ -30,7 +30,7 @@ fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, a
 	$(BIN)/python -m tests.fuzzing 100000
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
-	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/test_scaffolding.py
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/plugins/test_scaffolding.py
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

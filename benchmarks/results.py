@@ -31,7 +31,7 @@ from registry import RunError
 from registry.ablation.running.folder import AblationFolder
 from registry.ablation.running.runner import train_all
 from registry.cache import FOLDER_VARIABLE
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 OUT = Path(__file__).parent / "out" / "results"
 DOCS = Path(__file__).parent.parent / "docs"

@@ -14,7 +14,7 @@ from registry import RunError
 from registry.ablation.running.folder import AblationFolder
 from registry.comparing.comparability import check_comparable
 from registry.comparing.comparison import FinishedRun, read_run
-from registry.files import write_text
+from registry.system.files import write_text
 
 Key = TypeVar("Key")
 

@@ -9,8 +9,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from registry.comparing.comparison import FinishedRun
 from registry.drawing.pictures import ViewPictures
-from registry.files import replacing
 from registry.runs.results import RENDERS
+from registry.system.files import replacing
 
 THUMBNAIL = (160, 120)
 """The box that each picture is made to fit into, pixels."""

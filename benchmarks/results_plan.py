@@ -10,11 +10,11 @@ from pathlib import Path
 from registry import RunError
 from registry.ablation.planning.making import pipeline_digest
 from registry.ablation.planning.plan import Combination, PlannedRun
+from registry.messages.suggestions import listing
 from registry.pipeline.edits import apply_override
 from registry.pipeline.pipeline import build_pipeline
 from registry.pipeline.yaml_source import read
-from registry.plugins import Plugins
-from registry.suggestions import listing
+from registry.plugins.discovery import Plugins
 
 DATA = "STEREOGS_DATA"
 PIPELINES = Path(__file__).parent.parent / "pipelines"

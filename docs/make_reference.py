@@ -13,7 +13,7 @@ from registry import Settings
 from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import LearningRates, TrainingSettings
-from registry.plugins import Offer, Plugins
+from registry.plugins.discovery import Offer, Plugins
 
 PAGE = Path(__file__).parent / "components.md"
 PACKAGE = "stereogs-plugins"

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from .drawing.metric_images import ImageMetricSettings, white_outside
     from .drawing.pictures import grey, nearness_picture, side_by_side
     from .errors import PipelineError, PluginError, RunError, SceneError
-    from .files import write_text
     from .priors.capabilities import (
         MatchingPrior,
         MonocularDepthPrior,
@@ -63,7 +62,8 @@ if TYPE_CHECKING:
     from .priors.onnx_model import OnnxModel, OnnxTensor
     from .priors.onnx_session import OnnxProvider, first_line
     from .priors.onnx_settings import OnnxModelSettings
-    from .results_file import read_results
+    from .runs.results_file import read_results
+    from .system.files import write_text
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -14,24 +14,10 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import (
-    ablate,
-    check,
-    compare,
-    demo,
-    doctor,
-    evaluate,
-    explain,
-    plugins,
-    priors,
-    render,
-    replay,
-    resume,
-    schema,
-    train,
-)
+from .commands import ablate, check, compare, doctor, explain, plugins, priors, schema
 from .commands.output import error_console
-from .suggestions import did_you_mean, listing
+from .commands.runs import demo, evaluate, render, replay, resume, train
+from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
@@ -115,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _log_to_the_terminal() -> None:
-    from .terminal import PlainFormatter
+    from .messages.terminal import PlainFormatter
 
     handler = logging.StreamHandler()
     handler.setFormatter(PlainFormatter("stereogs: %(message)s"))

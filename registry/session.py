@@ -31,7 +31,7 @@ from .pipeline.pipeline import build_pipeline as checked_pipeline
 from .pipeline.ready import find_pipeline
 from .pipeline.schedule import HostSettings
 from .pipeline.yaml_source import Node, Place, parse, read, to_yaml
-from .plugins import Plugins
+from .plugins.discovery import Plugins
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -386,7 +386,7 @@ def _device(device: Device | str | None) -> Device:
 def _console(progress: bool | Console) -> Console:
     from rich.console import Console
 
-    from .terminal import PlainConsole
+    from .messages.terminal import PlainConsole
 
     if isinstance(progress, Console):
         return progress

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from registry.plugins import SELECTION
+from registry.plugins.discovery import SELECTION
 
 ROOT = Path(__file__).parent.parent
 _PIP = ("-m", "pip", "--disable-pip-version-check", "install", "-q", "--no-deps", "--no-index")

@@ -13,11 +13,10 @@ MOST_ROOMS = 12
 """Modules that one folder may hold before a newcomer loses the way."""
 
 FLOORS = (
-    ("errors", "files", "memory", "suggestions", "terminal", "web_page"),
-    ("contract", "cache", "image_fitting", "calls", "results_file"),
+    ("errors", "system", "messages", "web_page"),
+    ("contract", "cache", "image_fitting", "calls"),
     ("drawing", "plugins", "photos", "virtual_views"),
-    ("recognition",),
-    ("priors", "pipeline", "scaffolding"),
+    ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),
     ("comparing", "ablation", "session", "testing"),

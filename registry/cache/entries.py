@@ -17,7 +17,7 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, TypeVar
 
-from ..files import new_folder
+from ..system.files import new_folder
 from .eviction import CHECKSUM, make_room
 from .place import cache_folder
 

@@ -117,7 +117,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
     from ..ablation.planning.arguments import with_arguments
     from ..ablation.planning.description import read_description
     from ..ablation.planning.making import make_plan
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
 
     description = with_arguments(
         read_description(arguments.file, arguments.pipeline),
@@ -133,7 +133,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
 def _write(plan: Plan, results: Results, folder: AblationFolder) -> None:
     from ..ablation.showing.page import as_page
     from ..ablation.showing.table import as_csv, as_text
-    from ..files import write_text
+    from ..system.files import write_text
 
     write_text(folder.path / "ablation.txt", as_text(plan, results))
     write_text(folder.path / "ablation.csv", as_csv(plan, results, folder))

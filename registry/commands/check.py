@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Load, print, and draw."""
     _check_picture(arguments.out)
     from ..inspection.scene_source import find_loader, load
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
 
     output = console()
     found = find_loader(

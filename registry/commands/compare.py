@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import RunError
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
 from .output import Verbs, add_verb, console
 
 if TYPE_CHECKING:

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print it; 1 if something in it is known to go wrong."""
     from ..inspection.explanation import explained, faults, memory
     from ..pipeline.pipeline import load_pipeline
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
 
     pipeline = load_pipeline(
         arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable

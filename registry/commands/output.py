@@ -14,14 +14,14 @@ Verbs = Any
 
 def console() -> Console:
     """Standard output, as it is now."""
-    from ..terminal import PlainConsole
+    from ..messages.terminal import PlainConsole
 
     return PlainConsole(markup=False, highlight=False, soft_wrap=True)
 
 
 def error_console() -> Console:
     """Standard error, as it is now."""
-    from ..terminal import PlainConsole
+    from ..messages.terminal import PlainConsole
 
     return PlainConsole(stderr=True, markup=False, highlight=False, soft_wrap=True)
 

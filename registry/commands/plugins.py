@@ -13,7 +13,7 @@ from .output import Verbs, add_verb, console
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..plugins import Offer
+    from ..plugins.discovery import Offer
 
 FAULT = 1
 
@@ -64,7 +64,7 @@ def _add_new(verbs: Verbs) -> None:
 
 def run_new(arguments: argparse.Namespace) -> int:
     """Write the package and say what comes next."""
-    from ..scaffolding import new_plugin
+    from ..plugins.scaffolding import new_plugin
 
     folder = new_plugin(arguments.name, arguments.kind, arguments.into)
     console().print(f"wrote {folder}; its README.md says what comes next")
@@ -73,7 +73,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """List them; 1 if --check finds a fault."""
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
 
     plugins = Plugins()
     offers = plugins.all()

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from core_rasterizer import open_device
 
     from ..inspection.prior_trials import guesses, known_truth
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
     from ..priors.onnx_model import OnnxModel
     from ..training.threads import one_torch_thread
 
@@ -118,7 +118,7 @@ def _tried(
 
 
 def _conclude(best: Trial, output: Console) -> None:
-    from ..memory import peak_memory_mb
+    from ..system.memory import peak_memory_mb
 
     output.print(f"\nbest: {best.score.text}")
     memory = peak_memory_mb()

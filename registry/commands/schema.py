@@ -27,7 +27,7 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print it; plugins that cannot be loaded are told of, and left out."""
     from ..inspection.schema import pipeline_schema
-    from ..plugins import Plugins
+    from ..plugins.discovery import Plugins
 
     plugins = Plugins()
     print(json.dumps(pipeline_schema(plugins.all()), indent=1))

@@ -11,8 +11,8 @@ from typing import Any
 from ..errors import RunError
 from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import read
-from ..results_file import read_results
 from ..runs.folder import RESULTS, RunFolder
+from ..runs.results_file import read_results
 
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
 

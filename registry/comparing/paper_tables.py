@@ -14,9 +14,9 @@ from pydantic import Field, model_validator
 
 from ..contract.component import Settings
 from ..errors import RunError
+from ..messages.suggestions import did_you_mean, listing
 from ..pipeline.settings_check import validate_settings
 from ..pipeline.yaml_source import parse
-from ..suggestions import did_you_mean, listing
 
 GROUP = "stereogs.paper_tables"
 

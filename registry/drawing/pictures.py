@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from ..contract.scene import View
-from ..files import replacing
+from ..system.files import replacing
 
 if TYPE_CHECKING:
     import numpy as np

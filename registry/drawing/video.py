@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from ..files import replacing
+from ..system.files import replacing
 from .pictures import save_png, to_bytes
 
 FRAMES_PER_SECOND = 30

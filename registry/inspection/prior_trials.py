@@ -22,7 +22,7 @@ from ..pipeline.pipeline import Item
 from ..pipeline.schedule import HostSettings
 from ..pipeline.settings_check import escape_variables, plain, validate_settings
 from ..pipeline.yaml_source import Place, parse, to_yaml
-from ..plugins import Offer, Plugins
+from ..plugins.discovery import Offer, Plugins
 from .prior_truth import Score, Truth, judge, truth_of
 from .scene_source import find_loader, load
 

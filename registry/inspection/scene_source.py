@@ -15,8 +15,8 @@ from ..pipeline.ready import is_pipeline_file, ready_pipelines
 from ..pipeline.schedule import HostSettings
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import Node, Place
-from ..plugins import Plugins
-from ..recognition import SCENE, recognize
+from ..plugins.discovery import Plugins
+from ..plugins.recognition import SCENE, recognize
 
 if TYPE_CHECKING:
     from core_rasterizer import Device

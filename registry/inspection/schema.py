@@ -17,7 +17,7 @@ from ..pipeline.protocol_rules import ProtocolChoice
 from ..pipeline.protocols import protocol_names
 from ..pipeline.schedule import HostSettings
 from ..pipeline.training_settings import TrainingSettings
-from ..plugins import Offer
+from ..plugins.discovery import Offer
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 HEADER = "# yaml-language-server: $schema="

@@ -15,7 +15,7 @@ from ..calls.process_state import left_as_found, no_global_random_numbers, own_r
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.prior import Prior
 from ..errors import PluginError
-from ..plugins import Offer
+from ..plugins.discovery import Offer
 from .yaml_source import Place
 
 

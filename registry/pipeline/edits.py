@@ -9,9 +9,9 @@ from pathlib import Path
 from ..contract.components import SceneLoader
 from ..contract.hook_points import HOOK_POINTS
 from ..errors import PipelineError
-from ..plugins import Plugins
-from ..recognition import recognize, recognizing
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
+from ..plugins.discovery import Plugins
+from ..plugins.recognition import recognize, recognizing
 from .settings_check import plain
 from .yaml_source import Node, Place, parse
 

@@ -10,8 +10,8 @@ from typing import Any
 from ..contract.component import Settings
 from ..contract.hook_points import HOOK_POINTS, HookPoint
 from ..errors import PipelineError, PluginError
-from ..plugins import Offer, Plugins
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
+from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, disable, expand
 from .protocol_rules import AppliedProtocol, apply_protocol
 from .ready import find_pipeline

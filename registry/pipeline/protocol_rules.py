@@ -15,7 +15,7 @@ from typing import Any
 
 from ..contract.component import Settings
 from ..errors import PipelineError
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
 from .edits import expand, item_names
 from .protocols import Protocol, protocol_names, read_protocol
 from .settings_check import plain, validate_settings

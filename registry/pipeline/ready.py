@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import PipelineError
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
 
 GROUP = "stereogs.pipelines"
 _SUFFIXES = (".yaml", ".yml")

@@ -12,7 +12,7 @@ import pydantic
 
 from ..contract.component import Settings
 from ..errors import PipelineError
-from ..suggestions import did_you_mean, listing
+from ..messages.suggestions import did_you_mean, listing
 from .yaml_source import Node, Place
 
 Model = TypeVar("Model", bound=Settings)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
-from ..memory import peak_memory_mb
+from ..system.memory import peak_memory_mb
 from .model_file import read_model_file
 from .onnx_session import (
     OnnxProvider,

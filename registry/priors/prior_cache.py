@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..cache import Cache, content_key
 from ..drawing.pictures import save_png
-from ..files import write_json
-from ..plugins import GROUP
+from ..plugins.discovery import GROUP
+from ..system.files import write_json
 
 if TYPE_CHECKING:
     from torch import Tensor

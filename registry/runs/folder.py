@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import RunError
-from ..files import new_folder, remove_leftovers, write_json, write_text
+from ..system.files import new_folder, remove_leftovers, write_json, write_text
 from .lock import locked
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..files import jsonable
+from ..system.files import jsonable
 from ..training.trainer import Iteration
 
 EVERY = 50

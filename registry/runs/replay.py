@@ -18,7 +18,7 @@ from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
-from ..plugins import Plugins
+from ..plugins.discovery import Plugins
 from ..training.checkpoint import (
     Checkpoint,
     explain_misfit,

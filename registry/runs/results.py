@@ -13,10 +13,10 @@ from core_rasterizer import ExplainedError
 from ..calls.loan import Loan, of_scene
 from ..contract.scene import Scene
 from ..errors import PluginError, RunError
-from ..files import jsonable
-from ..memory import peak_memory_mb
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
+from ..system.files import jsonable
+from ..system.memory import peak_memory_mb
 from .average_error import AVERAGE_ERROR
 from .evaluation import averaged
 from .folder import RunFolder

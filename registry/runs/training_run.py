@@ -18,7 +18,7 @@ from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
-from ..plugins import Plugins
+from ..plugins.discovery import Plugins
 from ..training.checkpoint import Checkpoint, explain_misfit, load_checkpoint
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, resumed

@@ -17,9 +17,9 @@ from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene
 from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
+from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step_rendering import StepRenderer
-from .memory import memory_added
 from .scenes import SMALL, Size, points_of, scene_of, step_of
 from .watching import own_randomness, same_process, untouched
 

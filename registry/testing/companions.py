@@ -21,7 +21,7 @@ from ..pipeline.pipeline import Item, Pipeline
 from ..pipeline.schedule import HostSettings
 from ..pipeline.training_settings import TrainingSettings
 from ..pipeline.yaml_source import Place
-from ..plugins import Offer
+from ..plugins.discovery import Offer
 
 UNDER_TEST = "under_test"
 """What a component is called in a pipeline that it is tried in."""

@@ -13,7 +13,7 @@ from core_rasterizer import Device, open_device
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..pipeline.parts import TRAINING_SECTIONS
-from ..plugins import check_offer
+from ..plugins.discovery import check_offer
 from ..training.component_parameters import check_groups
 from .bench import Bench, Refusal
 from .companions import UNDER_TEST, point_of

@@ -30,7 +30,7 @@ from torch import Tensor
 from core_rasterizer import ExplainedError
 
 from ..errors import RunError
-from ..files import flush, flush_folder, new_folder, write_json, write_text
+from ..system.files import flush, flush_folder, new_folder, write_json, write_text
 
 FORMAT = 2
 """Raised when older checkpoints can no longer be read."""

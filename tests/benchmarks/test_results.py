@@ -16,7 +16,7 @@ from benchmarks.results_page import BEGIN, END, Record, draw_first_views, page_t
 from benchmarks.results_plan import CASES, METHODS, Case, Measurement, Method, make_measurements
 from registry import RunError
 from registry.ablation.running.folder import AblationFolder
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 ROOM = Case(
     "room", 3, ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)

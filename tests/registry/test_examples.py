@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.plugins import SELECTION, Plugins
+from registry.plugins.discovery import SELECTION, Plugins
 from tests.packages import ROOT, install, run_python
 
 PACKAGES = sorted(path.parent for path in (ROOT / "docs" / "examples").glob("*/pyproject.toml"))

@@ -15,7 +15,7 @@ from registry import PluginError
 from registry.cache import FOLDER_VARIABLE
 from registry.calls.watchdog import WATCHDOG
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.plugins import GROUP, Plugins
+from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.training_run import open_run
 
 from .conftest import TOYS

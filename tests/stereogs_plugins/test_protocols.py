@@ -12,7 +12,7 @@ from registry.contract.scene import Scene
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.runs.training_run import load_scene
 from tests.data import data_folder
 

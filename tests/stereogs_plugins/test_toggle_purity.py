@@ -17,7 +17,7 @@ from core_rasterizer import open_device
 from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.parts import Part, Parts
 from registry.pipeline.pipeline import Pipeline
-from registry.plugins import Offer, Plugins
+from registry.plugins.discovery import Offer, Plugins
 from registry.testing import tiny_scene
 from registry.training.trainer import Trainer
 

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import PipelineError
+from ...messages.suggestions import did_you_mean, listing
 from ...pipeline.edits import TOP_LEVEL
 from ...pipeline.ready import find_pipeline
 from ...pipeline.settings_check import plain
 from ...pipeline.yaml_source import Node, Place, read
-from ...suggestions import did_you_mean, listing
 from .variations import Variation, alternatives, values
 
 KEYS = ("pipeline", "toggles", "vary", "scenes", "seeds")

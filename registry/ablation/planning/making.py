@@ -13,7 +13,7 @@ from ...errors import PipelineError
 from ...pipeline.edits import set_value
 from ...pipeline.pipeline import Pipeline, build_pipeline
 from ...pipeline.yaml_source import Node, Place
-from ...plugins import Plugins
+from ...plugins.discovery import Plugins
 from .description import Description
 from .plan import Combination, Plan, PlannedRun
 from .scenes import AblatedScene, find_scenes

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...errors import PipelineError
+from ...messages.suggestions import did_you_mean, listing
 from ...pipeline.edits import SECTIONS, component_items, item_names
 from ...pipeline.pipeline import Pipeline
 from ...pipeline.yaml_source import Node, Place, parse
-from ...suggestions import did_you_mean, listing
 from .description import Toggle
 from .variations import Change
 

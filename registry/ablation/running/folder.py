@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import RunError
-from ...results_file import read_results
 from ...runs.folder import RESULTS, RunFolder
 from ...runs.lock import locked
+from ...runs.results_file import read_results
 from ..planning.plan import PlannedRun
 
 RUNS = "runs"

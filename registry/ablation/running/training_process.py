@@ -10,9 +10,9 @@ import subprocess
 import sys
 
 from ...errors import RunError
-from ...files import write_text
 from ...runs.folder import METRICS, RunFolder
 from ...runs.run import CHECKPOINT
+from ...system.files import write_text
 from ...training.checkpoint import load_checkpoint
 from ..planning.plan import PlannedRun
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rich import box
 from rich.table import Table
 
-from ...terminal import PlainConsole
+from ...messages.terminal import PlainConsole
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder
 from . import scores

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...errors import RunError
 from ...pipeline.pipeline import Pipeline, parse_pipeline
-from ...plugins import Plugins
+from ...plugins.discovery import Plugins
 
 
 def check_unedited(file: Path, now: Pipeline, before: str, plugins: Plugins) -> None:

@@ -11,8 +11,8 @@ from unittest import mock
 
 from registry import read_results
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
-from registry.plugins import GROUP, Plugins
-from registry.results_file import Results
+from registry.plugins.discovery import GROUP, Plugins
+from registry.runs.results_file import Results
 from tests.fuzzing.target import Target
 from tests.registry.test_results_file import RESULTS
 

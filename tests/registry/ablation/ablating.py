@@ -8,7 +8,7 @@ from registry.ablation.planning.arguments import with_arguments
 from registry.ablation.planning.description import read_description
 from registry.ablation.planning.making import make_plan
 from registry.ablation.planning.plan import Plan
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 PIPELINE = """\
 name: toy

@@ -11,7 +11,7 @@ from core_rasterizer import ExplainedError
 from registry import PipelineError
 from registry.ablation.planning.description import read_description
 from registry.ablation.planning.making import make_plan
-from registry.plugins import SELECTION, Plugins
+from registry.plugins.discovery import SELECTION, Plugins
 
 from .ablating import plan, write
 

@@ -10,7 +10,7 @@ from core_rasterizer import ExplainedError
 from registry import PipelineError
 from registry.ablation.planning.plan import Plan
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from tests.registry.toy_plugin import ToyTerm
 
 from .ablating import plan, write
@@ -97,7 +97,7 @@ def test_a_written_baseline_takes_the_place_of_the_part(toys: Plugins, tmp_path:
 def test_default_baselines_are_those_of_3dgs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from registry.plugins import SELECTION
+    from registry.plugins.discovery import SELECTION
 
     chosen = "procedural,random,sfm,opacity_reset,constant_decay"
     monkeypatch.setenv(SELECTION, chosen)

@@ -25,7 +25,7 @@ from registry.ablation.running.progress import AblationProgress
 from registry.ablation.running.runner import train_all
 from registry.ablation.running.training_process import training_arguments
 from registry.cli import main
-from registry.plugins import SELECTION, Plugins
+from registry.plugins.discovery import SELECTION, Plugins
 from registry.runs.metrics_log import MetricsLog
 from registry.runs.training_run import start
 from tests.html_page import Page

@@ -21,8 +21,8 @@ from registry.ablation.showing.page import as_page
 from registry.ablation.showing.plots import plots
 from registry.ablation.showing.table import as_csv, as_text, rows
 from registry.drawing.pictures import ViewPictures, save_png, side_by_side
-from registry.files import write_json
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
+from registry.system.files import write_json
 
 from ...html_page import Page
 from .ablating import plan, write

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.commands.demo import DATA, photographs
-from registry.plugins import SELECTION, Plugins
+from registry.commands.runs.demo import DATA, photographs
+from registry.plugins.discovery import SELECTION, Plugins
 
 from ..conftest import Install
 

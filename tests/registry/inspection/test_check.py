@@ -16,8 +16,8 @@ from registry.cli import main
 from registry.inspection.scene_facts import facts, points_in_view, summary, typical_depth, warnings
 from registry.inspection.scene_picture import TEST_COLOR, TRAIN_COLOR, WIDTH, scene_picture
 from registry.inspection.top_view import make_plan, round_step
-from registry.plugins import Plugins
-from registry.recognition import recognize
+from registry.plugins.discovery import Plugins
+from registry.plugins.recognition import recognize
 from registry.testing import tiny_scene
 
 from ..conftest import TOY_ENTRIES, Install

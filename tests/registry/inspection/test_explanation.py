@@ -12,7 +12,7 @@ from registry.commands import explain
 from registry.contract.hook_points import HOOK_POINTS
 from registry.inspection.explanation import STAGES, explained, faults, memory
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.plugins import SELECTION, Plugins
+from registry.plugins.discovery import SELECTION, Plugins
 
 ROOT = Path(__file__).parents[3]
 TEXT = """\

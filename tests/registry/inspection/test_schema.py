@@ -19,7 +19,7 @@ from registry.inspection.schema import HEADER, pipeline_schema
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.settings_check import plain
 from registry.pipeline.yaml_source import parse
-from registry.plugins import GROUP, Offer, Plugins
+from registry.plugins.discovery import GROUP, Offer, Plugins
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "pipelines" / "pipeline.schema.json"

@@ -6,7 +6,7 @@ from core_rasterizer import CameraError
 from registry import PluginError, SceneError
 from registry.pipeline.blame import blame
 from registry.pipeline.pipeline import Item, parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 PIPELINE = "name: a\nscene: toy_scene\ninitializer: toy_points\nmetrics:\n  - psnr\n"
 

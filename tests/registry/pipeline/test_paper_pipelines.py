@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from registry.pipeline.pipeline import Item, Pipeline, load_pipeline
-from registry.plugins import SELECTION, Plugins
+from registry.plugins.discovery import SELECTION, Plugins
 
 PIPELINES = Path(__file__).parents[3] / "pipelines"
 

@@ -9,7 +9,7 @@ import pytest
 
 from registry import PipelineError, PluginError
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 MINIMAL = """\
 name: small

@@ -10,7 +10,7 @@ from registry import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.schedule import in_iterations
 from registry.pipeline.yaml_source import Node, Place
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 
 TEXT = """\
 name: shares

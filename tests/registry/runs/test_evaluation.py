@@ -21,7 +21,7 @@ from registry.pipeline.pipeline import Item
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Place
-from registry.plugins import Offer
+from registry.plugins.discovery import Offer
 from registry.runs.average_error import average_error
 from registry.runs.evaluation import Scores, averaged, evaluate
 from registry.testing import tiny_scene

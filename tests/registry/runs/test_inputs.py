@@ -10,7 +10,7 @@ import torch
 
 from registry import PointCloud, Scene, View
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.runs.origin.inputs import changed_inputs, input_digests, listed
 from registry.testing import tiny_scene
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.runs.replay import replay
 from registry.runs.training_run import start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint

@@ -13,9 +13,9 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError, SceneError
-from registry.commands.train import FAILED, conclude
+from registry.commands.runs.train import FAILED, conclude
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.results import renew
 from registry.runs.run import Run

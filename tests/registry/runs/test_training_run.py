@@ -20,7 +20,7 @@ import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
 from registry.runs.origin.source_code import checkout

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from registry import RunError
-from registry.files import write_json
+from registry.system.files import write_json
 from registry.training.checkpoint import (
     Checkpoint,
     explain_misfit,

@@ -12,7 +12,7 @@ from core_rasterizer.layout import PARAMETERS
 from registry import PluginError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.checkpoint import Checkpoint
 from registry.training.initial_model import initial_gaussians, new_model

@@ -12,7 +12,7 @@ import registry as r
 from core_rasterizer import Device, Edit, ExplainedError, MemoryBudgetError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Trainer

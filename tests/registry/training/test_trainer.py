@@ -10,7 +10,7 @@ from core_rasterizer import Device, ExplainedError, GaussianModel
 from registry import RunError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 from registry.training.trainer import Iteration, Trainer

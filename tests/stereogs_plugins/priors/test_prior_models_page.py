@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from stereogs_plugins.priors import onnx_mono
 from stereogs_plugins.priors.onnx_mvs import families as mvs_families
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import RunError
-from .output import (
+from ...errors import RunError
+from ..output import (
     Verbs,
     add_device,
     add_verb,
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from ..plugins import Plugins
-    from ..runs.run import Run
+    from ...plugins.discovery import Plugins
+    from ...runs.run import Run
 
 FAILED = 1
 """Exit status of a run that is finished, but a metric, an exporter or a report failed."""
@@ -84,10 +84,10 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train; 0 at the end, 1 if something failed after training, 130 after Ctrl-C."""
-    from ..calls.watchdog import WATCHDOG
-    from ..pipeline.pipeline import load_pipeline
-    from ..plugins import Plugins
-    from ..session import train
+    from ...calls.watchdog import WATCHDOG
+    from ...pipeline.pipeline import load_pipeline
+    from ...plugins.discovery import Plugins
+    from ...session import train
 
     output = console()
     if arguments.pipeline is None:
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         if given.is_dir():
             given, overrides = Path(FOR_FOLDERS), [_scene(given, plugins, overrides), *overrides]
         pipeline = load_pipeline(given, plugins, overrides=overrides, disabled=arguments.disable)
-    from ..runs.training_run import in_runs
+    from ...runs.training_run import in_runs
 
     run = train(
         pipeline,
@@ -120,8 +120,8 @@ def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
     Raises:
         SceneError: none or several know it.
     """
-    from ..pipeline.settings_check import escape_variables
-    from ..recognition import recognize
+    from ...pipeline.settings_check import escape_variables
+    from ...plugins.recognition import recognize
 
     scene = {"path": escape_variables(str(folder))}
     if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
@@ -131,8 +131,8 @@ def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
 
 def conclude(run: Run, output: Console) -> int:
     """Tell how the run ended and where its files lie; returns the exit status."""
-    from ..comparing.run_table import results_table
-    from ..runs.results import RENDERS
+    from ...comparing.run_table import results_table
+    from ...runs.results import RENDERS
 
     folder = run.folder_or_refuse()
     if not run.finished:

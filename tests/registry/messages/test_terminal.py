@@ -10,8 +10,8 @@ import pytest
 from rich.table import Table
 
 from registry.cli import main
+from registry.messages.terminal import PlainConsole, PlainFormatter, visible
 from registry.session import _console
-from registry.terminal import PlainConsole, PlainFormatter, visible
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
 TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from ..output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 from .train import tell_failures
 
 _EPILOG = """\
@@ -29,7 +29,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print."""
-    from ..session import open_run
+    from ...session import open_run
 
     output = console()
     run = open_run(
@@ -37,8 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
         device=arguments.device,
         accept_changed_inputs=arguments.accept_changed_inputs,
     )
-    from ..comparing.run_table import results_table
-    from ..runs.results import RENDERS, renew
+    from ...comparing.run_table import results_table
+    from ...runs.results import RENDERS, renew
 
     results = renew(run)
     output.print(results_table(results), soft_wrap=False)

@@ -8,11 +8,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import Verbs, add_device, add_verb, console
+from ..output import Verbs, add_device, add_verb, console
 from .train import conclude
 
 if TYPE_CHECKING:
-    from ..plugins import Plugins
+    from ...plugins.discovery import Plugins
 
 DATA = "STEREOGS_DATA"
 PIPELINE = "demo"
@@ -41,13 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Train the demo's pipeline and show what came out."""
     import shutil
 
-    from ..drawing.pictures import COMPARISONS
-    from ..files import replacing
-    from ..pipeline.pipeline import load_pipeline
-    from ..plugins import Plugins
-    from ..runs.results import RENDERS
-    from ..runs.training_run import in_runs
-    from ..session import train
+    from ...drawing.pictures import COMPARISONS
+    from ...pipeline.pipeline import load_pipeline
+    from ...plugins.discovery import Plugins
+    from ...runs.results import RENDERS
+    from ...runs.training_run import in_runs
+    from ...session import train
+    from ...system.files import replacing
 
     output = console()
     plugins = Plugins()
@@ -73,8 +73,8 @@ def photographs(plugins: Plugins) -> dict[str, Any] | None:
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
         return None
-    from ..pipeline.settings_check import escape_variables
-    from ..recognition import scene_loaders
+    from ...pipeline.settings_check import escape_variables
+    from ...plugins.recognition import scene_loaders
 
     loaders = scene_loaders(plugins)
     for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):

@@ -17,8 +17,8 @@ from registry.cli import main
 from registry.commands.plugins import _NEW_EPILOG
 from registry.errors import PluginError
 from registry.pipeline.pipeline import load_pipeline
-from registry.plugins import SELECTION, Plugins, installed_entries, offered_name
-from registry.scaffolding import KINDS, new_plugin
+from registry.plugins.discovery import SELECTION, Plugins, installed_entries, offered_name
+from registry.plugins.scaffolding import KINDS, new_plugin
 from registry.testing import check
 from tests.packages import ROOT, install, install_by_pip, run_python
 

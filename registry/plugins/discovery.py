@@ -13,15 +13,15 @@ from typing import Any
 
 import pluggy
 
-from .calls.process_state import left_as_found
-from .calls.watchdog import WATCHDOG, Hang
-from .contract import hooks
-from .contract.component import Component, Settings
-from .contract.components import SceneLoader
-from .contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
-from .contract.in_memory import IN_MEMORY, InMemoryScene
-from .errors import PluginError
-from .suggestions import did_you_mean, listing
+from ..calls.process_state import left_as_found
+from ..calls.watchdog import WATCHDOG, Hang
+from ..contract import hooks
+from ..contract.component import Component, Settings
+from ..contract.components import SceneLoader
+from ..contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
+from ..contract.in_memory import IN_MEMORY, InMemoryScene
+from ..errors import PluginError
+from ..messages.suggestions import did_you_mean, listing
 
 GROUP = "stereogs.plugins"
 """The entry-point group; the value of an entry is the plugin module's path."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from ..output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 _EPILOG = """\
 examples:
@@ -30,9 +30,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Repeat it; 0 if it goes through now."""
     from core_rasterizer import open_device
 
-    from ..plugins import Plugins
-    from ..runs.replay import replay
-    from ..training.threads import one_torch_thread
+    from ...plugins.discovery import Plugins
+    from ...runs.replay import replay
+    from ...training.threads import one_torch_thread
 
     with one_torch_thread():
         failure = replay(

@@ -7,7 +7,7 @@ import pytest
 
 from registry import API_VERSION, PluginError
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
-from registry.plugins import GROUP, SELECTION, Plugins
+from registry.plugins.discovery import GROUP, SELECTION, Plugins
 
 from .conftest import DOORS, TOYS, Install
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from ..output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
 
 PATH = "path"
 
@@ -36,7 +36,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render and say where the files lie."""
-    from ..session import open_run
+    from ...session import open_run
 
     output = console()
     run = open_run(
@@ -44,11 +44,11 @@ def run(arguments: argparse.Namespace) -> int:
         device=arguments.device,
         accept_changed_inputs=arguments.accept_changed_inputs,
     )
-    from ..drawing.camera_path import smooth_path
-    from ..drawing.pictures import save_view_pictures
-    from ..drawing.video import write_video
-    from ..runs.results import RENDERS
-    from ..training.threads import one_torch_thread
+    from ...drawing.camera_path import smooth_path
+    from ...drawing.pictures import save_view_pictures
+    from ...drawing.video import write_video
+    from ...runs.results import RENDERS
+    from ...training.threads import one_torch_thread
 
     folder = run.folder_or_refuse().folder(RENDERS)
     with one_torch_thread():

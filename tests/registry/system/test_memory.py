@@ -7,8 +7,8 @@ import sys
 
 import torch
 
-from registry import memory
-from registry.memory import peak_memory_mb
+from registry.system import memory
+from registry.system.memory import peak_memory_mb
 
 BLOCK_MB = 400
 

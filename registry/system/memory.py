@@ -1,8 +1,9 @@
-"""How much memory something takes that is not ours to look into."""
+"""How much memory this process takes."""
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +12,20 @@ from pathlib import Path
 _STATUS = Path("/proc/self/status")
 _FORGET = Path("/proc/self/clear_refs")
 _FORGET_THE_PEAK = "5"
+
+
+def peak_memory_mb() -> float | None:
+    """The largest resident set so far, in megabytes of 10^6 bytes; None where nobody counts it."""
+    if _STATUS.exists():
+        # Linux. getrusage would start from the peak of whoever started this process.
+        return _resident("VmHWM")
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak_usage = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts in bytes, others in KiB.
+    return float(peak_usage if sys.platform == "darwin" else peak_usage * 1024) / 1e6
 
 
 @dataclass
@@ -34,9 +49,11 @@ def memory_added() -> Iterator[Added]:
         return
     before = _resident("VmRSS")
     yield added
-    added.megabytes = max(0.0, _resident("VmHWM") - before)
+    peak = _resident("VmHWM")
+    if before is not None and peak is not None:
+        added.megabytes = max(0.0, peak - before)
 
 
-def _resident(name: str) -> float:
+def _resident(name: str) -> float | None:
     found = re.search(rf"^{name}:\s+(\d+) kB$", _STATUS.read_text("utf-8"), re.MULTILINE)
-    return int(found[1]) * 1024 / 1e6 if found else 0.0
+    return int(found[1]) * 1024 / 1e6 if found else None

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from .contract.components import SceneLoader
-from .contract.hook_points import HOOK_POINTS
-from .errors import SceneError
-from .plugins import Offer, Plugins
+from ..contract.components import SceneLoader
+from ..contract.hook_points import HOOK_POINTS
+from ..errors import SceneError
+from .discovery import Offer, Plugins
 
 SCENE = next(point for point in HOOK_POINTS if point.section == "scene")
 """The hook point of scene loaders."""

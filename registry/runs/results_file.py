@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .errors import RunError
+from ..errors import RunError
 
 LARGEST = 12_000_000
 """Bytes; the scores of 10,000 views take 2 MB."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .output import (
+from ..output import (
     Verbs,
     add_accept_changed_inputs,
     add_device,
@@ -37,7 +37,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train to the end; exit status as for `train`."""
-    from ..session import resume
+    from ...session import resume
 
     output = console()
     run = resume(

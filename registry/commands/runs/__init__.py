@@ -1,0 +1,1 @@
+"""The verbs that make a run or go on with one."""

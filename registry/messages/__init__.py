@@ -1,0 +1,1 @@
+"""Words for people: the nearest name to a misspelt one, and what a terminal may be shown."""
