@@ -8,8 +8,7 @@ import pytest
 from registry import API_VERSION, PluginError
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
 from registry.plugins.discovery import GROUP, SELECTION, Plugins
-
-from .conftest import DOORS, TOYS, Install
+from tests.registry.conftest import DOORS, TOYS, Install
 
 POINTS = {point.section: point for point in HOOK_POINTS}
 METRICS = POINTS["metrics"]

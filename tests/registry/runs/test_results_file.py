@@ -15,8 +15,8 @@ from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 from stereogs_plugins.reports.html import HtmlReport
 
-from ..stereogs_plugins.building import build
-from .comparing.test_compare import PIPELINE
+from ...stereogs_plugins.building import build
+from ..comparing.test_compare import PIPELINE
 
 RESULTS: dict[str, Any] = {
     "pipeline": "plain",
