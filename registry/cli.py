@@ -57,7 +57,7 @@ examples:
   stereogs demo                               three photographs to a scored scene, in minutes
   stereogs check FOLDER                       what is in a folder of photographs or data
   stereogs train pipelines/3dgs.yaml --set scene.path=FOLDER
-  stereogs resume runs/3dgs-fern
+  stereogs resume runs/3dgs-fern              after Ctrl-C, a kill or a crash
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
