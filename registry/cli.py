@@ -50,7 +50,7 @@ examples:
   stereogs check FOLDER                       what is in a folder of photographs or data
   stereogs train FOLDER                       train on it
   stereogs train 3dgs --set scene.path=FOLDER     with a ready pipeline of your choice
-  stereogs resume runs/3dgs-fern
+  stereogs resume runs/3dgs-fern              after Ctrl-C, a kill or a crash
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path

@@ -41,9 +41,9 @@ Observer = Callable[[Iteration], bool | None]
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
 AUTOMATIC_SECONDS = 30.0
-"""A checkpoint is saved when the newest is so old, whatever the pipeline says about checkpoints,"""
+"""How old the newest checkpoint may become, whatever the pipeline says about checkpoints."""
 AUTOMATIC_SHARE = 0.005
-"""and when saving has taken no more of the time than this."""
+"""Of the time, that saving may take; where it takes long, checkpoints become older."""
 
 
 def in_runs(pipeline: Pipeline, scene: Scene) -> Path:

@@ -35,7 +35,7 @@ from ..system.files import flush, flush_folder, new_folder, write_json, write_te
 FORMAT = 2
 """Raised when older checkpoints can no longer be read."""
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
-_NAME = re.compile(r"iteration-[0-9]{7,}(-[0-9]+)?")
+_NAME = re.compile(r"iteration-([0-9]{7,})(?:-([0-9]+))?")
 _log = logging.getLogger(__name__)
 
 
@@ -209,7 +209,9 @@ def _places(folder: Path) -> list[Path]:
     """The checkpoints in a folder, the newest last."""
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+    found = ((_NAME.fullmatch(path.name), path) for path in folder.iterdir())
+    order = {path: (int(name[1]), int(name[2] or 1)) for name, path in found if name}
+    return sorted(order, key=order.__getitem__)
 
 
 def _sha256(file: Path) -> str:

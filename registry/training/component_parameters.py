@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from core_rasterizer.finite import undefined_places
+
 from ..contract.component import ParameterGroup
 from ..errors import PluginError
 from ..pipeline.blame import blame
@@ -49,9 +51,8 @@ class ComponentParameters:
         for part, groups, _ in self._trained:
             with blame(part.item, iteration):
                 for group in groups:
-                    for tensor in group.tensors:
-                        if tensor.grad is not None and not torch.isfinite(tensor.grad).all():
-                            raise PluginError(f"the gradient of {group.name!r} is not finite")
+                    for number, tensor in enumerate(group.tensors):
+                        _refuse_undefined(tensor.grad, f"{group.name}, tensor {number}")
 
     def step(self) -> None:
         """One step of each Adam; tensors that had no gradient stay where they are."""
@@ -85,6 +86,16 @@ class ComponentParameters:
                             for key, value in moments.items()
                             if value is not None
                         }
+
+
+def _refuse_undefined(gradient: Tensor | None, name: str) -> None:
+    undefined = undefined_places(gradient) if gradient is not None else ()
+    if len(undefined):
+        raise PluginError(
+            f"the gradient of its parameters is not finite in {len(undefined)} values",
+            where=f"{name}: {undefined[0].tolist()}",
+            fix="look for a division by zero or a square root of zero where they are used",
+        )
 
 
 def check_groups(groups: Sequence[ParameterGroup]) -> None:

@@ -79,7 +79,7 @@ def make(tmp_path: Path) -> Make:
         name: str, results: dict[str, Any] | None = None, pipeline: dict[str, Any] | None = None
     ) -> Path:
         run = RunFolder(tmp_path / name)
-        run.create(to_yaml(changed(PIPELINE, pipeline or {})), {}, {})
+        run.create(to_yaml(changed(PIPELINE, pipeline or {})), {}, {}, lambda folder: None)
         run.write_results(changed(RESULTS, results or {}))
         return run.path
 

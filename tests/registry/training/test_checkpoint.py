@@ -153,6 +153,9 @@ def test_damage_is_explained_and_the_one_before_is_taken(
 
 
 def test_an_iteration_that_comes_again_is_saved_beside(tmp_path: Path) -> None:
+    for iteration in (9_999_999, 10_000_000):
+        save_checkpoint(checkpoint(iteration), tmp_path)
+    assert load_checkpoint(tmp_path).iteration == 10_000_000
     for iteration in (10, 20):
         save_checkpoint(checkpoint(iteration), tmp_path)
     flipped(tmp_path / SECOND / "tensors.safetensors", 800)

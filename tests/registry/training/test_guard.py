@@ -118,3 +118,15 @@ def test_an_edit_that_leaves_nothing_names_its_policy(fail: Any, monkeypatch: An
     error = fail("densification: toy_growth\n")
     assert error.what == "the edit would remove all 60 Gaussians"
     assert "densification 'toy_growth'" in error.where
+
+
+def test_a_parameter_of_a_component_is_named_with_its_index(fail: Any, monkeypatch: Any) -> None:
+    colors = ToyExposure.colors
+
+    def broken(self: ToyExposure, step: r.Step, rgb: Tensor) -> Tensor:
+        return colors(self, step, rgb) + (self.factor * 0).sqrt() * rgb.detach()
+
+    monkeypatch.setattr(ToyExposure, "colors", broken)
+    error = fail("appearances: [toy_exposure]\n")
+    assert "the gradient of its parameters is not finite in 1 values" in error.what
+    assert "factor, tensor 0: []; in appearance 'toy_exposure'" in error.where

@@ -41,7 +41,12 @@ def texts(page: str, tag: str) -> list[str]:
 def run(tmp_path: Path) -> RunFolder:
     """A run's folder, written by the host itself."""
     run = RunFolder(tmp_path / "run")
-    run.create("name: 3dgs  # <b>\n", {"command": ["stereogs", "train"], "seed": 3}, {})
+    run.create(
+        "name: 3dgs  # <b>\n",
+        {"command": ["stereogs", "train"], "seed": 3},
+        {},
+        lambda folder: None,
+    )
     scene = tiny_scene()
     picture = torch.full((24, 32, 3), 0.5)
     run.write_initialization({"points": 60, "views": {"view0": 0.5}}, {"depth of view0": picture})
