@@ -11,6 +11,7 @@ from typing import Protocol
 from core_rasterizer.errors import ExplainedError
 
 from ..calls.loan import NOTHING, Loan
+from ..calls.memory import LEDGER
 from ..calls.process_state import left_as_found, no_global_random_numbers, own_random_numbers
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.prior import Prior
@@ -89,9 +90,9 @@ def at_work(
 ) -> Iterator[None]:
     """Everything that is done around a call into a component.
 
-    Errors name it (`blame`), the watchdog knows of it, and it must leave what it is lent and what the
-    process shares as they are. Within an iteration it may not touch global random generators; else it
-    has them to itself.
+    Errors name it (`blame`), the watchdog knows of it, its memory is counted, and it must leave what it
+    is lent and what the process shares as they are. Within an iteration it may not touch global random
+    generators; else it has them to itself.
 
     Args:
         item: the component at work.
@@ -111,6 +112,7 @@ def at_work(
         with (
             blame(item, iteration),
             WATCHDOG.watching(who, iteration),
+            LEDGER.watching(who),
             left_as_found(who),
             _random_numbers(seed, inner),
             inner.lent.kept(),

@@ -73,7 +73,9 @@ def code_digest(component: type) -> str:
     """A hash over the source of all that the component's package installs, of the host and of the engine."""
     modules = {*owned_modules(component.__module__), "registry", "core_rasterizer"}
     return content_key(
-        component.__qualname__, component.__module__, *(_source(name) for name in sorted(modules))
+        component.__qualname__,
+        component.__module__,
+        *(source_digest(name) for name in sorted(modules)),
     )
 
 
@@ -97,7 +99,7 @@ def _top_level(package: Distribution) -> frozenset[str]:
 
 
 @cache
-def _source(name: str) -> str:
+def source_digest(name: str) -> str:
     """A hash over a top-level module, or over every file of source in a package."""
     spec = find_spec(name) if name != "__main__" else None
     folders = list(spec.submodule_search_locations or ()) if spec else []

@@ -13,7 +13,9 @@ import stereogs
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.cache import FOLDER_VARIABLE
+from registry.calls.memory import MemoryLedger, resident_bytes
 from registry.calls.watchdog import WATCHDOG
+from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.training_run import open_run
@@ -63,7 +65,10 @@ ONLY_WHERE_CHECKED = {
     "writes_model": "it wrote into the Gaussians",
     "missing_carry": "the state 'ages' has the shape (60,) after an edit",
 }
-ELSEWHERE = ("hang_at_import", "builtin_name", "hangs", "leaves_thread", "unsavable_state")
+ELSEWHERE = (
+    *("hang_at_import", "builtin_name", "hangs", "leaves_thread", "unsavable_state"),
+    "grows_memory",
+)
 AFTERWARDS = ("writes_rendering",)
 PRIORS = {
     "prior_raises": "ValueError: no network",
@@ -185,6 +190,22 @@ def test_a_hang_while_it_is_imported_ends_with_an_error(make: Make) -> None:
         make(component("hang_at_import"))
     assert "no answer came within" in caught.value.what
     assert caught.value.where.startswith("p.yaml:5")
+
+
+def test_memory_that_only_grows_is_told_of_before_it_is_out(
+    make: Make,
+    plugins: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pipeline, out = make(component("grows_memory")), tmp_path / "run"
+    stereogs.train(make(""), progress=False, device=device)  # what is loaded at first is nobody's
+    monkeypatch.setattr(blame, "LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
+    error = refusal(pipeline, out, device)
+    assert "memory runs out" in error.what
+    blamed(error, "grows_memory", iteration=None)
+    assert open_run(out, plugins=plugins, device=device).iteration in (4, 6)
 
 
 def test_a_thread_that_is_left_behind_is_told_of(

@@ -30,6 +30,24 @@ def test_over_means_never_again() -> None:
     assert not Schedule().over(10**9)
 
 
+@pytest.mark.parametrize(
+    ("schedule", "iterations", "due"),
+    [
+        (Schedule(start=5000), 10, False),
+        (Schedule(start=10), 10, True),
+        (Schedule(every=11), 10, False),
+        (Schedule(start=3, stop=4, every=5), 10, False),
+        (Schedule(start=3, stop=5, every=5), 10, True),
+        (Schedule(every=100, phase=7), 10, True),
+        (Schedule(start=8, every=100, phase=7), 106, False),
+        (Schedule(start=8, every=100, phase=7), 107, True),
+    ],
+)
+def test_whether_it_is_ever_due(schedule: Schedule, iterations: int, due: bool) -> None:
+    assert schedule.ever_due(iterations) is due
+    assert due is any(schedule.due(iteration) for iteration in range(1, iterations + 1))
+
+
 def test_bands_come_one_by_one() -> None:
     steps = {1: 0, 999: 0, 1000: 1, 2999: 2, 3000: 3, 30_000: 3}
     assert {i: active_sh_degree(i, 3, 1000) for i in steps} == steps

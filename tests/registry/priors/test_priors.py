@@ -29,7 +29,8 @@ from registry import (
     StereoPrior,
     View,
 )
-from registry.priors.prior_cache import code_digest
+from registry.plugins import GROUP
+from registry.priors.prior_cache import code_digest, source_digest
 from registry.testing import check, tiny_scene
 
 
@@ -243,6 +244,48 @@ def test_a_cache_that_cannot_be_written_costs_a_warning_only(
 def test_the_code_of_the_component_is_part_of_the_question() -> None:
     assert code_digest(Middle) != code_digest(Brightness)
     assert code_digest(Middle) == code_digest(Middle)
+
+
+@pytest.mark.parametrize("listed", ["top_level.txt", "RECORD"])
+def test_the_code_of_all_that_its_package_installs_is_part_of_the_question(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: str
+) -> None:
+    """Two modules side by side: a package that is no folder. A third belongs to somebody else."""
+    name = listed.partition(".")[0].lower()
+    modules = (f"flat_{name}", f"flat_{name}_helper")
+    for module in (*modules, f"other_{name}"):
+        (tmp_path / f"{module}.py").write_text("FACTOR = 1\n")
+    metadata = tmp_path / f"flat_{name}-1.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: flat-{name}\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text(f"[{GROUP}]\nflat = flat_{name}\n")
+    lines = modules if listed == "top_level.txt" else [f"{module}.py,," for module in modules]
+    (metadata / listed).write_text("\n".join(lines) + "\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    component = type("Flat", (), {"__module__": f"flat_{name}"})
+
+    def digest() -> str:
+        source_digest.cache_clear()
+        return code_digest(component)
+
+    before = digest()
+    (tmp_path / f"other_{name}.py").write_text("FACTOR = 2\n")
+    assert digest() == before
+    (tmp_path / f"flat_{name}_helper.py").write_text("FACTOR = 2\n")
+    assert digest() != before
+
+
+def test_a_stereo_prior_that_knows_nothing_is_told_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Nowhere(StereoPrior[Settings]):
+        def estimate(self, left: Tensor, right: Tensor) -> Tensor:
+            return torch.full(left.shape[:2], float("nan"))
+
+    prior, image = built(Nowhere, "blind"), textured()
+    for _ in range(2):
+        assert not prior.disparity(image, image).valid.any()
+    assert caplog.messages == ["prior 'blind' answered without one known disparity"]
 
 
 def test_an_answer_about_an_image_is_not_kept(cache: Path) -> None:

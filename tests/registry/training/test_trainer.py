@@ -7,13 +7,15 @@ import pytest
 import torch
 
 from core_rasterizer import Device, ExplainedError, GaussianModel
-from registry import RunError
+from registry import PluginError, RunError, Step
+from registry.calls.loan import checked_plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 from registry.training.trainer import Iteration, Trainer
+from tests.registry.toy_plugin import ToyTerm
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
 
@@ -178,6 +180,58 @@ def test_a_bad_answer_is_refused_before_the_step(
     assert "iteration 3" in caught.value.where
     assert trainer.model.digest() == before
     assert trainer.iteration == 2
+
+
+def test_what_is_never_due_is_told(make: Any, caplog: pytest.LogCaptureFixture) -> None:
+    make("regularizers: [{use: toy_term, start: 5000}]\n")
+    assert caplog.messages == [
+        "regularizer 'toy_term' (unknown package ?) at p.yaml:4 is never due in 12 iterations"
+    ]
+    caplog.clear()
+    make("regularizers: [{use: toy_term, start: 12}]\n")
+    assert not caplog.messages
+
+
+def test_a_term_stepped_alone_may_be_zero_without_a_gradient(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, alone = make(""), make("regularizers: [{use: toy_term, step: alone}]\n")
+    monkeypatch.setattr(ToyTerm, "loss", lambda self, step: torch.zeros(()))
+    for trainer in (plain, alone):
+        train(trainer)
+    assert plain.model.digest() == alone.model.digest()
+
+
+def test_checked_plugins_end_in_the_same_bits(make: Any) -> None:
+    text = (
+        "regularizers: [toy_term]\nmodifiers: [toy_dropout]\nopacity: [toy_fade]\n"
+        "densification: {use: toy_growth, every: 3}\n"
+    )
+    plain, checked = make(text), make(text)
+    train(plain)
+    with checked_plugins():
+        train(checked)
+    assert plain.model.digest() == checked.model.digest()
+
+
+def test_a_component_is_looked_at_in_its_first_call_and_now_and_then(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def draw(self: ToyTerm, step: Step) -> torch.Tensor:
+        if step.iteration == late:
+            torch.rand(1)
+        return step.rendering.alpha.mean()
+
+    monkeypatch.setattr(ToyTerm, "loss", draw)
+    text = "regularizers: [{use: toy_term, start: 3, every: 2}]\n"
+    for late in (4, 10):
+        with pytest.raises(PluginError, match="global generator") as caught:
+            train(make(text))
+        assert f"iteration {late}" in caught.value.where
+    late = 6
+    train(make(text))
+    with checked_plugins(), pytest.raises(PluginError, match="global generator"):
+        train(make(text))
 
 
 def test_a_loss_that_overflows_stops_the_run(make: Any) -> None:
