@@ -205,7 +205,7 @@ def _section(
             raise PipelineError(
                 f"two {point.section} are named {item.name!r}; the first is at "
                 f"{items[item.name].place}",
-                where=str(item.place),
+                where=str(expand(component).get("name", component).place),
                 fix="give one of them a `name` of its own",
             )
         items[item.name] = item
@@ -226,9 +226,11 @@ def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> It
     host = Node(in_iterations(lent_nodes, iterations), node.place)
     lent = point.host_settings
     if "use" not in mapping:
+        near = next((key for key in mapping if did_you_mean(key, ["use"])), None)
         raise PipelineError(
-            f"{label} does not say which {point.title} to use",
-            where=str(node.place),
+            f"{label} does not say which {point.title} to use"
+            + (f"; it says {near!r}, did you mean 'use'?" if near else ""),
+            where=str(mapping[near].place if near else node.place),
             fix="add `use: NAME`; `stereogs plugins` lists the names",
         )
     settings = validate_settings(HostSettings, host, label)
@@ -261,7 +263,9 @@ def _label(point: HookPoint, mapping: dict[str, Node]) -> str:
 def _mapping(node: Node, name: str) -> Node:
     if not isinstance(node.content, dict):
         raise PipelineError(
-            f"{name} must be a mapping of settings, not {node.kind}", where=str(node.place)
+            f"{name} must be a mapping of settings, not {node.kind}",
+            where=str(node.place),
+            fix=f"write each setting in a line of its own below `{name}:`",
         )
     return node
 

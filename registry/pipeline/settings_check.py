@@ -45,7 +45,9 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     try:
         return model.model_validate_json(text, strict=True)
     except pydantic.ValidationError as error:
-        problems = [_explain(problem, model, node, path, lent) for problem in error.errors()]
+        # A setting that is missing is often the one that another name was meant for.
+        found = sorted(error.errors(), key=lambda problem: problem["type"] == "missing")
+        problems = [_explain(problem, model, node, path, lent) for problem in found]
     raise _joined(problems)
 
 

@@ -26,8 +26,10 @@ _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _CORE_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
+_LEFT_OPEN = ("while parsing a flow", "while scanning a simple key", "while scanning a quoted")
+"""How PyYAML begins to tell of a bracket, key or quotation mark without its end."""
 _MAX_DEPTH = 32
-_MAX_BYTES = 1_000_000
+_MAX_BYTES = 100_000
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,10 @@ def read(path: Path) -> Node:
         PipelineError: it is missing, not text, or not the YAML described above; with its line.
     """
     try:
-        data = path.read_bytes()
+        if path.exists() and not path.is_file():
+            raise OSError("it is no regular file")
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise PipelineError(
             f"the pipeline file cannot be read: {error.strerror or error}",
@@ -90,7 +95,11 @@ def read(path: Path) -> Node:
             fix="give the path of a pipeline file, or the name of a ready one, for example 3dgs",
         ) from error
     if len(data) > _MAX_BYTES:
-        raise PipelineError("the file is too large to be a pipeline", where=str(path))
+        raise PipelineError(
+            f"the file has more than {_MAX_BYTES:,} bytes, too many for a pipeline",
+            where=str(path),
+            fix="give the path of a pipeline file, for example pipelines/3dgs.yaml",
+        )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -117,6 +126,25 @@ def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
     return _Converter(source, has_lines).convert(root)
 
 
+class _TooDeepError(Exception):
+    """Nodes within nodes beyond what any pipeline has; its argument is the 0-based line."""
+
+
+class _Loader(yaml.BaseLoader):
+    """PyYAML's loader of plain nodes, which stops where they are nested too deeply."""
+
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self._depth > _MAX_DEPTH:
+            raise _TooDeepError(self.peek_event().start_mark.line)
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+
+
 def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
     """PyYAML's tree, its errors explained with their line."""
 
@@ -124,10 +152,13 @@ def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
         where = Place(source, line + 1 if has_lines else None)
         return PipelineError(what, where=str(where), fix=fix)
 
-    loader: yaml.BaseLoader | None = None
+    loader: _Loader | None = None
     try:
-        loader = yaml.BaseLoader(text)
+        loader = _Loader(text)
         return loader.get_single_node()
+    except _TooDeepError as error:
+        fix = "a pipeline has sections, components and their settings; check the brackets"
+        raise refused("the YAML is nested too deeply", error.args[0], fix) from error
     except yaml.MarkedYAMLError as error:
         lines = text.splitlines()
         line = _error_line(error, len(lines))
@@ -138,18 +169,20 @@ def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
         raise refused(f"this is not valid YAML: {problem}", line, fix) from error
     except ReaderError as error:
         what = f"the character U+{error.character:04X} is not allowed in YAML"
-        raise refused(what, len(text[: error.position + 1].splitlines()) - 1) from error
+        line = len(text[: error.position + 1].splitlines()) - 1
+        raise refused(what, line, "remove it; it may be invisible in an editor") from error
     except (ValueError, OverflowError) as error:  # PyYAML looks no escape up before it uses it
         what = 'this is not valid YAML: an escape such as "\\U00110000" stands for no character'
-        raise refused(what, loader.line if loader else 0) from error
-    except RecursionError as error:
-        what = "the YAML is nested too deeply"
-        raise refused(what, loader.line if loader else 0) from error
+        fix = "write the character itself"
+        raise refused(what, loader.line if loader else 0, fix) from error
 
 
 def _error_line(error: yaml.MarkedYAMLError, count: int) -> int:
-    """The 0-based line of an error; of what was left open, where the text itself ends too early."""
-    lines = [mark.line for mark in (error.problem_mark, error.context_mark) if mark is not None]
+    """The 0-based line of an error; of what was left open, where that is noticed further down."""
+    marks = [error.problem_mark, error.context_mark]
+    if str(error.context).startswith(_LEFT_OPEN):
+        marks.reverse()
+    lines = [mark.line for mark in marks if mark is not None]
     return next((line for line in lines if line < count), count - 1)
 
 
@@ -160,7 +193,7 @@ class _Converter:
         self._source, self._has_lines = source, has_lines
         self._seen: set[int] = set()
 
-    def convert(self, node: yaml.Node, depth: int = 0) -> Node:
+    def convert(self, node: yaml.Node) -> Node:
         place = self._place(node)
         if id(node) in self._seen:
             raise PipelineError(
@@ -169,8 +202,6 @@ class _Converter:
                 fix="write the value out where it is used",
             )
         self._seen.add(id(node))
-        if depth > _MAX_DEPTH:
-            raise PipelineError("the YAML is nested too deeply", where=str(place))
         if node.tag not in _CORE_TAGS:
             raise PipelineError(
                 f"the tag {node.tag} is not supported in pipelines",
@@ -178,19 +209,23 @@ class _Converter:
                 fix="remove the tag; values get their type from what reads them",
             )
         if isinstance(node, yaml.MappingNode):
-            return Node(self._mapping(node, depth), place)
+            return Node(self._mapping(node), place)
         if isinstance(node, yaml.SequenceNode):
-            return Node([self.convert(item, depth + 1) for item in node.value], place)
+            return Node([self.convert(item) for item in node.value], place)
         text = _whole_characters(node.value, place)
         quoted = isinstance(node, yaml.ScalarNode) and node.style
         return Node(text if quoted else resolve(text), place)
 
-    def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Node]:
+    def _mapping(self, node: yaml.MappingNode) -> dict[str, Node]:
         result: dict[str, Node] = {}
         for key, value in node.value:
             place = self._place(key)
             if not isinstance(key, yaml.ScalarNode):
-                raise PipelineError("a key must be a plain word", where=str(place))
+                raise PipelineError(
+                    "a key must be a plain word",
+                    where=str(place),
+                    fix="write `name: value`, without ? and brackets in front of the colon",
+                )
             name = _whole_characters(key.value, place)
             if name in result:
                 raise PipelineError(
@@ -198,7 +233,7 @@ class _Converter:
                     where=str(place),
                     fix=f"remove one of them; the first is at {result[name].place}",
                 )
-            child = self.convert(value, depth + 1)
+            child = self.convert(value)
             result[name] = Node(child.content, place)
         return result
 
@@ -209,7 +244,11 @@ class _Converter:
 def _whole_characters(text: str, place: Place) -> str:
     """The text, which can be written to a file; an escape such as "\\uD800" alone could not."""
     if any("\ud800" <= character <= "\udfff" for character in text):
-        raise PipelineError("half of a surrogate pair is no character", where=str(place))
+        raise PipelineError(
+            "half of a surrogate pair is no character",
+            where=str(place),
+            fix="write the character itself, or \\U and its eight digits",
+        )
     return text
 
 

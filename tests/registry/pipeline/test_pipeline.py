@@ -110,7 +110,7 @@ def test_a_resolved_path_may_contain_a_dollar_sign(
         ("name: second", "name: a.b", "a.yaml:12", "regularizers.a.b.name"),
         ("name: second", "target: 1", "a.yaml:13", "written twice"),
         ("    name: second\n", "", "a.yaml:11", "two regularizers are named 'toy_term'"),
-        ("use: toy_scene", "uses: toy_scene", "a.yaml:2", "does not say which scene loader"),
+        ("use: toy_scene", "uses: toy_scene", "a.yaml:3", "does not say which scene loader"),
         ("use: toy_fade", "use: no", "a.yaml:17", "no plugin offers the opacity policy 'no'"),
         ("use: toy_fade", "use: toy_fad", "a.yaml:17", "did you mean 'toy_fade'"),
         ("use: toy_fade", "use: toy_growth", "a.yaml:17", "there is a densification of that name"),
