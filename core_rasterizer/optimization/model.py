@@ -222,18 +222,43 @@ class GaussianModel:
         statistics = self._statistics.read()[:, : self.count]
         return statistics[0] / statistics[1].clamp(min=1)
 
+    def absolute_screen_gradient(self) -> Tensor:
+        """`screen_gradient` without cancellation between pixels, `[N]` (AbsGS, Ye et al. 2024).
+
+        The absolute values of what each pixel contributes to the two components are summed before the
+        norm is taken. Counted in renders made with `collect_absolute`, and a mean over the same renders
+        as `screen_gradient`.
+
+        Raises:
+            GaussianError: no render has collected it since the Gaussians were made or edited.
+        """
+        statistics = self._statistics.read()[:, : self.count]
+        if len(statistics) < 3:
+            raise GaussianError(
+                "no render has collected absolute screen gradients",
+                field="means",
+                fix="render with collect_absolute=True; a policy says so with `absolute_gradients`",
+            )
+        return statistics[2] / statistics[1].clamp(min=1)
+
     def reset_statistics(self) -> None:
-        """Start counting `screen_gradient` anew."""
+        """Start counting screen gradients anew."""
         self._statistics.fill(0)
 
     def statistics(self) -> Tensor:
-        """What `screen_gradient` is made of, `[2, N]`: summed norms, and times seen. For checkpoints."""
+        """What screen gradients are made of, for checkpoints.
+
+        Returns:
+            `[2, N]`: summed norms, and times seen; where absolute gradients are collected `[3, N]`, their
+            summed norms last.
+        """
         return self._statistics.read()[:, : self.count].clone()
 
     def restore_statistics(self, statistics: Tensor) -> None:
         """Take back what `statistics` returned."""
-        full = torch.zeros(2, self.capacity, dtype=self.dtype)
+        full = torch.zeros(len(statistics), self.capacity, dtype=self.dtype)
         full[:, : self.count] = statistics
+        self._statistics = DeviceArray(self.device, tuple(full.shape), self.dtype)
         self._statistics.write(full)
 
     def gaussians(self) -> Gaussians:
@@ -256,6 +281,7 @@ class GaussianModel:
         opacity_scale: Tensor | None = None,
         smoothing: Tensor | None = None,
         collect_statistics: bool = False,
+        collect_absolute: bool = False,
         near: float = NEAR_PLANE,
         detach: Collection[str] = (),
     ) -> Rendering:
@@ -275,6 +301,7 @@ class GaussianModel:
                 et al. 2024, eq. 9): scales become sqrt(s^2 + f^2) and the opacity shrinks by the product
                 of s / sqrt(s^2 + f^2). No gradient flows to them.
             collect_statistics: let the backward pass of this render count for `screen_gradient`.
+            collect_absolute: where statistics are collected, count for `absolute_screen_gradient` too.
             near: z-depth below which Gaussians are culled, world units, > 0.
             detach: names of parameters, as in `read`, to whose gradient this render adds nothing.
                 Statistics are collected all the same.
@@ -299,7 +326,7 @@ class GaussianModel:
                 camera.world_to_camera,
                 self,
                 request,
-                collect_statistics,
+                (collect_statistics, collect_statistics and collect_absolute),
                 frozenset(detach),
             )
         )
@@ -308,10 +335,13 @@ class GaussianModel:
         self,
         frame: Frame,
         image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
-        collect_statistics: bool,
+        collect: tuple[bool, bool],
         detach: frozenset[str],
     ) -> Tensor | None:
         """Run the backward pass of one render into `gradients`.
+
+        Args:
+            collect: whether to collect screen gradients, and absolute ones.
 
         Returns:
             The gradient of the camera's pose, `[4, 4]` float64, if it requires one.
@@ -323,11 +353,21 @@ class GaussianModel:
             image_gradients,
             self.gradients,
             accumulate=self._gradients.make_ready(degree),
-            statistics=self._statistics if collect_statistics else None,
+            statistics=self._collected(*collect),
             detach=detach,
         )
         self._gradients.written(degree)
         return pose_gradient
+
+    def _collected(self, wanted: bool, absolute: bool) -> DeviceArray | None:
+        """Where a backward pass adds statistics; with a row for absolute gradients from the first on."""
+        if not wanted:
+            return None
+        rows = 3 if absolute else 2
+        if self._statistics.shape[0] != rows:
+            before = self.statistics()
+            self.restore_statistics(torch.cat([before, torch.zeros(1, self.count)])[:rows])
+        return self._statistics
 
     def check_unedited(self, parameters: DeviceArray) -> None:
         """Refuse a backward pass for Gaussians that are no more.
@@ -368,13 +408,13 @@ class _Render(torch.autograd.Function):
         pose: Tensor,
         model: GaussianModel,
         request: RenderRequest,
-        collect_statistics: bool,
+        collect: tuple[bool, bool],
         detach: frozenset[str],
     ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
         rgb, depth, alpha, lease = model.renderer.forward(model.block, request)
         ctx.set_materialize_grads(False)
         ctx.model, ctx.lease = model, lease
-        ctx.collect_statistics, ctx.detach = collect_statistics, detach
+        ctx.collect, ctx.detach = collect, detach
         ctx.parameters = model.parameters
         ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
         return rgb, depth, alpha, lease.frame.coverage(model.count)
@@ -388,7 +428,7 @@ class _Render(torch.autograd.Function):
         d_pose = ctx.model.add_gradients(
             ctx.lease.frame,
             (d_rgb, d_depth, d_alpha),
-            ctx.collect_statistics,
+            ctx.collect,
             ctx.detach,
         )
         return None, d_pose, *(None,) * 4

@@ -70,6 +70,10 @@ class ModelReader:
         """Mean NDC norm of the screen-space gradient, `[N]`; see `GaussianModel.screen_gradient`."""
         return self._model.screen_gradient()
 
+    def absolute_screen_gradient(self) -> Tensor:
+        """The same without cancellation, `[N]`; see `GaussianModel.absolute_screen_gradient`."""
+        return self._model.absolute_screen_gradient()
+
     def touched(self) -> Tensor:
         """Which Gaussians touched a pixel, bool `[N]`; see `GaussianModel.touched`."""
         return self._model.touched()

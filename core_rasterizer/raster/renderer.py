@@ -37,6 +37,8 @@ _PROJECTION = (
     "raster/project",
 )
 _BACKWARD = "raster/project_backward"
+_ABSOLUTE = "ABSOLUTE"
+"""Macro of kernels that also sum what pixels pull at means, without signs."""
 
 OVERRIDES = frozenset(
     (
@@ -115,14 +117,9 @@ class Renderer:
             **self._projection_macros,
             **self._lists.macros,
         )
-        self.raster_program = device.program(
-            "raster/scene",
-            "raster/blend",
-            "raster/raster_cpu" if self.on_cpu else "raster/raster_gpu",
-            dtype=dtype,
-            **macros,
-            LANES=macros["RASTER_LANES"] if self.on_cpu else 1,
-        )
+        lanes = macros["RASTER_LANES"] if self.on_cpu else 1
+        self._raster_macros: dict[str, Any] = {**macros, "LANES": lanes}
+        self.raster_program = self._raster()
         self._wide = torch.float64 if device.supports_double else dtype
         self._poses = PoseSums(device, self._wide)
         self._scratch = Scratch(device)
@@ -178,7 +175,8 @@ class Renderer:
             gradients: `[rows, capacity]`; the rows of active SH bands are written.
             accumulate: add to what `gradients` holds instead of replacing it.
             statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
-                screen-space mean gradient, row 1 gains one for it.
+                screen-space mean gradient, row 1 gains one for it. With a third row, that one gains what
+                row 0 would if pixels that pull in opposite directions did not cancel.
             detach: parameters to whose gradient nothing is added.
 
         Returns:
@@ -195,7 +193,8 @@ class Renderer:
                     gradients.fill(0, 0, row_count(frame.request.bands))
                 return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
             with_depth = image_gradients[1] is not None
-            sums = self._raster_backward(frame, images, with_depth)
+            with_absolute = statistics is not None and statistics.shape[0] == 3
+            sums = self._raster_backward(frame, images, with_depth, with_absolute)
             self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
             pose_gradient = None
             if wants_pose:
@@ -218,12 +217,17 @@ class Renderer:
         ]
 
     def _raster_backward(
-        self, frame: Frame, image_gradients: list[DeviceArray], with_depth: bool
+        self,
+        frame: Frame,
+        image_gradients: list[DeviceArray],
+        with_depth: bool,
+        with_absolute: bool,
     ) -> DeviceArray:
         """The sums that each pair of a tile and a Gaussian hands back."""
         arrays = frame.arrays
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         self._run_raster(
+            self._raster(_ABSOLUTE) if with_absolute else self.raster_program,
             "raster_backward",
             frame,
             arrays["records"],
@@ -270,9 +274,20 @@ class Renderer:
             np.int32(block.activated),
             np.int32(request.modifiers is not None),
             np.int32(accumulate),
-            np.int32(statistics is not None),
+            np.int32(0 if statistics is None else statistics.shape[0] - 1),
             np.int32(sum(PARAMETER_BITS[name] for name in detach)),
             *((self._poses.parts(block),) if request.wants_pose_gradient else ()),
+        )
+
+    def _raster(self, *features: str) -> Program:
+        """The kernels that blend, with what a backward pass asks for; built when it is asked for first."""
+        return self.device.program(
+            "raster/scene",
+            "raster/blend",
+            "raster/raster_cpu" if self.on_cpu else "raster/raster_gpu",
+            dtype=self.dtype,
+            **self._raster_macros,
+            **dict.fromkeys(features, 1),
         )
 
     def _projection(self, request: RenderRequest) -> Program:
@@ -347,6 +362,7 @@ class Renderer:
         rgb, depth, alpha = (self._image(shape) for shape in ((*size, 3), size, size))
         arrays["rgb"], arrays["depth"] = rgb, depth
         self._run_raster(
+            self.raster_program,
             "raster",
             frame,
             arrays["records"],
@@ -389,10 +405,10 @@ class Renderer:
         size = -(-blocks // self.group) * self.group
         program.run(kernel, (size,), (self.group,), *arguments)
 
-    def _run_raster(self, kernel: str, frame: Frame, *arguments: Any) -> None:
+    def _run_raster(self, program: Program, kernel: str, frame: Frame, *arguments: Any) -> None:
         tiles = frame.tiles[0] * frame.tiles[1]
         local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
-        self.raster_program.run(kernel, (tiles * local,), (local,), *arguments)
+        program.run(kernel, (tiles * local,), (local,), *arguments)
 
 
 def _modifiers(frame: Frame, block: Block) -> DeviceArray:

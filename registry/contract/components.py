@@ -116,6 +116,11 @@ class Modifier(Component[SettingsType], ABC):
 class Densification(Component[SettingsType], ABC):
     """Decides where Gaussians are added, split, moved and removed."""
 
+    @property
+    def absolute_gradients(self) -> bool:
+        """Whether it asks for `model.absolute_screen_gradient()`, collected for those who say so."""
+        return False
+
     @abstractmethod
     def refine(self, step: Step) -> Edit | None:
         """Return the edit that is due, or None. Called after the backward pass, when scheduled.

@@ -114,20 +114,26 @@ class Bench:
         model = self.model()
         return Moment(step_of(model, self.scene, priors=self.priors, maps=self.maps()), model)
 
-    def rendered(self) -> Moment:
-        """After the render; there is one other field."""
+    def rendered(self, *, absolute: bool = False) -> Moment:
+        """After the render; there is one other field.
+
+        Args:
+            absolute: collect absolute screen gradients too.
+        """
         moment = self.begun()
         step = moment.step
-        rendering = moment.model.render(step.view.camera, collect_statistics=True)
+        rendering = moment.model.render(
+            step.view.camera, collect_statistics=True, collect_absolute=absolute
+        )
         other = self.model()
         look = StepRenderer(other, step.sample, gradients=False)
         seen = OtherField(1, other.reader(), look(step.view.camera), look)
         step.rendered(lambda: rendering, (seen,))
         return moment
 
-    def differentiated(self) -> Moment:
-        """After the backward pass."""
-        moment = self.rendered()
+    def differentiated(self, *, absolute: bool = False) -> Moment:
+        """After the backward pass; see `rendered`."""
+        moment = self.rendered(absolute=absolute)
         rgb, target = moment.step.rendering.rgb, moment.step.sample.target
         photometric_loss(rgb, target, device=self.device).backward()
         return moment

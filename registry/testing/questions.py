@@ -132,7 +132,7 @@ def _ask_modifier(bench: Bench, built: Any) -> Any:
 
 
 def _ask_densification(bench: Bench, built: Any) -> Any:
-    moment = bench.differentiated()
+    moment = bench.differentiated(absolute=built.absolute_gradients)
     edit = check_edit(bench.ask(built.refine, moment.step), moment.model.count)
     if edit is None:
         return None

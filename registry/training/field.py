@@ -26,6 +26,7 @@ from ..contract.answers import (
     check_opacity_update,
     check_sample,
 )
+from ..contract.components import Densification
 from ..contract.maps import DepthMap
 from ..contract.scene import TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
@@ -157,7 +158,8 @@ class Field:
             sh_degree=sample.sh_degree,
             opacity_scale=self._opacity_scale(),
             smoothing=sample.smoothing,
-            collect_statistics=self._statistics_wanted(step.iteration),
+            collect_statistics=bool(growing := self._growing(step.iteration)),
+            collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
         self._lent += of_rendering(self._rendering) + Loan({"the target": sample.target})
         step.rendered(lambda: self._rendering)
@@ -250,8 +252,10 @@ class Field:
             product = scale if product is None else product * scale
         return product
 
-    def _statistics_wanted(self, iteration: int) -> bool:
-        return any(not p.item.schedule.over(iteration) for p in self.parts["densification"])
+    def _growing(self, iteration: int) -> list[Densification[Any]]:
+        """Policies that are due in this iteration or a later one."""
+        parts = self.parts["densification"]
+        return [p.component for p in parts if not p.item.schedule.over(iteration)]
 
     def _colors(self) -> list[Recolored]:
         """The rendered colours, as one appearance after the other changes them."""

@@ -2,6 +2,9 @@
 
 Where the image pulls hard at a Gaussian's place on the screen, detail is missing: a small Gaussian is
 cloned, a large one split. Faint Gaussians go, and later also those that have grown out of proportion.
+
+Pixels that pull a large Gaussian in opposite directions cancel, so that the blurry ones are never split.
+AbsGS (Ye et al. 2024) splits by the absolute values of what pixels pull: `absolute_threshold`.
 """
 
 from __future__ import annotations
@@ -20,6 +23,9 @@ class GradientThresholdSettings(Settings):
     gradient_threshold: float = Field(2e-4, gt=0)
     """Mean norm of the screen-space gradient, in normalised device coordinates, from which on a
     Gaussian is cloned or split."""
+    absolute_threshold: float | None = Field(None, gt=0)
+    """Split by the screen gradient without cancellation, from this mean norm on (AbsGS: 0.0004);
+    null splits by the same gradient as it clones."""
     percent_dense: float = Field(0.01, gt=0)
     """Largest scale, as a part of the scene's extent, of a Gaussian that is cloned instead of split."""
     min_opacity: float = Field(0.005, ge=0, lt=1)
@@ -35,6 +41,11 @@ class GradientThresholdSettings(Settings):
 class GradientThreshold(Densification[GradientThresholdSettings]):
     """The rules of 3DGS for when to clone, split and prune; when it is due, the pipeline says."""
 
+    @property
+    def absolute_gradients(self) -> bool:
+        """Whether splits go by absolute gradients."""
+        return self.settings.absolute_threshold is not None
+
     def refine(self, step: Step) -> Edit:
         """Return the edit, empty masks included, so that statistics start anew each time."""
         from core_rasterizer import Edit
@@ -43,7 +54,10 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
         size = model.scales().amax(dim=1)
         pulled = model.screen_gradient() >= settings.gradient_threshold
         large = size > settings.percent_dense * step.extent
-        clone, split = pulled & ~large, pulled & large
+        torn = pulled
+        if settings.absolute_threshold is not None:
+            torn = model.absolute_screen_gradient() >= settings.absolute_threshold
+        clone, split = pulled & ~large, torn & large
         prune = model.opacities() < settings.min_opacity
         if settings.size_prune_from is not None and step.iteration > settings.size_prune_from:
             size_after = size.where(~split, size / Edit.shrink)

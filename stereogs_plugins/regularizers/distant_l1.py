@@ -17,7 +17,6 @@ from registry import (
     Regularizer,
     Settings,
     Step,
-    TrainingView,
     hookimpl,
 )
 
@@ -51,15 +50,20 @@ class DistantL1(Regularizer[DistantL1Settings]):
         view = step.view
         if view.name not in self._far:
             prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
-            self._far[view.name] = self._farthest(prior, view)
+            self._far[view.name] = farthest(prior.inverse_depth_of(view), self.settings.share)
         difference = (step.rendering.rgb.clamp(0, 1) - step.sample.target).abs()
         return (difference * self._far[view.name][:, :, None]).mean()
 
-    def _farthest(self, prior: MonocularDepthPrior[Settings], view: TrainingView) -> Tensor:
-        """Which pixels are far, `[H, W]` bool."""
-        inverse = prior.inverse_depth_of(view)
-        count = max(1, round(self.settings.share * inverse.numel()))
-        return inverse <= inverse.flatten().kthvalue(count).values
+
+def farthest(inverse: Tensor, share: float) -> Tensor:
+    """Which pixels are among the farthest, `[H, W]` bool; those as far as the last of them are too.
+
+    Args:
+        inverse: `[H, W]` inverse depth.
+        share: how many of the pixels.
+    """
+    count = max(1, round(share * inverse.numel()))
+    return inverse <= inverse.flatten().kthvalue(count).values
 
 
 @hookimpl

@@ -180,7 +180,10 @@ def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
         optimizer = Adam(model)
         for active in (0, degree):
             model.zero_gradients()
-            model.render(camera, sh_degree=active, collect_statistics=True).rgb.sum().backward()
+            rgb = model.render(
+                camera, sh_degree=active, collect_statistics=True, collect_absolute=True
+            ).rgb
+            rgb.sum().backward()
             optimizer.step(RATES, active_sh_degree=active)
         statistics = model.statistics()
         optimizer.reset_moments("opacity_logits")

@@ -9,6 +9,7 @@ from core_rasterizer.layout import PARAMETERS
 from tests.core_rasterizer.test_model import parameters, view
 
 READABLE = {
+    "absolute_screen_gradient",
     "count",
     "device",
     "digest",
@@ -22,6 +23,7 @@ READABLE = {
     "sh_degree",
     "touched",
 }
+STATISTICS = ("screen_gradient", "absolute_screen_gradient")
 
 
 def test_it_offers_what_can_be_read_and_nothing_else() -> None:
@@ -33,13 +35,14 @@ def test_it_answers_as_the_model_does_and_follows_it(device: Device) -> None:
     reader = model.reader()
     assert isinstance(reader, GaussianReader)
     for count in (30, 16):
-        model.render(view(), collect_statistics=True).rgb.sum().backward()
+        rendering = model.render(view(), collect_statistics=True, collect_absolute=True)
+        rendering.rgb.sum().backward()
         assert (reader.count, reader.sh_degree, reader.device) == (count, 2, device)
         for name in PARAMETERS:
             assert torch.equal(reader.read(name), model.read(name)), name
             assert torch.equal(reader.gradient(name), model.gradient(name)), name
             assert torch.equal(getattr(reader.gaussians(), name), model.read(name)), name
-        for name in ("opacities", "scales", "screen_gradient", "touched", "digest"):
+        for name in (*STATISTICS, "opacities", "scales", "touched", "digest"):
             ours, theirs = getattr(reader, name)(), getattr(model, name)()
             assert ours == theirs if name == "digest" else torch.equal(ours, theirs), name
         model.adopt(model.parameters.read()[:, :16].clone(), 16)

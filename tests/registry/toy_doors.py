@@ -200,6 +200,7 @@ class MoveSettings(r.Settings):
     shrink: float = 1.6
     add: int = 0
     relocate: int = 0
+    absolute: bool = False
 
 
 class ToyMove(r.Densification[MoveSettings]):
@@ -209,8 +210,16 @@ class ToyMove(r.Densification[MoveSettings]):
         super().__init__(settings, context)
         self.parent = torch.zeros(0, dtype=torch.int64)
 
+    @property
+    def absolute_gradients(self) -> bool:
+        return self.settings.absolute
+
     def refine(self, step: r.Step) -> Edit:
         count, settings = step.model.count, self.settings
+        if settings.absolute:
+            absolute = step.model.absolute_screen_gradient()
+            assert (absolute >= step.model.screen_gradient() * (1 - 1e-5)).all()
+            step.log("absolute", float(absolute.sum()))
         split = torch.zeros(count, dtype=torch.bool)
         split[0] = settings.children > 2
         added = None

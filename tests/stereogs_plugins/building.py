@@ -38,14 +38,18 @@ def some_gaussians(scales: list[float], opacities: list[float]) -> Gaussians:
 
 
 def moment_with(
-    gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0
+    gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0, absolute: bool = False
 ) -> tuple[Step, GaussianModel]:
-    """A step after a real render of the Gaussians and a real backward pass against a striped image."""
+    """A step after a real render of the Gaussians and a real backward pass against a striped image.
+
+    Args:
+        absolute: collect absolute screen gradients too.
+    """
     model = GaussianModel(gaussians, open_device())
     camera = Camera(torch.eye(4), 64, 64, 32, 24, 64, 48)
     image = (torch.arange(64) % 8 < 4).float()[None, :, None].expand(48, 64, 3).contiguous()
     scene = Scene("stripes", (View("stripes", camera, image),), (), (1.0, 10.0))
-    rendering = model.render(camera, collect_statistics=True)
+    rendering = model.render(camera, collect_statistics=True, collect_absolute=absolute)
     ((rendering.rgb - image) ** 2).mean().backward()
     step = step_of(
         model, scene, rendering=rendering, iteration=iteration, iterations=1000, extent=extent

@@ -1,5 +1,8 @@
 /* Backward, last stage: sum a Gaussian's pair slots, then go through the projection to its parameters. */
 
+/* What `collect` asks for: no statistics, 2 rows of them, or a third that needs kernels with ABSOLUTE. */
+#define COLLECT_ABSOLUTE 2
+
 /* Adds up the slots of each lane's Gaussian, in slot order, which is fixed. */
 static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
@@ -279,5 +282,11 @@ void project_backward(
         const lane norm = visible ? lane_sqrt(ndc_x * ndc_x + ndc_y * ndc_y) : (lane)0;
         put(statistics + i, norm, 1);
         put(statistics + stride + i, visible ? (lane)1 : (lane)0, 1);
+    }
+    if (collect == COLLECT_ABSOLUTE) {
+        const lane pull_x = sums[PAIR_ABSOLUTE_X] * (real)(camera[CAMERA_WIDTH] / 2) / LOG2_E;
+        const lane pull_y = sums[PAIR_ABSOLUTE_Y] * (real)(camera[CAMERA_HEIGHT] / 2) / LOG2_E;
+        const lane norm = visible ? lane_sqrt(pull_x * pull_x + pull_y * pull_y) : (lane)0;
+        put(statistics + 2 * stride + i, norm, 1);
     }
 }

@@ -248,6 +248,9 @@ static inline __attribute__((always_inline)) void walk_back(
         lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
              sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
              sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
+#ifdef ABSOLUTE
+        lane absolute_x = (lane)0, absolute_y = (lane)0;
+#endif
         for (int x = box.x0; x < box.x1; x += COLUMNS) {
             const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
             const lane square = a * dx * dx, slope = b * dx;
@@ -273,6 +276,10 @@ static inline __attribute__((always_inline)) void walk_back(
                 column_p += d_p;
                 column_py += d_p * dy;
                 column_pyy += d_p * (dy * dy);
+#ifdef ABSOLUTE
+                absolute_x += lane_abs(d_p * (2 * a * dx + b * dy));
+                absolute_y += lane_abs(d_p * (slope + 2 * c * dy));
+#endif
                 sum_red += m.weight * d_red;
                 sum_green += m.weight * d_green;
                 sum_blue += m.weight * d_blue;
@@ -288,10 +295,15 @@ static inline __attribute__((always_inline)) void walk_back(
         __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR);
         out[0] = sum_quad(sum_p, sum_px, sum_py, sum_pxx);
         out[1] = sum_quad(sum_pxy, sum_pyy, sum_red, sum_green);
+#ifdef ABSOLUTE
+        out[2] = sum_quad(sum_blue, sum_z, touched, absolute_x);
+        out[3] = sum_quad(absolute_y, (lane)0, (lane)0, (lane)0);
+#else
         out[2] = sum_quad(sum_blue, sum_z, touched, (lane)0);
+#endif
     }
     for (; p < end; p++)
-        for (int k = 0; k <= PAIR_TOUCHED; k++)
+        for (int k = 0; k <= PAIR_LAST; k++)
             pair_sums[(size_t)pairs[p].y * PAIR + k] = 0;
 }
 

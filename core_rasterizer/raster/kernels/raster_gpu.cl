@@ -98,20 +98,20 @@ void raster(
     final_transmittance[pixel] = left;
 }
 
-/* Sums PAIR_TOUCHED + 1 values over the group; work-item 0 writes them to `out`. */
+/* Sums PAIR_LAST + 1 values over the group; work-item 0 writes them to `out`. */
 static inline void sum_group(__local real *scratch, const real *values, __global real *out)
 {
     const uint id = get_local_id(0);
-    for (int k = 0; k <= PAIR_TOUCHED; k++)
+    for (int k = 0; k <= PAIR_LAST; k++)
         scratch[k * GROUP + id] = values[k];
     for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
         barrier(CLK_LOCAL_MEM_FENCE);
         if (id < half_size)
-            for (int k = 0; k <= PAIR_TOUCHED; k++)
+            for (int k = 0; k <= PAIR_LAST; k++)
                 scratch[k * GROUP + id] += scratch[k * GROUP + id + half_size];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (id <= PAIR_TOUCHED)
+    if (id <= PAIR_LAST)
         out[id] = scratch[id * GROUP];
     barrier(CLK_LOCAL_MEM_FENCE);
 }
@@ -126,7 +126,7 @@ void raster_backward(
     int tiles_x, int with_depth)
 {
     __local real staged[BATCH * RECORD];
-    __local real scratch[(PAIR_TOUCHED + 1) * GROUP];
+    __local real scratch[(PAIR_LAST + 1) * GROUP];
     __local int flag;
     const uint tile = get_group_id(0), local_id = get_local_id(0);
     const int x = (int)(tile % tiles_x) * TILE_WIDTH + (int)(local_id % TILE_WIDTH);
@@ -148,17 +148,17 @@ void raster_backward(
     for (uint p = tile_starts[tile]; p < end; p += BATCH) {
         const uint batch = min((uint)BATCH, end - p);
         if (!any_in_group(&flag, t > 0)) {
-            const size_t last = (size_t)end * (PAIR_TOUCHED + 1);
-            for (size_t k = (size_t)p * (PAIR_TOUCHED + 1) + local_id; k < last; k += GROUP)
-                pair_sums[(size_t)pairs[k / (PAIR_TOUCHED + 1)].y * PAIR + k % (PAIR_TOUCHED + 1)] = 0;
+            const size_t last = (size_t)end * (PAIR_LAST + 1);
+            for (size_t k = (size_t)p * (PAIR_LAST + 1) + local_id; k < last; k += GROUP)
+                pair_sums[(size_t)pairs[k / (PAIR_LAST + 1)].y * PAIR + k % (PAIR_LAST + 1)] = 0;
             break;
         }
         stage(staged, records, pairs, p, end);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (uint k = 0; k < batch; k++) {
             __local const real *g = staged + k * RECORD;
-            real sums[PAIR_TOUCHED + 1];
-            for (int s = 0; s <= PAIR_TOUCHED; s++)
+            real sums[PAIR_LAST + 1];
+            for (int s = 0; s <= PAIR_LAST; s++)
                 sums[s] = 0;
             if (t > 0 && in_box(g, x, y)) {
                 const real dx = distance_x(g, x), dy = distance_y(g, y);
@@ -175,6 +175,12 @@ void raster_backward(
                     sums[PAIR_PXX] = d_p * dx * dx;
                     sums[PAIR_PXY] = d_p * dx * dy;
                     sums[PAIR_PYY] = d_p * dy * dy;
+#ifdef ABSOLUTE
+                    const real slope_x = 2 * g[REC_A] * dx + g[REC_B] * dy;
+                    const real slope_y = g[REC_B] * dx + 2 * g[REC_C] * dy;
+                    sums[PAIR_ABSOLUTE_X] = fabs(d_p * slope_x);
+                    sums[PAIR_ABSOLUTE_Y] = fabs(d_p * slope_y);
+#endif
                 }
                 sums[PAIR_RED] = m.weight * red;
                 sums[PAIR_GREEN] = m.weight * green;

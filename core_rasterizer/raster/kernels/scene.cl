@@ -48,6 +48,13 @@
 #define PAIR_BLUE 8
 #define PAIR_Z 9
 #define PAIR_TOUCHED 10 /* positive if any pixel was touched */
+#define PAIR_ABSOLUTE_X 11 /* what pixels pull at the mean, without signs, times log2(e); only with ABSOLUTE */
+#define PAIR_ABSOLUTE_Y 12
+#ifdef ABSOLUTE
+#define PAIR_LAST PAIR_ABSOLUTE_Y
+#else
+#define PAIR_LAST PAIR_TOUCHED
+#endif
 
 /* What a block of Gaussians adds to the gradient of the pose, 16 of `wide`. */
 #define POSE 16

@@ -211,6 +211,18 @@ def test_the_limit_counts_all_children_and_added_ones(make: Make) -> None:
     assert trainer.model.count <= 62
 
 
+def test_absolute_gradients_are_collected_for_who_asks_and_survive_a_resume(make: Make) -> None:
+    text = "densification: {use: toy_move, absolute: true, every: 5}\n"
+    whole, second = resumed(make, text)
+    assert whole.model.digest() == second.model.digest()
+    assert torch.equal(whole.model.statistics(), second.model.statistics())
+    (done,) = [d for d in train(make(text)) if "absolute" in d.logged]
+    assert done.logged["absolute"] > 0
+    plain = make("densification: {use: toy_move, every: 5}\n")
+    train(plain)
+    assert len(plain.model.statistics()) == 2
+
+
 def test_a_phase_shifts_the_schedule(make: Make) -> None:
     text = "regularizers: [{use: toy_shape, start: 2, every: 3, phase: 2}]\n"
     done = train(make(text, "training.iterations=9"))

@@ -3,11 +3,18 @@ from __future__ import annotations
 import torch
 
 from registry import Step
+from registry.testing import check
 from stereogs_plugins.densification.gradient_threshold import (
     GradientThreshold,
     stereogs_register_densifications,
 )
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from tests.stereogs_plugins.building import (
+    build,
+    moment_with,
+    offered,
+    some_gaussians,
+    step_with,
+)
 
 SCALES = [0.02, 0.02, 0.3, 0.3, 0.05, 0.08]
 OPACITIES = [0.5, 0.001, 0.5, 0.001, 0.9, 0.9]
@@ -42,6 +49,27 @@ def test_small_ones_are_cloned_and_large_ones_split_where_the_gradient_is_high()
     small = [scale <= 0.06 for scale in SCALES]
     assert edit.clone.tolist() == [p and s for p, s in zip(pulled, small, strict=True)]
     assert edit.split.tolist() == [p and not s for p, s in zip(pulled, small, strict=True)]
+
+
+def test_splits_may_go_by_gradients_that_do_not_cancel() -> None:
+    """AbsGS: stripes pull a wide Gaussian to both sides at once."""
+    gaussians = some_gaussians([0.02, 0.02, 0.3], [0.5, 0.5, 0.5])
+    step, _ = moment_with(gaussians, absolute=True)
+    signed, absolute = step.model.screen_gradient(), step.model.absolute_screen_gradient()
+    assert float(absolute[2]) > 2 * float(signed[2])
+    threshold = float(absolute[2]) * 0.9
+    usual = build(GradientThreshold, gradient_threshold=threshold).refine(step)
+    numbers = {"gradient_threshold": 1e-12, "percent_dense": 0.1}
+    policy = build(GradientThreshold, absolute_threshold=threshold, **numbers)
+    edit = policy.refine(step)
+    assert policy.absolute_gradients
+    assert usual.split is not None
+    assert edit.split is not None
+    assert edit.clone is not None
+    assert usual.split.tolist() == [False, False, False]
+    assert edit.split.tolist() == [False, False, True]
+    assert edit.clone.tolist() == [True, True, False]
+    check(GradientThreshold, absolute_threshold=4e-4)
 
 
 def test_the_limits_scale_with_the_extent() -> None:

@@ -1,0 +1,85 @@
+"""Screen gradients whose pixels do not cancel: against the reference, and free for who does not ask."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians, reference
+from core_rasterizer.optimization.model_reader import ModelReader
+from tests.core_rasterizer.scenes import random_camera
+from tests.core_rasterizer.test_model import parameters
+
+CAMERA = random_camera(torch.Generator().manual_seed(8), 13, 9)
+COUNT = 40
+
+
+def expected(gaussians: Gaussians, camera: Camera) -> Tensor:
+    """Every pixel's own gradient, by autograd in float64, for the loss sum(rgb^2)."""
+    projected = reference.project(
+        gaussians.means,
+        gaussians.quaternions,
+        gaussians.log_scales.double().exp(),
+        gaussians.opacity_logits.double().sigmoid(),
+        gaussians.sh,
+        camera,
+    )
+    centers = projected.centers.detach().requires_grad_()
+    image = reference.composite(projected._replace(centers=centers), camera.width, camera.height)
+    losses = image.rgb.square().sum(2).reshape(-1)
+    pulls = [torch.autograd.grad(loss, centers, retain_graph=True)[0].abs() for loss in losses]
+    in_ndc = torch.stack(pulls).sum(0) * torch.tensor([camera.width / 2, camera.height / 2])
+    result = torch.zeros(len(gaussians), dtype=torch.float64)
+    result[projected.indices] = in_ndc.norm(dim=1)
+    return result
+
+
+def differentiate(model: GaussianModel, *, absolute: bool = True) -> None:
+    model.zero_gradients()
+    rendering = model.render(CAMERA, collect_statistics=True, collect_absolute=absolute)
+    rendering.rgb.square().sum().backward()
+
+
+def test_is_the_sum_of_every_pixels_pull(device: Device) -> None:
+    if not device.supports_double:
+        pytest.skip("the device has no double precision")
+    gaussians = parameters(COUNT)
+    model = GaussianModel(gaussians, device, dtype=torch.float64)
+    for _ in range(2):  # the mean over two equal renders is that of one
+        differentiate(model)
+    wanted = expected(gaussians, CAMERA)
+    assert wanted.any()
+    found = model.absolute_screen_gradient()
+    torch.testing.assert_close(found, wanted, rtol=0, atol=1e-9 * float(wanted.max()))
+    # Where pixels pull against each other the signed one is smaller, and nowhere is it larger.
+    signed = model.screen_gradient()
+    assert (signed <= found + 1e-12).all()
+    assert (signed < 0.5 * found).any()
+
+
+def test_who_does_not_ask_gets_the_same_bits(device: Device) -> None:
+    plain, asked = (GaussianModel(parameters(COUNT), device) for _ in range(2))
+    differentiate(plain, absolute=False)
+    differentiate(asked)
+    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+        assert torch.equal(plain.gradient(name), asked.gradient(name))
+    assert torch.equal(plain.statistics(), asked.statistics()[:2])
+    assert plain.statistics().shape == (2, COUNT)
+    with pytest.raises(GaussianError, match="no render has collected"):
+        ModelReader(plain).absolute_screen_gradient()
+    wanted = expected(parameters(COUNT), CAMERA)
+    found = asked.absolute_screen_gradient().double()
+    torch.testing.assert_close(found, wanted, rtol=0, atol=2e-5 * float(wanted.max()))
+
+
+def test_it_is_kept_for_checkpoints_and_forgotten_on_demand(device: Device) -> None:
+    model, other = (GaussianModel(parameters(COUNT), device) for _ in range(2))
+    differentiate(model)
+    other.restore_statistics(model.statistics())
+    first = model.absolute_screen_gradient().clone()
+    assert torch.equal(other.absolute_screen_gradient(), first)
+    model.reset_statistics()
+    assert not model.absolute_screen_gradient().any()
+    differentiate(model)
+    assert torch.equal(ModelReader(model).absolute_screen_gradient(), first)
