@@ -40,6 +40,14 @@ class LearnedFeatures:
         self._model = OnnxModel(path, sha256, provider)
         self._input, self._output = self._model.input().name, self._model.output().name
 
+    @staticmethod
+    def recognizes(model: OnnxModel) -> bool:
+        """Whether a model has the form of such features, as far as its sizes tell."""
+        if len(model.inputs) != 1 or len(model.outputs) != 1:
+            return False
+        grey, features = model.inputs[0].shape, model.outputs[0].shape
+        return len(grey) == len(features) == 4 and grey[1] == 1 and features[1] != 1
+
     @property
     def fingerprint(self) -> str:
         """What the features depend on beside the image."""

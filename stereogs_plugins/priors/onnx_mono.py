@@ -86,14 +86,16 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
         """Each family, as depth and as inverse depth, and other numbers, for one image to one map."""
-        image, maps = model.inputs[0], [spec for spec in model.outputs if _is_map(spec)]
+        image = model.inputs[0]
+        maps = [{"output": spec.name} for spec in model.outputs if _is_map(spec)]
+        outputs: list[dict[str, str]] = [{}] if len(model.outputs) == len(maps) == 1 else maps
         if len(model.inputs) != 1 or len(image.shape) != 4 or image.shape[1] != 3:
             return []
         kinds: list[dict[str, str]] = [{"family": name} for name in FAMILIES]
         kinds += [{"family": "dpt", "value_range": numbers} for numbers in ("0..1", "0..255")]
         return [
-            {**OnnxMonoSettings.naming(model), **kind, "output": output.name, "answers": answers}
-            for output in maps
+            {**OnnxMonoSettings.naming(model), **kind, **output, "answers": answers}
+            for output in outputs
             for kind in kinds
             for answers in get_args(Answer)
         ]

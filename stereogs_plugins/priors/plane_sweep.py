@@ -8,7 +8,7 @@ cheapest plane is refined between its neighbours.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -17,6 +17,7 @@ from registry import (
     Context,
     DepthMap,
     MultiViewDepthPrior,
+    OnnxModel,
     PluginError,
     Register,
     Settings,
@@ -27,7 +28,7 @@ from registry import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from torch import Tensor
 
@@ -85,6 +86,15 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         self._features = (
             LearnedFeatures(settings.features, settings.sha256) if settings.features else None
         )
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """The cost `features`, for a file of learned features."""
+        from registry import LearnedFeatures
+
+        if not LearnedFeatures.recognizes(model):
+            return []
+        return [{"cost": "features", "features": str(model.path), "sha256": model.sha256}]
 
     def fingerprint(self) -> str:
         """The device, since another may round a sample differently, and the file of features."""

@@ -7,13 +7,14 @@ eight paths (Hirschmüller, PAMI 2008); the cheapest disparity is refined betwee
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
 from core_rasterizer.matching import LARGEST_PENALTY, MAX_RADIUS
 from registry import (
     Context,
+    OnnxModel,
     OnnxProvider,
     PluginError,
     Register,
@@ -24,6 +25,8 @@ from registry import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from torch import Tensor
 
     from core_rasterizer.matching import CostVolume
@@ -83,6 +86,15 @@ class SgmPrior(StereoPrior[SgmSettings]):
         self._features = settings.features and LearnedFeatures(
             settings.features, settings.sha256, settings.provider
         )
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """The cost `features`, for a file of learned features."""
+        from registry import LearnedFeatures
+
+        if not LearnedFeatures.recognizes(model):
+            return []
+        return [{"cost": "features", "features": str(model.path), "sha256": model.sha256}]
 
     @property
     def max_disparity(self) -> float:

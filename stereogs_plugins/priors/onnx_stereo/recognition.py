@@ -26,10 +26,11 @@ def guesses(model: OnnxModel) -> list[Guess]:
         if family.output is not None and _is_of(model, family):
             return [{"family": name}]
     kind: Guess = {"family": "hitnet" if stacked else "generic"}
-    maps = [spec.name for spec in model.outputs if _is_map(spec)]
+    maps = [{"output": spec.name} for spec in model.outputs if _is_map(spec)]
+    outputs: list[Guess] = [{}] if len(model.outputs) == len(maps) == 1 else maps
     return [
-        {**kind, "output": output, "value_range": value_range, **sign}
-        for output in maps
+        {**kind, **output, "value_range": value_range, **sign}
+        for output in outputs
         for sign in ({}, {"negated": True})
         for value_range in get_args(ValueRange)
     ]
@@ -37,7 +38,8 @@ def guesses(model: OnnxModel) -> list[Guess]:
 
 def _is_of(model: OnnxModel, family: StereoFamily) -> bool:
     """Whether the graph has all names that the family gives, and its size."""
-    inputs, outputs = ([spec.name for spec in specs] for specs in (model.inputs, model.outputs))
+    inputs = [spec.name for spec in model.inputs]
+    outputs = [spec.name for spec in model.outputs if _is_map(spec)]
     named = all(name in inputs for name in (family.left, family.right) if name is not None)
     answers = all(name in outputs for name in (family.output, *family.confidences))
     sized = family.frozen in ((None, None), model.inputs[0].shape[2:])

@@ -1,0 +1,72 @@
+"""Priors that give the answer they are made with, whatever they are asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from registry import (
+    DepthMap,
+    Matches,
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    Settings,
+    StereoPrior,
+    TrainingView,
+)
+from tests.stereogs_plugins.building import build
+
+
+def stereo(answer: Tensor) -> StereoPrior[Settings]:
+    """Of the disparity `[H, W]`."""
+
+    class Known(StereoPrior[Settings]):
+        def estimate(self, left: Tensor, right: Tensor) -> Tensor:
+            return answer
+
+    return build(Known)
+
+
+def flow(answer: Tensor) -> OpticalFlowPrior[Settings]:
+    """Of the flow `[H, W, 2]`."""
+
+    class Known(OpticalFlowPrior[Settings]):
+        def estimate(self, first: Tensor, second: Tensor) -> Tensor:
+            return answer
+
+    return build(Known)
+
+
+def depth(answer: DepthMap) -> MultiViewDepthPrior[Settings]:
+    """Of one depth map for every view."""
+
+    class Known(MultiViewDepthPrior[Settings]):
+        def estimate(
+            self, views: Sequence[TrainingView], bounds: tuple[float, float]
+        ) -> list[DepthMap]:
+            return [answer for _ in views]
+
+    return build(Known)
+
+
+def nearness(answer: Tensor) -> MonocularDepthPrior[Settings]:
+    """Of the relative inverse depth `[H, W]`."""
+
+    class Known(MonocularDepthPrior[Settings]):
+        def estimate(self, image: Tensor) -> Tensor:
+            return answer
+
+    return build(Known)
+
+
+def matches(answer: Matches) -> MatchingPrior[Settings]:
+    """Of the matches."""
+
+    class Known(MatchingPrior[Settings]):
+        def estimate(self, first: Tensor, second: Tensor) -> Matches:
+            return answer
+
+    return build(Known)
