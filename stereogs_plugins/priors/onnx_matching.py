@@ -175,8 +175,11 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
         from registry.image_fitting import in_range, stretched
 
         shown = image.rot90(dims=(0, 1)) if turned else image
-        frozen = self._image.shape[2:] if self.settings.size is None else self.settings.size[::-1]
-        fit = stretched(shown.shape[:2], frozen, self.settings.multiple)
+        frozen = (self._image.shape[2], self._image.shape[3])
+        if self.settings.size is not None:
+            frozen = (self.settings.size[1], self.settings.size[0])
+        size = (shown.shape[0], shown.shape[1])
+        fit = stretched(size, frozen, self.settings.multiple)
         batch = in_range(fit.apply(shown.permute(2, 0, 1)[None]), self.settings.value_range)
         answers = self._finder.run({self._image.name: batch})
         keypoints, descriptors = answers[KEYPOINTS], answers[DESCRIPTORS]
