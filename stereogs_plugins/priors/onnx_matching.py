@@ -178,8 +178,8 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
         frozen = (self._image.shape[2], self._image.shape[3])
         if self.settings.size is not None:
             frozen = (self.settings.size[1], self.settings.size[0])
-        size = (shown.shape[0], shown.shape[1])
-        fit = stretched(size, frozen, self.settings.multiple)
+        seen = (shown.shape[0], shown.shape[1])
+        fit = stretched(seen, frozen, self.settings.multiple)
         batch = in_range(fit.apply(shown.permute(2, 0, 1)[None]), self.settings.value_range)
         answers = self._finder.run({self._image.name: batch})
         keypoints, descriptors = answers[KEYPOINTS], answers[DESCRIPTORS]
