@@ -232,7 +232,7 @@ def peak_memory_mb(count: int) -> float:
     """Peak memory above that of an interpreter with torch and a device, in a process of its own."""
     code = (
         "import sys; from benchmarks.engine import Workload, open_device\n"
-        "from registry.memory import peak_memory_mb as peak\n"
+        "from registry.system.memory import peak_memory_mb as peak\n"
         "d = open_device(); Workload(16, d).iteration(); base = peak()\n"
         "w = Workload(int(sys.argv[1]), d); [w.iteration() for _ in range(3)]\n"
         "print(peak() - base)"

@@ -101,7 +101,7 @@ def same_process() -> Iterator[None]:
 def _global_generators() -> dict[str, bytes]:
     return {
         "torch": torch.get_rng_state().numpy().tobytes(),
-        "random": pickle.dumps(random.getstate()),
+        "Python": pickle.dumps(random.getstate()),
         "numpy": pickle.dumps(np.random.get_state()),
     }
 

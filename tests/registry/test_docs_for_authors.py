@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 from pathlib import Path
 
 import pytest
 
+import core_rasterizer
 import registry
 from registry.contract import hooks
 from registry.contract.hook_points import HOOK_POINTS
@@ -59,3 +61,21 @@ def test_the_pages_example_keeps_the_contract() -> None:
     scope: dict[str, object] = {}
     exec(inspect.cleandoc("\n" + source[1]), scope)
     check(scope["Solid"], target=0.9)  # type: ignore[arg-type]
+
+
+EDITS = PAGE.partition("## Edits")[2].partition("## ")[0]
+ROWS = [
+    line
+    for line in PAGE.partition("## What you are given, and what you answer")[2].splitlines()
+    if line.startswith("| `")
+]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("`")[1])
+def test_the_page_names_every_field(row: str) -> None:
+    name, of_engine = row.split("`")[1], row.split("|")[1].strip().endswith("*")
+    fields = dataclasses.fields(getattr(core_rasterizer if of_engine else registry, name))
+    whole = [other for other in ROWS if other.startswith(f"| `{name.removeprefix('Training')}`")]
+    page = row + (EDITS if name == "Edit" else "") + ("the same" in row) * whole[0]
+    told = {*re.findall(r"\w+", page), "coverage"}  # what `visible` is read from, nobody else's
+    assert {field.name for field in fields if not field.name.startswith("_")} <= told

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import stereogs
 from registry.plugins.discovery import SELECTION, Plugins
 from tests.packages import ROOT, install, run_python
 
@@ -32,12 +35,20 @@ def test_there_is_one_of_each_kind_that_the_page_promises() -> None:
     assert all(f"(examples/{package.name})" in page for package in PACKAGES)
 
 
-def test_they_are_found_through_their_entry_points(
-    site: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
+    """The plugins that ship, and the examples."""
+    before = set(sys.modules)
     monkeypatch.syspath_prepend(site)
     monkeypatch.delenv(SELECTION)
-    offers = {offer.name: offer for offer in Plugins().all()}
+    yield Plugins()
+    for name in set(sys.modules) - before:
+        if name in {package.name.replace("-", "_") for package in PACKAGES}:
+            del sys.modules[name]
+
+
+def test_they_are_found_through_their_entry_points(installed: Plugins) -> None:
+    offers = {offer.name: offer for offer in installed.all()}
     for package in PACKAGES:
         project = tomllib.loads((package / "pyproject.toml").read_text("utf-8"))["project"]
         for name in project["entry-points"]["stereogs.plugins"]:
@@ -52,11 +63,10 @@ def test_their_own_tests_pass(site: Path, tmp_path: Path) -> None:
     run_python("-m", "pytest", *options, *tests, folder=tmp_path, site=site)
 
 
-def test_a_pipeline_of_them_trains(site: Path, tmp_path: Path) -> None:
-    (tmp_path / "examples.yaml").write_text(PIPELINE, "utf-8")
-    command = ("-m", "registry", "train", "examples.yaml", "--out", "run")
-    run_python(*command, folder=tmp_path, site=site)
+def test_a_pipeline_of_them_trains(installed: Plugins, tmp_path: Path) -> None:
+    pipeline = stereogs.build_pipeline(PIPELINE, plugins=installed)
+    run = stereogs.train(pipeline, out=tmp_path / "run", progress=False)
+    assert run.finished
     provenance = json.loads((tmp_path / "run" / "provenance.json").read_text("utf-8"))
     assert provenance["plugins"]["opacity.idle_fade"] == "stereogs-idle-opacity 0.1.0"
-    last = (tmp_path / "run" / "metrics.jsonl").read_text("utf-8").splitlines()[-1]
-    assert "fading" in json.loads(last)
+    assert "fading" in run.metrics[-1]

@@ -115,11 +115,11 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "opacity.opacity_reset": (needs_nothing,),
     "opacity.constant_decay": (needs_nothing,),
     "opacity.gradient_aware_decay": tuple(
-        lambda folder, scope=scope: {"scope": scope} for scope in ("all", "visible", "contributing")
+        lambda folder, scope=scope: {"scope": scope} for scope in ("all", "contributing")
     ),
-    "metrics.psnr": (needs_nothing, lambda folder: {"quantize": "png8"}),
-    "metrics.ssim": (needs_nothing, lambda folder: {"quantize": "png8"}),
-    "metrics.ssim_skimage": (needs_nothing, lambda folder: {"quantize": "png8"}),
+    "metrics.psnr": (lambda folder: {"quantize": "png8"},),
+    "metrics.ssim": (lambda folder: {"quantize": "png8"},),
+    "metrics.ssim_skimage": (lambda folder: {"quantize": "png8"},),
     "metrics.lpips": (needs_nothing, network),
     "metrics.lpips_proper": (needs_nothing, network),
     "metrics.depth_error": (needs_nothing, lambda folder: {"against": "points"}),

@@ -11,7 +11,7 @@ import pytest
 
 from core_rasterizer import ExplainedError
 from registry.pipeline.pipeline import load_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from tests.fuzzing.formats.texts import ENVIRONMENT, shipped_plugins
 
 SHIPPED = Path(__file__).parents[3] / "pipelines" / "stereogs.yaml"

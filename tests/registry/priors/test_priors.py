@@ -29,7 +29,7 @@ from registry import (
     StereoPrior,
     View,
 )
-from registry.plugins import GROUP
+from registry.plugins.discovery import GROUP
 from registry.priors.prior_cache import code_digest, source_digest
 from registry.testing import check, tiny_scene
 

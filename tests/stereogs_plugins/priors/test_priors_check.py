@@ -13,7 +13,7 @@ from registry.cli import main
 from registry.inspection import prior_trials
 from registry.inspection.prior_truth import judge, truth_of
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins import Plugins
+from registry.plugins.discovery import Plugins
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build
 
