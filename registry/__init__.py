@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from . import cache, image_fitting, photos, web_page
+    from . import cache, image_fitting, photos, virtual_views, web_page
     from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
         Appearance,
@@ -129,6 +129,7 @@ __all__ = [
     "read_model_file",
     "side_by_side",
     "validate",
+    "virtual_views",
     "web_page",
     "white_outside",
     "write_text",

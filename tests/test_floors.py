@@ -15,7 +15,7 @@ MOST_ROOMS = 12
 FLOORS = (
     ("errors", "files", "suggestions", "web_page"),
     ("contract", "cache", "image_fitting"),
-    ("drawing", "plugins", "photos"),
+    ("drawing", "plugins", "photos", "virtual_views"),
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs", "testing"),
