@@ -14,6 +14,8 @@ from pydantic import Field
 from registry import OpticalFlowPrior, Register, Settings, hookimpl
 
 if TYPE_CHECKING:
+    from typing import Any
+
     import numpy as np
     from numpy.typing import NDArray
     from torch import Tensor
@@ -59,7 +61,7 @@ class DisFlow(OpticalFlowPrior[DisFlowSettings]):
     @staticmethod
     def _both_ways(
         here: NDArray[np.uint8], there: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
         import cv2
         import numpy as np
 
@@ -102,7 +104,8 @@ def _cycle_error(flow: Tensor, back: Tensor) -> Tensor:
         align_corners=False,
         padding_mode="border",
     )[0].permute(1, 2, 0)
-    return (flow + sampled).norm(dim=2).where(inside, torch.inf)
+    error: Tensor = (flow + sampled).norm(dim=2).where(inside, torch.inf)
+    return error
 
 
 def _pixel_centers(height: int, width: int) -> tuple[Tensor, Tensor]:
