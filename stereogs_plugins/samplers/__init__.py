@@ -1,0 +1,1 @@
+"""Samplers: what an iteration learns from."""
