@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import TrainingView, nearness_picture, side_by_side
+from registry import DepthMap, TrainingView, nearness_picture, side_by_side
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,6 +49,11 @@ class ViewDepth:
     def completed(self) -> DepthImage:
         """Confirmed depths, and guesses where there is none."""
         return np.where(self.confirmed > 0, self.confirmed, self.filled)
+
+    def confirmed_map(self) -> DepthMap:
+        """The confirmed depths for other components, all equally sure."""
+        depth = torch.from_numpy(self.confirmed).float()
+        return DepthMap(depth, depth > 0, (depth > 0).float())
 
     def facts(self) -> dict[str, Any]:
         """Shares of the view's pixels, and quantiles of its confirmed depths in world units."""
