@@ -71,9 +71,8 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
 
         settings = self.settings
         target, known = self._farness.of(step)
-        sides = torch.arange(settings.smallest, settings.largest + 1)
-        side = int(sides[torch.randint(len(sides), (), generator=self.generator)])
-        side = min(side, *known.shape)
+        drawn = torch.randint(settings.smallest, settings.largest + 1, (), generator=self.generator)
+        side = min(int(drawn), *known.shape)
         rendered = Patches(self._depth(step), known, side)
         wanted = Patches(target, known, side)
         return settings.local_weight * self._difference(
