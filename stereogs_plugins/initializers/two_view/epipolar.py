@@ -77,7 +77,8 @@ def _meeting(rays: Tensor, shift: Tensor, directions: Tensor) -> Tensor:
     turned = torch.linalg.cross(rays, directions)
     z = -(moved * turned).sum(1) / turned.square().sum(1)
     in_front = (z > 0) & (z * rays[:, 2] + shift[2] > 0)
-    return z.where(in_front, torch.nan)
+    depth: Tensor = z.where(in_front, torch.nan)
+    return depth
 
 
 def _homogeneous(pixels: Tensor) -> Tensor:
