@@ -28,6 +28,8 @@ class GradientThresholdSettings(Settings):
     null splits by the same gradient as it clones."""
     percent_dense: float = Field(0.01, gt=0)
     """Largest scale, as a part of the scene's extent, of a Gaussian that is cloned instead of split."""
+    split_into: int = Field(2, ge=2)
+    """How many children a split Gaussian has; their scales are divided by 0.8 times as many (3DGS)."""
     min_opacity: float = Field(0.005, ge=0, lt=1)
     """Gaussians fainter than this are removed."""
     size_prune_from: int | None = Field(3000, ge=0)
@@ -58,15 +60,15 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
         if settings.absolute_threshold is not None:
             torn = model.absolute_screen_gradient() >= settings.absolute_threshold
         clone, split = pulled & ~large, torn & large
+        children, shrink = settings.split_into, 0.8 * settings.split_into
         prune = model.opacities() < settings.min_opacity
         if settings.size_prune_from is not None and step.iteration > settings.size_prune_from:
-            size_after = size.where(~split, size / Edit.shrink)
+            size_after = size.where(~split, size / shrink)
             prune = prune | (size_after > settings.max_size * step.extent)
         survivors = ~prune
-        added = int((survivors & (clone | split)).sum())
-        if int(survivors.sum()) + added < settings.min_gaussians:
-            return Edit(clone=clone, split=split)
-        return Edit(clone=clone, split=split, prune=prune)
+        added = int((survivors & clone).sum()) + (children - 1) * int((survivors & split).sum())
+        kept = None if int(survivors.sum()) + added < settings.min_gaussians else prune
+        return Edit(clone=clone, split=split, prune=kept, split_into=children, shrink=shrink)
 
 
 @hookimpl

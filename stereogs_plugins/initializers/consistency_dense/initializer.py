@@ -68,6 +68,8 @@ class ConsistencyDenseSettings(Settings):
     """Put coarse points of the background's colour behind the edges of the foreground."""
     margin: bool = False
     """Put a ring of coarse points around each image."""
+    hand_on_depth: bool = False
+    """Hand the confirmed depths on to components that train on them (`PointCloud.maps`)."""
 
 
 class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
@@ -220,7 +222,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             pictures={
                 f"{view.view.name.removesuffix('.png')}_depth": view.picture() for view in views
             },
-            maps={view.view.name: view.confirmed_map() for view in views},
+            maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
         )
 
 

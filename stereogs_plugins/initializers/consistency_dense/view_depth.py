@@ -51,7 +51,7 @@ class ViewDepth:
         return np.where(self.confirmed > 0, self.confirmed, self.filled)
 
     def confirmed_map(self) -> DepthMap:
-        """What other views agree with, for training."""
+        """The confirmed depths for other components, all equally sure."""
         depth = torch.from_numpy(self.confirmed)
         return DepthMap(depth, depth > 0, (depth > 0).float())
 

@@ -115,3 +115,17 @@ def test_never_removes_everything() -> None:
     one_left = step_with(some_gaussians([0.02, 0.02], [0.001, 0.9]))
     assert build(GradientThreshold, **settings).refine(one_left).prune is not None
     assert build(GradientThreshold, min_gaussians=2, **settings).refine(one_left).prune is None
+
+
+def test_children_shrink_by_four_fifths_of_their_number() -> None:
+    usual, four = (
+        build(GradientThreshold, **s).refine(some_step()) for s in ({}, {"split_into": 4})
+    )
+    assert (usual.split_into, usual.shrink) == (2, 1.6)
+    assert (four.split_into, four.shrink) == (4, 0.8 * 4)  # NexusGS divides by 0.8 * 4
+    step = some_step(iteration=4000)
+    wide = {"gradient_threshold": 1e-9, "percent_dense": 0.06, "max_size": 0.1, "min_opacity": 0.0}
+    for children, gone in ((2, True), (4, False)):  # 0.3 / 1.6 is above 0.1, 0.3 / 3.2 below
+        edit = build(GradientThreshold, split_into=children, **wide).refine(step)
+        assert edit.prune is not None
+        assert bool(edit.prune[2]) == gone

@@ -208,3 +208,17 @@ def test_three_real_photographs() -> None:
     assert scene.points is not None
     distance, _ = KDTree(points.positions.numpy()).query(scene.points.positions.numpy())
     assert np.median(distance) < 0.01 * scene.bounds[1]
+
+
+def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
+    assert dense(scene, stride=4).maps == {}
+    points = dense(scene, stride=4, fill=True, hand_on_depth=True)
+    assert list(points.maps) == [view.name for view in scene.train]
+    for view in scene.train:
+        known = points.maps[view.name]
+        confirmed = points.facts["views"][view.name]["consistent"]
+        assert float(known.valid.float().mean()) == pytest.approx(confirmed, abs=1e-4)
+        assert 0.5 < confirmed < 1
+        wrong = (known.depth - true_depth(view))[known.valid].abs()
+        assert wrong.quantile(0.99) < 0.02
+        assert (known.depth[~known.valid] == 0).all()

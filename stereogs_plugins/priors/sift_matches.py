@@ -1,0 +1,93 @@
+"""`sift_matches`: points of two images that show the same, by SIFT features, without any model file.
+
+Features (Lowe, IJCV 2004) whose descriptors are each other's nearest and clearly nearer than the second
+nearest, found by pycolmap on the CPU. They stand in where a method asks for a matching network.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from registry import Matches, MatchingPrior, Register, Settings, hookimpl
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class SiftMatchesSettings(Settings):
+    contrast: float = Field(0.002, gt=0)
+    """Least contrast of a feature; COLMAP's own, 0.0067, is made for dozens of photographs."""
+    max_features: int = Field(8192, ge=1)
+    """Of an image; those of the largest scale are kept."""
+    max_ratio: float = Field(0.8, gt=0, le=1)
+    """Largest distance of a match's descriptors, relative to the second nearest (Lowe's ratio)."""
+
+
+class SiftMatches(MatchingPrior[SiftMatchesSettings]):
+    """SIFT and mutual nearest neighbours. A match's score is the cosine of its descriptors."""
+
+    def fingerprint(self) -> str:
+        """pycolmap's version."""
+        from importlib.metadata import version
+
+        return f"pycolmap {version('pycolmap')}"
+
+    def estimate(self, first: Tensor, second: Tensor) -> Matches:
+        """The matches, in the order of the first image's features."""
+        import torch
+
+        from registry.photos import import_pycolmap
+
+        colmap = import_pycolmap()
+        features = [self._features(colmap, image) for image in (first, second)]
+        if not all(len(points) for points, _ in features):
+            return Matches(torch.zeros(0, 2), torch.zeros(0, 2), torch.zeros(0))
+        options = colmap.FeatureMatchingOptions()
+        options.num_threads = 1
+        options.sift.max_ratio = self.settings.max_ratio
+        matcher = colmap.FeatureMatcher.create(options, colmap.Device.cpu)
+        (points, words), (other_points, other_words) = features
+        pairs = matcher.match(points, words, other_points, other_words)
+        here, there = torch.from_numpy(pairs.astype("int64")).unbind(dim=1)
+        likeness = _descriptors(words)[here] * _descriptors(other_words)[there]
+        return Matches(
+            _pixels(colmap, points)[here],
+            _pixels(colmap, other_points)[there],
+            likeness.sum(dim=1).clamp(0, 1),
+        )
+
+    def _features(self, colmap: Any, image: Tensor) -> tuple[Any, Any]:
+        """pycolmap's keypoints and descriptors."""
+        import torch
+
+        from registry import grey
+
+        options = colmap.FeatureExtractionOptions()
+        options.num_threads = 1
+        options.sift.peak_threshold = self.settings.contrast
+        options.sift.max_num_features = self.settings.max_features
+        extractor = colmap.FeatureExtractor.create(options, colmap.Device.cpu)
+        brightness = (255 * grey(image).clamp(0, 1)).round().to(torch.uint8)
+        return tuple(extractor.extract_from_uint8_array(brightness.numpy()))
+
+
+def _descriptors(words: Any) -> Tensor:
+    """`[F, 128]`, of length 1."""
+    import torch
+    from torch.nn.functional import normalize
+
+    return normalize(torch.from_numpy(words.data.astype("float32")), dim=1)
+
+
+def _pixels(colmap: Any, keypoints: Any) -> Tensor:
+    """`[F, 2]` columns and rows; the middle of the first pixel is (0.5, 0.5), as in COLMAP."""
+    import torch
+
+    return torch.from_numpy(colmap.keypoints_to_matrix(keypoints)[:, :2].astype("float32"))
+
+
+@hookimpl
+def stereogs_register_priors(register: Register[SiftMatches]) -> None:
+    register("sift_matches", SiftMatches)

@@ -1,0 +1,34 @@
+"""`depth_from_initializer`: rendered depth beside what the initializer knows (MVPGS, Xu et al. 2024).
+
+The initializer must hand its depth maps on (`PointCloud.maps`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from registry import PluginError, Regularizer, Settings, Step
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class DepthFromInitializer(Regularizer[Settings]):
+    """mean |D - z| / z over the pixels whose depth z is known; D is depth as blended, as in the paper."""
+
+    def loss(self, step: Step) -> Tensor:
+        """The term for the view at hand; 0 where nothing of it is known.
+
+        Raises:
+            PluginError: the initializer handed no depth maps on.
+        """
+        if not step.maps:
+            raise PluginError(
+                "the initializer has handed no depth maps on",
+                fix="use one that does, for example consistency_dense with `hand_on_depth: true`",
+            )
+        known = step.maps.get(step.view.name)
+        if known is None or not known.valid.any():
+            return step.rendering.depth.new_zeros(())
+        true = known.depth[known.valid]
+        return ((step.rendering.depth[known.valid] - true) / true).abs().mean()

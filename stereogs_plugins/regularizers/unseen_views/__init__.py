@@ -1,0 +1,23 @@
+"""What must look right where no photograph was taken: `field_agreement`, `depth_smoothness`,
+`forward_warping` and `cycle_filtered_warping`."""
+
+from __future__ import annotations
+
+from registry import Register, hookimpl
+
+from .cycle_filtered_warping import CycleFilteredWarping
+from .depth_smoothness import DepthSmoothness
+from .field_agreement import FieldAgreement
+from .forward_warping import ForwardWarping
+
+__all__ = ["CycleFilteredWarping", "DepthSmoothness", "FieldAgreement", "ForwardWarping"]
+
+
+@hookimpl
+def stereogs_register_regularizers(
+    register: Register[CycleFilteredWarping | DepthSmoothness | FieldAgreement | ForwardWarping],
+) -> None:
+    register("cycle_filtered_warping", CycleFilteredWarping)
+    register("depth_smoothness", DepthSmoothness)
+    register("field_agreement", FieldAgreement)
+    register("forward_warping", ForwardWarping)

@@ -1,0 +1,31 @@
+"""`random_background`: another colour behind each render (3DGS's `random_background`; CoR-GS).
+
+Gaussians can then not stand in for the background, and the fields of CoR-GS learn from different noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from registry import Register, Sample, Sampler, Settings, Step, hookimpl
+
+
+class RandomBackground(Sampler[Settings]):
+    """A colour uniform in [0, 1]^3; photographs with an alpha are put on it too."""
+
+    def sample(self, step: Step, sample: Sample) -> Sample:
+        """Return the sample before a random background."""
+        import torch
+
+        color = torch.rand(3, generator=self.generator)
+        target, alpha = sample.target, sample.view.alpha
+        if alpha is not None:
+            behind = torch.tensor(sample.background)
+            target = (target + (1 - alpha)[..., None] * (color - behind)).clamp(0, 1)
+        red, green, blue = color.tolist()
+        return replace(sample, target=target, background=(red, green, blue))
+
+
+@hookimpl
+def stereogs_register_samplers(register: Register[RandomBackground]) -> None:
+    register("random_background", RandomBackground)

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from core_rasterizer import Gaussians
+from registry.testing import check
+from stereogs_plugins.regularizers.near_occlusion import (
+    NearOcclusion,
+    stereogs_register_regularizers,
+)
+from tests.stereogs_plugins.building import build, moment_with, offered
+
+
+def at_depths(*depths: float) -> Gaussians:
+    count = len(depths)
+    positions = torch.zeros(count, 3)
+    positions[:, 2] = torch.tensor(depths)
+    return Gaussians.from_points(
+        positions,
+        torch.full((count, 3), 0.5),
+        torch.full((count,), 0.2),
+        torch.full((count,), 0.6),
+        0,
+    )
+
+
+def test_it_is_registered_and_keeps_the_contract() -> None:
+    assert offered(stereogs_register_regularizers) == {"near_occlusion": NearOcclusion}
+    check(NearOcclusion)
+    check(NearOcclusion, share=1.0)
+
+
+def test_only_what_is_nearer_than_freenerfs_sample_counts() -> None:
+    # The scene reaches from 1 to 10: sample 20 of 128 is at 1 + 9 * 20 / 128 = 2.41.
+    step, model = moment_with(at_depths(2.3, 2.5, 6.0))
+    model.zero_gradients()
+    loss = build(NearOcclusion).loss(step)
+    loss.backward()
+    alone, _ = moment_with(at_depths(2.3))
+    assert float(loss.detach()) == pytest.approx(
+        float(alone.rendering.alpha.detach().mean()), rel=1e-5
+    )
+    gradient = model.gradient("opacity_logits")
+    assert gradient[0] > 0
+    assert (gradient[1:] == 0).all()
+
+
+def test_with_nothing_near_it_is_zero() -> None:
+    step, _ = moment_with(at_depths(5.0, 6.0))
+    assert float(build(NearOcclusion, share=10 / 128).loss(step)) == 0

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from core_rasterizer import photometric_loss
+from registry import PluginError, Step, virtual_views
+from registry.testing import check
+from registry.testing.bench import Bench
+from stereogs_plugins.regularizers.unseen_views import (
+    CycleFilteredWarping,
+    DepthSmoothness,
+    FieldAgreement,
+    ForwardWarping,
+    stereogs_register_regularizers,
+)
+from tests.stereogs_plugins.building import build, offered
+
+
+def bench_step() -> tuple[Step, Bench]:
+    from core_rasterizer import open_device
+
+    bench = Bench(open_device(), {})
+    return bench.rendered().step, bench
+
+
+def test_the_four_are_registered_and_this_one_keeps_the_contract() -> None:
+    assert offered(stereogs_register_regularizers) == {
+        "cycle_filtered_warping": CycleFilteredWarping,
+        "depth_smoothness": DepthSmoothness,
+        "field_agreement": FieldAgreement,
+        "forward_warping": ForwardWarping,
+    }
+    check(FieldAgreement)
+    check(FieldAgreement, views="between", ssim_weight=0.5)
+
+
+def test_fields_that_are_equal_agree() -> None:
+    step, _ = bench_step()
+    assert float(build(FieldAgreement).loss(step).detach()) == 0
+
+
+def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> None:
+    step, bench = bench_step()
+    step.sample = type(step.sample)(**{**vars(step.sample), "background": (0.1, 0.9, 0.4)})
+    moved = bench.model()
+    moved.write("means", moved.read("means") + 0.2)
+    asked = []
+
+    def elsewhere(camera, *, background):
+        asked.append(camera)
+        return moved.render(camera, background=background)
+
+    other = step.others[0]
+    step.others = (type(other)(1, moved.reader(), other.rendering, elsewhere),)
+    loss = build(FieldAgreement, seed=3).loss(step)
+    (camera,) = asked
+    generator = torch.Generator().manual_seed(3)
+    drawn = virtual_views.draw("box", step.scene, generator)
+    assert torch.equal(camera.world_to_camera, drawn.world_to_camera)
+    mine = step.render(camera, gradient=False).rgb
+    with torch.no_grad():
+        theirs = moved.render(camera, background=step.sample.background).rgb
+    wanted = photometric_loss(mine, theirs, 0.2)  # 0.8 L1 + 0.2 D-SSIM
+    assert float(loss.detach()) == pytest.approx(float(wanted), rel=1e-5)
+    assert float(wanted) > 0.001
+
+
+def test_a_single_field_is_refused() -> None:
+    step, _ = bench_step()
+    step.others = ()
+    with pytest.raises(PluginError, match=r"no other field"):
+        build(FieldAgreement).loss(step)

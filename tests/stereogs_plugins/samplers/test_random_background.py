@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from registry import Step
+from registry.testing import check
+from stereogs_plugins.samplers.random_background import (
+    RandomBackground,
+    stereogs_register_samplers,
+)
+from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+
+
+def some_step() -> Step:
+    return step_with(some_gaussians([0.1], [0.5]))
+
+
+def test_it_is_registered_and_keeps_the_contract() -> None:
+    assert offered(stereogs_register_samplers) == {"random_background": RandomBackground}
+    check(RandomBackground)
+
+
+def test_colours_differ_and_photographs_without_alpha_stay() -> None:
+    step, sampler = some_step(), build(RandomBackground)
+    samples = [sampler.sample(step, step.sample) for _ in range(50)]
+    colors = torch.tensor([sample.background for sample in samples])
+    assert (colors.amin(dim=0) < 0.15).all()
+    assert (colors.amax(dim=0) > 0.85).all()
+    assert all(torch.equal(sample.target, step.sample.target) for sample in samples)
+
+
+def test_a_photograph_with_alpha_is_put_on_the_same_colour() -> None:
+    step = some_step()
+    rows = torch.linspace(0, 1, 48)[:, None].expand(48, 64)
+    behind, front = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([0.2, 0.4, 0.6])
+    image = rows[..., None] * front + (1 - rows[..., None]) * behind
+    view = replace(step.view, image=image, alpha=rows)
+    sample = replace(step.sample, view=view, target=image, background=(1.0, 1.0, 0.0))
+    answer = build(RandomBackground).sample(step, sample)
+    color = torch.tensor(answer.background)
+    wanted = rows[..., None] * front + (1 - rows[..., None]) * color
+    torch.testing.assert_close(answer.target, wanted)
