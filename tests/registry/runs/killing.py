@@ -35,6 +35,8 @@ training: {iterations: 40, sh_degree: 1, sh_every: 20, checkpoint_every: 4, max_
 """
 
 Call = Callable[..., Any]
+PATIENCE = 120.0
+"""Seconds that a run may take until its folder is there."""
 
 
 class Moments:
@@ -97,6 +99,13 @@ def start(arguments: Sequence[str], log: Path, moments: Moments) -> int:
         os._exit(status)
 
 
+def wait_for(folder: Path) -> None:
+    """Wait until a run folder is there: before, a run has nothing to lose."""
+    end = time.monotonic() + PATIENCE
+    while not folder.exists() and time.monotonic() < end:
+        time.sleep(0.002)
+
+
 def ended(process: int) -> int:
     """Wait for a child; its exit status, negative for a signal."""
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
@@ -124,6 +133,7 @@ def killed(number: int, random_: random.Random, folder: Path, whole: dict[str, A
     fatal = None if by_clock else random_.randrange(whole["moments"])
     process = start(train, log, Moments(fatal))
     if by_clock:
+        wait_for(out)
         time.sleep(random_.uniform(0, whole["seconds"]))
         os.kill(process, signal.SIGKILL)
     first = ended(process)
@@ -145,9 +155,11 @@ def run(count: int, seed: int, folder: Path) -> None:
     """Kill so many runs, one after the other."""
     (folder / "killed.yaml").write_text(PIPELINE)
     out, log = folder / "whole" / "run", folder / "whole.txt"
-    begin = time.monotonic()
     train = ["train", str(folder / "killed.yaml"), "--out", str(out)]
-    if ended(start(train, log, Moments(None))):
+    process = start(train, log, Moments(None))
+    wait_for(out)
+    begin = time.monotonic()
+    if ended(process):
         raise SystemExit(log.read_text())
     whole = {"seconds": time.monotonic() - begin}
     whole["moments"] = int(log.with_suffix(".moments").read_text())
