@@ -7,6 +7,7 @@ it; weights kept in a second file beside it are refused.
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 from ..errors import PluginError
 from ..system.memory import peak_memory_mb
 from .model_file import read_model_file
+from .onnx_content import check_in_one_file
 from .onnx_session import (
+    LONGEST_ANSWER,
     OnnxProvider,
-    check_in_one_file,
     choose_provider,
     first_line,
     open_session,
@@ -135,7 +137,8 @@ class OnnxModel:
                 numbers they are rounded, for uint8 also clamped to [0, 255].
 
         Raises:
-            PluginError: a name or shape that is not the graph's, or a failure inside the model.
+            PluginError: a name or shape that is not the graph's, a failure inside the model, or no
+                answer within an hour.
         """
         import numpy as np
         import torch
@@ -149,14 +152,7 @@ class OnnxModel:
             )
         feed = {spec.name: self._converted(spec, inputs[spec.name]) for spec in self.inputs}
         begin = time.perf_counter()
-        try:
-            answers = self._session.run(None, feed)
-        except Exception as error:  # onnxruntime's exceptions have no base of their own
-            raise PluginError(
-                f"the model failed: {first_line(error)}",
-                where=str(self.path),
-                fix="check that the graph fits the images' size; make them smaller if memory ran out",
-            ) from error
+        answers = self._answers(feed)
         self._tell(time.perf_counter() - begin, feed)
         return {
             spec.name: torch.from_numpy(np.array(answer, dtype=np.float32))
@@ -181,6 +177,27 @@ class OnnxModel:
             sizes,
             "" if memory is None else f"; memory of this process at most {memory:.0f} MB so far",
         )
+
+    def _answers(self, feed: Mapping[str, Any]) -> Any:
+        """What the session answers, unless it takes too long: a graph may loop without end."""
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
+        watch = threading.Timer(LONGEST_ANSWER, setattr, (options, "terminate", True))
+        watch.daemon = True
+        watch.start()
+        try:
+            return self._session.run(None, feed, options)
+        except Exception as error:  # onnxruntime's exceptions have no base of their own
+            if options.terminate:
+                what = f"the model gave no answer within {LONGEST_ANSWER:g} s"
+                fix = "use smaller images; if that does not help, the graph loops without end"
+            else:
+                what = f"the model failed: {first_line(error)}"
+                fix = "check that the graph fits the images' size; make them smaller if memory ran out"
+            raise PluginError(what, where=str(self.path), fix=fix) from error
+        finally:
+            watch.cancel()
 
     def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
         import torch

@@ -11,6 +11,9 @@ from ..errors import PluginError
 OnnxProvider = Literal["cuda", "rocm", "migraphx", "openvino", "coreml", "directml", "cpu"]
 """What runs a model: NVIDIA; AMD (two libraries); Intel; Apple; Windows; any processor."""
 
+LONGEST_ANSWER = 3600.0
+"""Seconds, far beyond what any network takes for photographs of a usual size on a processor."""
+
 _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
     # The choice among convolution algorithms by stopwatch, and the short TF32 numbers, would let two
     # runs differ from each other and from the processor's answer.
@@ -22,22 +25,6 @@ _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
     "directml": ("DmlExecutionProvider", {}),
     "cpu": ("CPUExecutionProvider", {}),
 }
-_EXTERNAL_WEIGHTS = b"\x0a\x08location\x12"
-"""A key-value pair of the ONNX format whose key is "location": it names a file with the weights."""
-
-
-def check_in_one_file(content: bytes, path: Path) -> None:
-    """Refuse a model whose weights lie in a second file.
-
-    Raises:
-        PluginError: they do.
-    """
-    if _EXTERNAL_WEIGHTS in content:
-        raise PluginError(
-            "the model keeps its weights in a second file, which no hash would cover",
-            where=str(path),
-            fix="write it as one file: onnx.save(onnx.load(path), new_path)",
-        )
 
 
 def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, str]]]:

@@ -58,10 +58,14 @@ class PriorCache:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
+        from safetensors import SafetensorError
         from safetensors.torch import save_file
 
         def write(folder: Path) -> None:
-            save_file(dict(tensors), folder / _ANSWER)
+            try:
+                save_file(dict(tensors), folder / _ANSWER)
+            except SafetensorError as error:  # what it makes of a full disk
+                raise OSError(str(error)) from error
             write_json(folder / "answer.json", {"key": key, **facts})
             for name, picture in pictures.items():
                 save_png(picture, folder / f"{name}.png")

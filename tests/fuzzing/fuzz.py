@@ -46,25 +46,30 @@ def fuzz(
     """
     target.read()  # whole, it is read; this also imports all that reading needs
     tally = Tally()
-    for number in numbers:
-        starts(number)
-        randomness = random.Random(f"{target.name} {number}")
-        file = randomness.choice(target.files)
-        content = damage(target.whole(file), file, randomness)
-        before, start = _peak_bytes(), time.monotonic()
-        try:
-            # One thread: more take longer to start than so small a file takes to read.
-            with watched(target.folder.parent), mock.patch("os.cpu_count", return_value=1):
-                accepted = target.accepts(file, content)
-            _check_cost(time.monotonic() - start, _peak_bytes() - before, len(content))
-        except KeyboardInterrupt:
-            raise
-        except (Exception, Forbidden, SystemExit):
-            tally.failures[number] = f"{file}: {traceback.format_exc()}"
-            continue
+    # One thread: more take longer to start than so small a file takes to read.
+    with mock.patch("os.cpu_count", return_value=1):
+        for number in numbers:
+            starts(number)
+            _try(target, number, tally)
+    return tally
+
+
+def _try(target: Target, number: int, tally: Tally) -> None:
+    randomness = random.Random(f"{target.name} {number}")
+    file = randomness.choice(target.files)
+    content = damage(target.whole(file), file, randomness)
+    before, start = _peak_bytes(), time.monotonic()
+    try:
+        with watched(target.folder.parent):
+            accepted = target.accepts(file, content)
+        _check_cost(time.monotonic() - start, _peak_bytes() - before, len(content))
+    except KeyboardInterrupt:
+        raise
+    except (Exception, Forbidden, SystemExit):
+        tally.failures[number] = f"{file}: {traceback.format_exc()}"
+    else:
         tally.accepted += accepted
         tally.refused += not accepted
-    return tally
 
 
 def _peak_bytes() -> float:

@@ -92,8 +92,9 @@ class OnnxFiles(Target):
         """Open and ask it."""
         model = OnnxModel(self.folder / "model.onnx", provider="cpu")
         if [spec.name for spec in model.inputs] == ["x"]:
-            for answer in model.run({"x": torch.ones(1, 1, 4, 4)}).values():
-                assert answer.dtype == torch.float32
+            with mock.patch("registry.priors.onnx_model.LONGEST_ANSWER", 1.0):
+                answers = model.run({"x": torch.ones(1, 1, 4, 4)})
+            assert all(answer.dtype == torch.float32 for answer in answers.values())
 
 
 def small_network() -> onnx.ModelProto:

@@ -28,7 +28,7 @@ def shipped_plugins() -> Plugins:
 
 
 class PipelineFiles(Target):
-    """The shipped pipelines; one that is accepted means the same once it is written out."""
+    """Shipped pipelines; one that is accepted means the same once it is written out."""
 
     name = "pipelines"
 
@@ -37,8 +37,8 @@ class PipelineFiles(Target):
         super().__init__(folder)
 
     def write(self) -> tuple[str, ...]:
-        """Copies of those in the folder `pipelines`."""
-        shipped = sorted((_ROOT / "pipelines").glob("*.yaml"))
+        """Copies of some in the folder `pipelines`; between them they have every section."""
+        shipped = [_ROOT / "pipelines" / f"{name}.yaml" for name in ("3dgs", "stereogs_dropout")]
         for path in shipped:
             (self.folder / path.name).write_bytes(path.read_bytes())
         return tuple(path.name for path in shipped)

@@ -6,6 +6,7 @@ import hashlib
 import logging
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from registry import OnnxModel, OnnxModelSettings, PluginError
+from tests.fuzzing.formats.arrays_and_models import small_network
 
 FLOAT, HALF, BYTE, LONG = (
     TensorProto.FLOAT,
@@ -182,6 +184,65 @@ def test_weights_in_a_second_file_are_refused(tmp_path: Path) -> None:
     assert "onnx.save(onnx.load(path)" in caught.value.fix
     onnx.save(onnx.load(path), tmp_path / "one.onnx")  # what the message advises
     assert OnnxModel(tmp_path / "one.onnx").input("x").shape == (None, 3)
+
+
+def apart(tensor: TensorProto) -> None:
+    """Let a tensor's numbers lie in a file outside the model's folder; the value before the key."""
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    entry = tensor.external_data.add()
+    entry.value, entry.key = "../secret", "location"
+
+
+def in_a_branch(model: onnx.ModelProto) -> TensorProto:
+    """A tensor of a graph within a node."""
+    constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
+    branch = helper.make_graph(
+        [constant], "branch", [], [helper.make_tensor_value_info("c", TensorProto.DOUBLE, [3])]
+    )
+    node = helper.make_node("If", ["x"], ["y"], then_branch=branch, else_branch=branch)
+    model.graph.node.append(node)
+    return model.graph.node[-1].attribute[0].g.node[0].attribute[0].t
+
+
+def sparse(model: onnx.ModelProto) -> TensorProto:
+    """The values of a sparse tensor."""
+    added = model.graph.sparse_initializer.add()
+    added.values.CopyFrom(numpy_helper.from_array(np.ones(3, np.float32), "s"))
+    return added.values
+
+
+def in_a_function(model: onnx.ModelProto) -> TensorProto:
+    """A tensor of a function of the model's own."""
+    constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
+    function = helper.make_function("own", "F", [], ["c"], [constant], [])
+    model.functions.append(function)
+    return model.functions[0].node[0].attribute[0].t
+
+
+@pytest.mark.parametrize(
+    "chosen", [lambda model: model.graph.initializer[0], in_a_branch, sparse, in_a_function]
+)
+def test_no_other_file_is_read(
+    tmp_path: Path, chosen: Callable[[onnx.ModelProto], TensorProto]
+) -> None:
+    model = addition()
+    apart(chosen(model))
+    (tmp_path / "secret").write_bytes(bytes(4096))
+    (tmp_path / "models").mkdir()
+    with pytest.raises(PluginError, match="second file"):
+        OnnxModel(saved(tmp_path / "models", model))
+
+
+def test_an_endless_graph_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = small_network()
+    rounds = model.graph.initializer[0]
+    rounds.CopyFrom(numpy_helper.from_array(np.array(1 << 62), "rounds"))
+    monkeypatch.setattr("registry.priors.onnx_model.LONGEST_ANSWER", 0.3)
+    network = OnnxModel(saved(tmp_path, model), provider="cpu")
+    with pytest.raises(PluginError, match=r"no answer within 0\.3 s") as caught:
+        network.run({"x": torch.ones(1, 1, 4, 4)})
+    assert "loops without end" in caught.value.fix
 
 
 def test_other_names_are_refused_with_those_that_there_are(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import resource
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from registry import (
     View,
 )
 from registry.plugins.discovery import GROUP
-from registry.priors.prior_cache import code_digest, source_digest
+from registry.priors.prior_cache import PriorCache, code_digest, source_digest
 from registry.testing import check, tiny_scene
 
 
@@ -239,6 +240,17 @@ def test_a_cache_that_cannot_be_written_costs_a_warning_only(
     with caplog.at_level(logging.WARNING):
         built(Brightness).inverse_depth_of(tiny_scene().train[0])
     assert "could not be cached" in caplog.text
+
+
+def test_a_full_disk_costs_a_warning_only(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # as good as a full disk
+    try:
+        PriorCache("full").save("0" * 32, {"answer": torch.zeros(1000)}, {}, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "could not be cached" in caplog.text
+    assert PriorCache("full").load("0" * 32) is None
 
 
 def test_the_code_of_the_component_is_part_of_the_question() -> None:
