@@ -1,5 +1,5 @@
 """`virtual_stereo`: what a camera beside the photograph's sees, moved back by the disparity, must be
-the photograph (Binocular3DGS, Han et al. 2024, section 3.2).
+the photograph (Binocular3DGS, Han et al. 2024).
 
 The rendered depth z says how far a pixel moves when the camera does: by -f t / z for a shift t along the
 camera's x axis. Gradients reach the Gaussians through both renders, the colours and the depth.
