@@ -42,7 +42,7 @@ class StackedGraph:
         """See `StereoNetwork`."""
         import torch
 
-        images = (left, right)
+        images = [left, right]
         if self._grey:
-            images = tuple(grey(image.movedim(1, -1))[:, None] for image in images)
+            images = [grey(image.movedim(1, -1))[:, None] for image in images]
         return self.last.run({self._input: torch.cat(images, dim=1)})
