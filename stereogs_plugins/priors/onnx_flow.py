@@ -152,8 +152,8 @@ def _cycle_error(flow: Tensor, back: Tensor) -> Tensor:
         align_corners=False,
         padding_mode="border",
     )[0].permute(1, 2, 0)
-    error: Tensor = (flow + sampled).norm(dim=2)
-    return error.where(inside, torch.inf)
+    error = torch.linalg.vector_norm(flow + sampled, dim=2)
+    return torch.where(inside, error, torch.inf)
 
 
 def _pixel_centers(height: int, width: int) -> Tensor:

@@ -94,6 +94,7 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
                 where=str(self._finder.path),
                 fix="name the file that finds keypoints with `model`, the one that matches with `matcher`",
             )
+        self._frozen = (self._image.shape[2], self._image.shape[3])
         for name in (KEYPOINTS, DESCRIPTORS):
             self._finder.output(name)
         for name in (*POINT_INPUTS, *DESCRIPTOR_INPUTS):
@@ -164,7 +165,7 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
 
     def _turned(self, image: Tensor) -> bool:
         """Whether the graph is frozen to upright pictures and the image is not, or the reverse."""
-        height, width = self._image.shape[2:]
+        height, width = self._frozen
         if height is None or width is None:
             return False
         return (height - width) * (image.shape[0] - image.shape[1]) < 0
@@ -175,11 +176,8 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
         from registry.image_fitting import in_range, stretched
 
         shown = image.rot90(dims=(0, 1)) if turned else image
-        frozen = (self._image.shape[2], self._image.shape[3])
-        if self.settings.size is not None:
-            frozen = (self.settings.size[1], self.settings.size[0])
-        seen = (shown.shape[0], shown.shape[1])
-        fit = stretched(seen, frozen, self.settings.multiple)
+        frozen = self.settings.size[::-1] if self.settings.size else self._frozen
+        fit = stretched((shown.shape[0], shown.shape[1]), frozen, self.settings.multiple)
         batch = in_range(fit.apply(shown.permute(2, 0, 1)[None]), self.settings.value_range)
         answers = self._finder.run({self._image.name: batch})
         keypoints, descriptors = answers[KEYPOINTS], answers[DESCRIPTORS]

@@ -9,12 +9,14 @@ import pytest
 
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
+from stereogs_plugins.metrics.lpips.known_files import KNOWN
 from stereogs_plugins.priors import onnx_mono
 from stereogs_plugins.priors.onnx_mvs import families as mvs_families
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
+NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow")
 EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 
 
@@ -27,15 +29,19 @@ def plugins() -> Plugins:
 def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
     pipeline = parse_pipeline(example, plugins, source=PAGE.name)
     (prior,) = pipeline.items["priors"]
-    assert prior.name in ("onnx_stereo", "onnx_mvs", "onnx_mono")
+    assert prior.name in NAMES
 
 
 def test_there_is_an_example_of_each_prior() -> None:
-    assert set(re.findall(r"use: (onnx_\w+)", TEXT)) == {
-        "onnx_stereo",
-        "onnx_mvs",
-        "onnx_mono",
-    }
+    assert sorted(set(re.findall(r"use: (onnx_\w+)", TEXT))) == sorted(NAMES)
+
+
+def test_the_networks_of_lpips_are_those_of_the_code() -> None:
+    for files in KNOWN.values():
+        for path, sha256 in ((files.network, files.sha256), (files.heads, files.heads_sha256)):
+            (line,) = [line for line in TEXT.splitlines() if f"{path.name}`" in line]
+            assert line.startswith(f"| `{path.parent.as_posix()}/")
+            assert sha256[:8] in line
 
 
 def row(name: str) -> str:
