@@ -160,6 +160,26 @@ def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
     assert listed["faults"] == []
 
 
+def test_the_list_fits_a_terminal(
+    pipeline: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["plugins"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "regularizers" in [line.strip() for line in lines]
+    assert [line for line in lines if line.startswith("  toy_dropout  ")]
+
+
+def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
+    assert main(["plugins", "show", "toy_term"]) == 0
+    output = capsys.readouterr().out
+    for text in ("toy_term: regularizer (toys 1.5)", "  target = 0.5", "weight"):
+        assert text in output
+    assert main(["plugins", "show", "toy_trem"]) == 2
+    assert "did you mean 'toy_term'" in capsys.readouterr().err
+
+
 def test_a_broken_plugin_is_told_and_fails_the_check(
     pipeline: Path, install: Install, capsys: Capture
 ) -> None:
