@@ -14,7 +14,18 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, demo, doctor, evaluate, plugins, render, train
+from .commands import (
+    ablate,
+    check,
+    compare,
+    completion,
+    demo,
+    doctor,
+    evaluate,
+    plugins,
+    render,
+    train,
+)
 from .commands.output import error_console
 from .suggestions import did_you_mean, listing
 
@@ -36,6 +47,7 @@ VERBS = {
     "plugins": plugins,
     "doctor": doctor,
     "demo": demo,
+    "completion": completion,
 }
 
 _EPILOG = """\
@@ -68,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = build_parser()
+    completion.answer_shell(parser)
     if not given:
         parser.print_help()
         return 0

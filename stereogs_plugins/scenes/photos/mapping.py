@@ -89,7 +89,7 @@ def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[
 
     def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
         options = _incremental_options(colmap, degrees)
-        return lambda *paths: colmap.incremental_mapping(*paths, options)  # type: ignore[no-any-return]
+        return lambda *paths: colmap.incremental_mapping(*paths, options)
 
     return [
         *((f"incremental_{degrees:g}", incremental(degrees)) for degrees in _FIRST_PAIR_DEGREES),
@@ -129,7 +129,5 @@ def _pieces(found: list[Any], folder: Path) -> list[Piece]:
 
 def _is_plausible(camera: Any) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
-    return (
-        FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]
-        and abs(camera.params[camera.extra_params_idxs()[0]]) < MOST_DISTORTION
-    )
+    bend = float(camera.params[camera.extra_params_idxs()[0]])
+    return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION

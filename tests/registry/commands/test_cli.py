@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -190,6 +193,34 @@ def test_a_broken_plugin_is_told_and_fails_the_check(
     assert main(["plugins", "--json", "--check"]) == 1
 
 
+def completed(line: str, folder: Path) -> list[str]:
+    """What the shell would offer after a line."""
+    answer = folder / "answer"
+    environment = {
+        **{key: value for key, value in os.environ.items() if key != "STEREOGS_PLUGINS"},
+        **{"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_SHELL": "fish"},
+        **{"_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "_ARGCOMPLETE_SUPPRESS_SPACE": "1"},
+        **{"COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9"},
+    }
+    code = "from registry.cli import main; main()"
+    subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, check=True)
+    return [text.strip() for text in answer.read_text().splitlines()]
+
+
+def test_a_shell_completes_verbs_pipelines_and_components(tmp_path: Path) -> None:
+    (tmp_path / "weight.yaml").touch()
+    assert completed("stereogs tra", tmp_path) == ["train"]
+    offered = completed("stereogs train weight", tmp_path)
+    assert {"weight.yaml", "weightfree", "weightfree_fast"} <= {*offered}
+    assert completed("stereogs plugins show dropo", tmp_path) == ["dropout"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_printed(shell: str, capsys: Capture) -> None:
+    assert main(["completion", shell]) == 0
+    assert "stereogs" in capsys.readouterr().out
+
+
 def test_doctor(capsys: Capture) -> None:
     assert main(["doctor"]) == 0
     output = capsys.readouterr().out
@@ -214,7 +245,9 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
     assert "passed" in output
 
 
-@pytest.mark.parametrize("verb", ["train", "eval", "render", "plugins", "doctor", "demo"])
+@pytest.mark.parametrize(
+    "verb", ["train", "eval", "render", "plugins", "doctor", "demo", "completion"]
+)
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
         build_parser().parse_args([verb, "--help"])
