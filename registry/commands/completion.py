@@ -33,9 +33,9 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the shell's code."""
-    import argcomplete
+    from argcomplete.shell_integration import shellcode
 
-    print(argcomplete.shellcode(["stereogs"], shell=arguments.shell))
+    print(shellcode(["stereogs"], shell=arguments.shell))
     return 0
 
 
@@ -44,7 +44,8 @@ def answer_shell(parser: argparse.ArgumentParser) -> None:
     if _ASKED in os.environ:
         import argcomplete
 
-        argcomplete.autocomplete(parser, default_completer=_complete)
+        # Any callable will do, whatever its annotation says.
+        argcomplete.autocomplete(parser, default_completer=_complete)  # type: ignore[arg-type]
 
 
 def _complete(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
