@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, doctor, explain, plugins, priors, schema
+from .commands import ablate, check, compare, completion, doctor, explain, plugins, priors, schema
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, render, replay, resume, train
 from .messages.suggestions import did_you_mean, listing
@@ -42,6 +42,7 @@ VERBS = {
     "schema": schema,
     "doctor": doctor,
     "demo": demo,
+    "completion": completion,
 }
 
 _EPILOG = """\
@@ -77,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = build_parser()
+    completion.answer_shell(parser)
     if not given:
         parser.print_help()
         return 0

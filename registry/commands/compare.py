@@ -12,6 +12,8 @@ from ..messages.suggestions import did_you_mean, listing
 from .output import Verbs, add_verb, console
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from ..comparing.comparison import FinishedRun
     from ..comparing.table import Published
 
@@ -19,13 +21,16 @@ _EPILOG = """\
 examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs compare runs/* --paper stereogs
+  stereogs compare runs/* --format latex
   stereogs compare --paper stereogs --protocol dtu-3
 
-Runs of different protocols, of one scene prepared in two ways, or with metrics measured differently are
-refused, with the reason. Where the runs cover several scenes, each method's mean follows, if all methods
+Runs of different protocols, of one scene prepared in two ways, or with metrics measured
+differently come in tables of their own, with the reason. Runs of one pipeline are told apart by the
+settings that differ. Where the runs cover several scenes, each method's mean follows, if all methods
 were run on the same scenes. --paper adds what a paper reports for the protocol that the runs follow.
 """
 
+FORMATS = ("table", "csv", "markdown", "latex")
 WIDEST = 500
 """Columns of text that a table may take."""
 
@@ -40,6 +45,12 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--protocol", metavar="NAME", help="which of them (default: the one that the runs follow)"
     )
+    parser.add_argument(
+        "--format",
+        choices=FORMATS,
+        default=FORMATS[0],
+        help="csv: the runs alone, every digit; markdown, latex: as the table (default: table)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -51,20 +62,40 @@ def run(arguments: argparse.Namespace) -> int:
             where="the command line",
             fix="give run folders, or --paper NAME --protocol NAME for published numbers alone",
         )
-    from ..comparing.comparability import check_comparable
+    from ..comparing.comparability import check_comparable, comparable_groups
     from ..comparing.comparison import read_run
+    from ..comparing.formats import as_csv
     from ..comparing.table import comparison_table
 
     runs = [read_run(path) for path in arguments.runs]
-    check_comparable(runs)
-    published = None
     if arguments.paper is not None:
+        check_comparable(runs)
         published = _published(arguments.paper, arguments.protocol, runs)
+        _print(comparison_table(runs, published), arguments.format)
+    elif arguments.format == "csv":
+        print(as_csv(runs), end="")
+    else:
+        for members, reason in comparable_groups(runs):
+            _print(comparison_table(members, None, reason), arguments.format)
+    return 0
+
+
+def _print(table: Table, format_name: str) -> None:
+    from ..comparing.formats import as_latex, as_markdown
+
+    if format_name == "csv":
+        raise RunError(
+            "CSV is written of runs alone",
+            where="--format csv",
+            fix="leave --paper out, or choose markdown or latex",
+        )
+    if format_name != "table":
+        print(as_markdown(table) if format_name == "markdown" else as_latex(table))
+        return
     output = console()
     # As wide as its numbers need: a cut number would be worse than a line that the terminal folds.
     output.width = WIDEST
-    output.print(comparison_table(runs, published), soft_wrap=False)
-    return 0
+    output.print(table, soft_wrap=False)
 
 
 def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) -> Published:

@@ -19,8 +19,9 @@ FAULT = 1
 
 _EPILOG = """\
 examples:
-  stereogs plugins                 a table: name, hook point, package, settings and their defaults
-  stereogs plugins --json          the same for programs, with a JSON schema of the settings
+  stereogs plugins                 a line for each: its name and what it does
+  stereogs plugins show dropout    what one is for, and its settings with their defaults
+  stereogs plugins --json          all of it for programs, with JSON schemas of the settings
   stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
   stereogs plugins new solid --kind regularizer     a package to begin with, in stereogs-solid
 
@@ -45,7 +46,9 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
     parser.set_defaults(run=run)
-    _add_new(parser.add_subparsers(title="verbs", metavar="VERB"))
+    within = parser.add_subparsers(title="verbs", metavar="VERB")
+    _add_show(within)
+    _add_new(within)
 
 
 def _add_new(verbs: Verbs) -> None:
@@ -68,6 +71,23 @@ def run_new(arguments: argparse.Namespace) -> int:
 
     folder = new_plugin(arguments.name, arguments.kind, arguments.into)
     console().print(f"wrote {folder}; its README.md says what comes next")
+    return 0
+
+
+def _add_show(verbs: Verbs) -> None:
+    epilog = "examples:\n  stereogs plugins show dropout\n"
+    parser = add_verb(verbs, "show", "say what a component is for and what can be set", epilog)
+    parser.add_argument("name", metavar="NAME", help="as a pipeline writes it")
+    parser.set_defaults(run=run_show)
+
+
+def run_show(arguments: argparse.Namespace) -> int:
+    """Print every component of that name."""
+    from ..inspection.component_help import component_help
+    from ..plugins.discovery import Plugins
+
+    output = console()
+    output.print(component_help(arguments.name, Plugins()), end="")
     return 0
 
 
@@ -99,29 +119,24 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _table(offers: Sequence[Offer]) -> Table:
+    """What each component does, under the section of a pipeline that it fills."""
     from rich.table import Table
 
-    table = Table()
-    for heading in ("section", "name", "package", "settings"):
-        table.add_column(heading, overflow="fold")
+    table = Table.grid(padding=(0, 2))
+    longest = max((len(offer.name) for offer in offers), default=0)
+    table.add_column(no_wrap=True, min_width=longest + 2)
+    table.add_column()
+    section = ""
     for offer in offers:
-        table.add_row(
-            offer.point.section,
-            offer.name,
-            f"{offer.distribution} {offer.version}",
-            "\n".join(_settings(offer)),
-        )
+        if offer.point.section != section:
+            section = offer.point.section
+            table.add_row(section)
+        table.add_row(f"  {offer.name}", _summary(offer))
     return table
 
 
-def _settings(offer: Offer) -> list[str]:
-    """`name=default`, or the bare name where a pipeline must give a value."""
-    return [
-        name
-        if field.is_required()
-        else f"{name}={json.dumps(field.get_default(call_default_factory=True), default=str)}"
-        for name, field in offer.settings_type.model_fields.items()
-    ]
+def _summary(offer: Offer) -> str:
+    return (offer.component.__doc__ or "").strip().partition("\n")[0]
 
 
 def _as_json(offer: Offer) -> dict[str, Any]:
@@ -132,6 +147,6 @@ def _as_json(offer: Offer) -> dict[str, Any]:
         "plugin": offer.plugin,
         "package": offer.distribution,
         "version": offer.version,
-        "summary": (offer.component.__doc__ or "").strip().partition("\n")[0],
+        "summary": _summary(offer),
         "settings": offer.settings_type.model_json_schema(),
     }

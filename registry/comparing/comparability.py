@@ -34,6 +34,28 @@ def check_comparable(runs: Sequence[FinishedRun]) -> None:
                 _check_scene(other, run)
 
 
+def comparable_groups(runs: Sequence[FinishedRun]) -> list[tuple[list[FinishedRun], str]]:
+    """Runs whose scores mean the same, together; each with why it is not in a group before.
+
+    A run joins the first group that it can be compared with. The reason names what keeps the group's
+    first run out of the first group; it is empty for the first group.
+    """
+    groups: list[tuple[list[FinishedRun], str]] = []
+    for run in runs:
+        reason = ""
+        for members, _ in groups:
+            try:
+                check_comparable([*members, run])
+            except RunError as error:
+                reason = reason or error.what
+            else:
+                members.append(run)
+                break
+        else:
+            groups.append(([run], reason))
+    return groups
+
+
 def _check_protocol(first: FinishedRun, other: FinishedRun) -> None:
     if first.protocol != other.protocol:
         raise _refusal(

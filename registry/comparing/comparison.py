@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from ..pipeline.yaml_source import read
 from ..runs.folder import RESULTS, RunFolder
 from ..runs.results_file import read_results
 
+COSTS = ("gaussians", "seconds", "peak_memory_mb")
+"""What results.json says a run cost."""
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
 
 
@@ -24,12 +27,14 @@ class FinishedRun:
     Args:
         folder: of the run.
         results: its results.json.
+        tree: its pipeline, as plain values.
         method: the pipeline without what may differ between scenes and repetitions: the scene's path, the
             seed, and what does not touch training.
     """
 
     folder: Path
     results: Mapping[str, Any]
+    tree: Mapping[str, Any]
     method: str
 
     @property
@@ -96,7 +101,8 @@ def read_run(path: Path) -> FinishedRun:
             where=str(path),
             fix=f"stereogs eval {path}",
         )
-    return FinishedRun(path, results, _method(run.pipeline))
+    tree = plain(read(run.pipeline))
+    return FinishedRun(path, results, tree, _method(tree))
 
 
 def method_means(runs: Sequence[FinishedRun]) -> list[MethodMean]:
@@ -124,7 +130,7 @@ def metric_names(runs: Iterable[FinishedRun]) -> list[str]:
 
 
 def _numbers(run: FinishedRun) -> dict[str, float | None]:
-    costs = {key: run.results.get(key) for key in ("gaussians", "seconds", "peak_memory_mb")}
+    costs = {key: run.results.get(key) for key in COSTS}
     return {**run.scores, **costs}
 
 
@@ -138,8 +144,8 @@ def _mean_numbers(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float
     return means
 
 
-def _method(pipeline: Path) -> str:
-    tree = plain(read(pipeline))
+def _method(pipeline: Mapping[str, Any]) -> str:
+    tree = copy.deepcopy(dict(pipeline))
     for section in ("metrics", "exporters", "reports"):
         tree.pop(section, None)
     tree["scene"].pop("path", None)

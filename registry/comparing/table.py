@@ -10,6 +10,7 @@ from rich.table import Table
 
 from ..pipeline.protocols import load_protocol
 from .comparison import FinishedRun, MethodMean, method_means, metric_names
+from .differences import labels
 from .paper_tables import PaperTables
 from .run_table import ABSENT
 
@@ -24,8 +25,14 @@ class Published:
     protocol: str
 
 
-def comparison_table(runs: Sequence[FinishedRun], published: Published | None) -> Table:
-    """Runs, their means over scenes, and published rows."""
+def comparison_table(
+    runs: Sequence[FinishedRun], published: Published | None, reason: str = ""
+) -> Table:
+    """Runs, their means over scenes, and published rows.
+
+    Args:
+        reason: why the runs are not in a table before this one.
+    """
     metrics = metric_names(runs) or list(published.tables.metrics if published else ())
     table = Table(
         title=_title(runs, published), box=box.SIMPLE, title_justify="left", caption_justify="left"
@@ -34,11 +41,13 @@ def comparison_table(runs: Sequence[FinishedRun], published: Published | None) -
         table.add_column(column, no_wrap=True)
     for column in (*metrics, *_COSTS.values()):
         table.add_column(column, justify="right", no_wrap=True)
-    for finished in runs:
+    for finished, method in zip(runs, labels(runs), strict=True):
         numbers = {**finished.scores, **{key: finished.results.get(key) for key in _COSTS}}
-        label = (finished.folder.name, finished.pipeline, finished.scene)
+        label = (finished.folder.name, method, finished.scene)
         table.add_row(*label, *_cells(numbers, metrics))
     captions = _add_means(table, method_means(runs), metrics)
+    if reason:
+        captions.append(f"Not in a table above, for {reason}.")
     if published is not None:
         captions += _add_published(table, published, metrics, runs)
     table.caption = "\n".join(captions) or None

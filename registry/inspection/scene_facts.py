@@ -67,9 +67,9 @@ def points_in_view(scene: Scene, view: View) -> int:
 
 
 def _about_points(scene: Scene) -> Iterator[str]:
+    """Few are worse than none: initializers that need points and get none say so themselves."""
     count = len(scene.points) if scene.points is not None else 0
     if not count:
-        yield "there are no sparse points: the initializer has to find its own"
         return
     if count < FEW_POINTS:
         yield f"there are only {count} sparse points"

@@ -112,6 +112,17 @@ def finished(results: Results, combination: Combination) -> tuple[int, int]:
     return sum(bool(found) for found in own), len(own)
 
 
+def without_effect(plan: Plan, results: Results) -> list[list[Combination]]:
+    """Combinations whose finished runs have equal hashes, scene by scene and seed by seed."""
+    groups: dict[tuple[str, ...], list[Combination]] = {}
+    for combination in plan.combinations:
+        own = [found for run, found in results.items() if run.combination == combination]
+        hashes = tuple(str(found.get("hash", "")) for found in own)
+        if all(hashes):
+            groups.setdefault(hashes, []).append(combination)
+    return [group for group in groups.values() if len(group) > 1]
+
+
 def unavailable(results: Results) -> dict[str, str]:
     """Why a metric has no score, by metric."""
     return {

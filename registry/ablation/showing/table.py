@@ -97,6 +97,9 @@ def notes(plan: Plan, results: Results) -> list[str]:
     lines = [f"{NONE} {name}: {reason}" for name, reason in scores.unavailable(results).items()]
     if len(plan.seeds) > 1:
         lines.append(f"± standard deviation over {len(plan.seeds)} seeds")
+    for same in scores.without_effect(plan, results):
+        descriptions = " = ".join(plan.describe(combination) for combination in same)
+        lines.append(f"no effect, the same Gaussians to the bit: {descriptions}")
     return lines
 
 

@@ -97,11 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
             fix="give a folder of photographs, or a pipeline, for example 3dgs",
         )
     plugins = Plugins()
+    source, overrides = arguments.pipeline, arguments.set
     with WATCHDOG.ending(arguments.hang_after):
-        given, overrides = arguments.pipeline, arguments.set
-        if given.is_dir():
-            given, overrides = Path(FOR_FOLDERS), [_scene(given, plugins, overrides), *overrides]
-        pipeline = load_pipeline(given, plugins, overrides=overrides, disabled=arguments.disable)
+        if source.is_dir():
+            source, overrides = Path(FOR_FOLDERS), [_scene(source, plugins, overrides), *overrides]
+        pipeline = load_pipeline(source, plugins, overrides=overrides, disabled=arguments.disable)
     from ...runs.training_run import in_runs
 
     run = train(

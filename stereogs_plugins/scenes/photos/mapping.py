@@ -129,5 +129,5 @@ def _pieces(found: list[Any], folder: Path) -> list[Piece]:
 
 def _is_plausible(camera: Any) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
-    distortion = abs(float(camera.params[camera.extra_params_idxs()[0]]))
-    return FOCAL_RANGE[0] < float(focal) < FOCAL_RANGE[1] and distortion < MOST_DISTORTION
+    bend = float(camera.params[camera.extra_params_idxs()[0]])
+    return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION

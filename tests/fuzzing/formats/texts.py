@@ -14,7 +14,7 @@ from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.results_file import Results
 from tests.fuzzing.target import Target
-from tests.registry.test_results_file import RESULTS
+from tests.registry.runs.test_results_file import RESULTS
 
 _ROOT = Path(__file__).parents[3]
 ENVIRONMENT = {"STEREOGS_DATA": "data", "STEREOGS_MODELS": "models"}

@@ -90,6 +90,19 @@ def test_a_row_with_a_missing_run_has_no_numbers(made: Plan) -> None:
     assert as_text(made, {run: {} for run in made.runs}).count("0/4") == 9
 
 
+def test_what_changed_nothing_is_told(made: Plan) -> None:
+    results = measured(made)
+    assert "no effect" not in as_text(made, results)
+    off, half = made.combinations[:2]
+    pairs = [[run for run in made.runs if run.combination == c] for c in (off, half)]
+    for one, two in zip(*pairs, strict=True):
+        results[two]["hash"] = results[one]["hash"]
+    told = "no effect, the same Gaussians to the bit: opacity off = opacity on, opacity.factor 0.5"
+    assert told in as_text(made, results).splitlines()
+    results[pairs[1][-1]] = {}
+    assert "no effect" not in as_text(made, results)
+
+
 def test_infinite_and_unavailable_scores(made: Plan) -> None:
     results = measured(made)
     for found in results.values():

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -179,6 +182,26 @@ def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
     assert listed["faults"] == []
 
 
+def test_the_list_fits_a_terminal(
+    pipeline: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["plugins"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "regularizers" in [line.strip() for line in lines]
+    assert [line for line in lines if line.startswith("  toy_dropout  ")]
+
+
+def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
+    assert main(["plugins", "show", "toy_term"]) == 0
+    output = capsys.readouterr().out
+    for text in ("toy_term: regularizer (toys 1.5)", "  target = 0.5", "weight"):
+        assert text in output
+    assert main(["plugins", "show", "toy_trem"]) == 2
+    assert "did you mean 'toy_term'" in capsys.readouterr().err
+
+
 def test_a_broken_plugin_is_told_and_fails_the_check(
     pipeline: Path, install: Install, capsys: Capture
 ) -> None:
@@ -187,6 +210,34 @@ def test_a_broken_plugin_is_told_and_fails_the_check(
     assert "wreck (wreck 0.2) cannot be used" in capsys.readouterr().out
     assert main(["plugins", "--check"]) == 1
     assert main(["plugins", "--json", "--check"]) == 1
+
+
+def completed(line: str, folder: Path) -> list[str]:
+    """What the shell would offer after a line."""
+    answer = folder / "answer"
+    environment = {
+        **{key: value for key, value in os.environ.items() if key != "STEREOGS_PLUGINS"},
+        **{"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_SHELL": "fish"},
+        **{"_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "_ARGCOMPLETE_SUPPRESS_SPACE": "1"},
+        **{"COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9"},
+    }
+    code = "from registry.cli import main; main()"
+    subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, check=True)
+    return [text.strip() for text in answer.read_text().splitlines()]
+
+
+def test_a_shell_completes_verbs_pipelines_and_components(tmp_path: Path) -> None:
+    (tmp_path / "weight.yaml").touch()
+    assert completed("stereogs tra", tmp_path) == ["train"]
+    offered = completed("stereogs train weight", tmp_path)
+    assert {"weight.yaml", "weightfree", "weightfree_fast"} <= {*offered}
+    assert completed("stereogs plugins show dropo", tmp_path) == ["dropout"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_printed(shell: str, capsys: Capture) -> None:
+    assert main(["completion", shell]) == 0
+    assert "stereogs" in capsys.readouterr().out
 
 
 def test_doctor(capsys: Capture) -> None:
@@ -214,7 +265,8 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
 
 
 @pytest.mark.parametrize(
-    "verb", ["train", "resume", "replay", "eval", "render", "plugins", "doctor", "demo"]
+    "verb",
+    ["train", "resume", "replay", "eval", "render", "plugins", "doctor", "demo", "completion"],
 )
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import csv
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +14,9 @@ import pytest
 
 from registry import RunError
 from registry.cli import build_parser, main
-from registry.comparing.comparability import check_comparable
+from registry.comparing.comparability import check_comparable, comparable_groups
 from registry.comparing.comparison import FinishedRun, method_means, read_run
+from registry.comparing.differences import labels
 from registry.comparing.paper_tables import GROUP
 from registry.pipeline.protocol_rules import AppliedProtocol
 from registry.pipeline.protocols import load_protocol
@@ -235,6 +238,64 @@ def test_the_table(make: Make, capsys: Capture) -> None:
     dash = "–"  # noqa: RUF001
     assert ["a", "plain", "fern", "20.00", "0.700", dash, "1,000", "60", "500"] in lines
     assert ["plain", "mean", "of", "2", "23.00", "0.700", dash, "1,000", "60", "500"] in lines
+
+
+def test_runs_of_one_pipeline_are_told_apart(make: Make, capsys: Capture) -> None:
+    longer = {"training/iterations": 2000, "training/seed": 1}
+    many = {**longer, "initializer/use": "random", "scene/train_views": 6}
+    other = {"name": "other"}
+    found = runs(make("a"), make("b", None, longer), make("c", {"pipeline": "other"}, other))
+    assert labels(found) == [
+        "plain, training.iterations=1000, training.seed=0",
+        "plain, training.iterations=2000, training.seed=1",
+        "other",
+    ]
+    assert labels(runs(make("d"), make("e", None, many)))[1] == (
+        "plain, scene.train_views=6, initializer.use=random, training.iterations=2000, 1 more"
+    )
+    weights = [{"metrics": [{"use": "psnr", "quantize": q}]} for q in ("png8", None)]
+    assert labels(runs(make("f", None, weights[0]), make("g", None, weights[1]))) == [
+        "plain, metrics.psnr.quantize=png8",
+        "plain, metrics.psnr.quantize=null",
+    ]
+
+
+def test_what_cannot_be_compared_stands_in_tables_of_its_own(make: Make, capsys: Capture) -> None:
+    folders = [make("a"), make("b", {"protocol": None}), make("c"), make("d", {"scene/width": 9})]
+    groups = comparable_groups([read_run(folder) for folder in folders])
+    assert [[run.folder.name for run in members] for members, _ in groups] == [
+        ["a", "c"],
+        ["b"],
+        ["d"],
+    ]
+    assert groups[0][1] == ""
+    assert main(["compare", *map(str, folders)]) == 0
+    output = " ".join(capsys.readouterr().out.split())
+    assert "the protocol 'llff-3', the other no protocol." in output
+    assert "'fern' differs in `width`: 504 and 9." in output
+
+
+def test_csv_has_every_digit(make: Make, capsys: Capture) -> None:
+    folder = make("a", {"test/psnr": 20.123456789})
+    assert main(["compare", str(folder), "--format", "csv"]) == 0
+    (row,) = csv.DictReader(io.StringIO(capsys.readouterr().out))
+    assert (row["run"], row["method"], row["scene"]) == (str(folder), "plain", "fern")
+    assert (row["psnr"], row["lpips"], row["gaussians"]) == ("20.123456789", "", "1000")
+    assert main(["compare", str(folder), "--paper", "stereogs", "--format", "csv"]) == 2
+
+
+def test_markdown_and_latex_hold_the_table(make: Make, capsys: Capture) -> None:
+    folders = [str(make("a|1")), str(make("b_2", {"scene/name": "flower", "test/psnr": 26.0}))]
+    assert main(["compare", *folders, "--format", "markdown"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        "| run | method | scene | psnr | ssim | lpips | Gaussians | seconds | memory MB |" in lines
+    )
+    assert r"| a\|1 | plain | fern | 20.00 |" in "\n".join(lines)
+    assert main(["compare", *folders, "--format", "latex"]) == 0
+    output = capsys.readouterr().out
+    assert r"\begin{tabular}{lllrrrrrr}" in output
+    assert r"b\_2 & plain & flower & 26.00 & 0.700 & -- & 1,000 & 60 & 500 \\" in output
 
 
 def test_no_means_where_methods_saw_different_scenes(make: Make, capsys: Capture) -> None:

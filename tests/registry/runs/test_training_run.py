@@ -19,7 +19,7 @@ from torch import Tensor
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, Scene, SceneError
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.metrics_log import MetricsLog
@@ -263,9 +263,8 @@ def test_the_module_writes_with_the_projects_own_plugins(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
-    demo = (Path(training_run.__file__).parents[1] / "data" / "demo.yaml").read_text()
     small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
-    chosen = parse_pipeline(demo, Plugins(), overrides=small)
+    chosen = load_pipeline(Path("demo"), Plugins(), overrides=small)
     done = start(chosen, device=device, out=tmp_path / "run", console=Console(file=io.StringIO()))
     assert done.finished
     folder = done.folder_or_refuse()
