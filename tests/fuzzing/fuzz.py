@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
 
-from registry.runs.memory import peak_memory_mb
+from registry.system.memory import peak_memory_mb
 
 from tests.fuzzing.damage import damage
 from tests.fuzzing.guard import Forbidden, watched
