@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +18,7 @@ from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene
 from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
+from ..priors import capabilities
 from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step_rendering import StepRenderer
@@ -36,6 +38,12 @@ class Refusal(Exception):
     def __init__(self, error: ExplainedError) -> None:
         super().__init__(str(error))
         self.error = error
+
+
+def _raised_by_a_check(error: ExplainedError) -> bool:
+    """Whether it was a base class of priors that refused the answer, and not the prior the question."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__")).startswith(capabilities.__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +79,7 @@ class Bench:
 
         Raises:
             Refusal: it raised an error that explains itself.
+            ExplainedError: the host's base class of a prior refuses the answer.
             AssertionError: it changed what it was given, or something that the whole process shares.
         """
         by_name = {
@@ -82,6 +91,8 @@ class Bench:
             try:
                 answer = method(*given)
             except ExplainedError as error:
+                if _raised_by_a_check(error):
+                    raise
                 raise Refusal(error) from error
             self.seconds += monotonic() - begin
         if added.megabytes is not None:

@@ -283,6 +283,13 @@ class Stubborn(toys.ToyPsnr):
         return -abs(float(rendered[1, 1, 2]) - float(photograph[1, 1, 2]))
 
 
+class Squeezing(r.StereoPrior):
+    """Answers another shape for images of one pixel."""
+
+    def estimate(self, left: Any, right: Any) -> torch.Tensor:
+        return left.mean(dim=2) if left.shape[1] > 1 else torch.zeros(2, 2)
+
+
 class HalfSettings(r.Settings):
     """A value that is another one once it is read back."""
 
@@ -336,6 +343,7 @@ class ListState(toys.ToyTerm):
         (Cut, {}, "cut off from autograd"),
         (Dividing, {}, "the loss is not finite"),
         (Stubborn, {}, "out of bounds"),
+        (Squeezing, {}, r"expected a tensor of shape \(1, 1\)"),
         (Halving, {"value": 1.0}, "do not survive being written as JSON"),
         (ListState, {}, "is not a tensor"),
     ],
