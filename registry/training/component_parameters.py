@@ -89,7 +89,9 @@ class ComponentParameters:
 
 
 def _refuse_undefined(gradient: Tensor | None, name: str) -> None:
-    undefined = undefined_places(gradient) if gradient is not None else ()
+    if gradient is None:
+        return
+    undefined = undefined_places(gradient)
     if len(undefined):
         raise PluginError(
             f"the gradient of its parameters is not finite in {len(undefined)} values",
