@@ -70,10 +70,10 @@ def renew(run: Run) -> dict[str, Any]:
     folder = run.folder_or_refuse()
     with folder.to_itself():
         before = folder.results()
-        if int(before.get("iterations", 0)) > run.iteration:
+        recorded = before.get("iterations")
+        if isinstance(recorded, int) and recorded > run.iteration:
             raise RunError(
-                f"results.json is of iteration {before['iterations']}, "
-                f"the newest whole checkpoint of {run.iteration}",
+                f"results.json is of iteration {recorded}, the newest whole checkpoint of {run.iteration}",
                 where=str(folder.path),
                 fix=f"train to the end again: stereogs resume {folder.path}",
             )

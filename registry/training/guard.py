@@ -136,7 +136,9 @@ def _take_apart(
 
 def _differentiate_colors(loss: Tensor, step: Recolored) -> None:
     (gradient,) = torch.autograd.grad(loss, step.before, retain_graph=True, allow_unused=True)
-    undefined = undefined_places(gradient) if gradient is not None else ()
+    if gradient is None:
+        return
+    undefined = undefined_places(gradient)
     if len(undefined):
         raise PluginError(
             f"the colours have an undefined gradient in {len(undefined)} values",
