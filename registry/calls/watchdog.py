@@ -25,6 +25,8 @@ GRACE = 10.0
 """Seconds that a call has to heed the request to end, before the process ends."""
 HUNG = 2
 """The exit status then: that of every error that was explained."""
+_SIGNAL = "SIGVTALRM"
+"""What interrupts a call. SIGUSR1 and SIGUSR2 are LLVM's, which OpenCL drivers bring along."""
 
 _log = logging.getLogger("stereogs")
 
@@ -126,7 +128,7 @@ class Watchdog:
         Args:
             seconds: > 0; None ends none.
         """
-        number = getattr(signal, "SIGUSR1", None)
+        number = getattr(signal, _SIGNAL, None)
         main = threading.current_thread() is threading.main_thread()
         if seconds is None or not main or number is None:
             yield
@@ -155,7 +157,7 @@ class Watchdog:
         since = self._asked.setdefault(hung, now)
         if now - since > self._grace:
             _end_process(hung, now - hung.began)
-        signal.pthread_kill(_main_thread(), signal.SIGUSR1)
+        signal.pthread_kill(_main_thread(), getattr(signal, _SIGNAL))
 
     def _hung(self) -> Call | None:
         """The innermost call of the main thread that takes too long."""

@@ -54,7 +54,7 @@ def test_who_is_asked_by_somebody_is_told_of_and_then_forgotten(
 
 
 def test_a_hang_is_ended_with_an_error() -> None:
-    dog, before = quick(), signal.getsignal(signal.SIGUSR1)
+    dog, before = quick(), signal.getsignal(signal.SIGVTALRM)
     begin = time.monotonic()
     with pytest.raises(Hang) as caught, dog.ending(0.1), dog.watching("loss", 3):
         stubborn()
@@ -63,7 +63,7 @@ def test_a_hang_is_ended_with_an_error() -> None:
     assert isinstance(error, PluginError)
     assert error.what == "no answer came within 0.1 s"
     assert error.where == "loss, iteration 3"
-    assert signal.getsignal(signal.SIGUSR1) == before
+    assert signal.getsignal(signal.SIGVTALRM) == before
 
 
 def test_many_short_calls_of_one_that_hangs_do_not_hide_it() -> None:
