@@ -76,7 +76,7 @@ class Hang(BaseException):
         return PluginError(
             f"no answer came within {self.seconds:g} s",
             where=str(self.call),
-            fix=_advice(self.call),
+            fix=_mend(self.call),
         )
 
 
@@ -193,18 +193,24 @@ def _main_thread() -> int:
 
 
 def _advice(call: Call) -> str:
-    if call.iteration is None:
-        return "If it hangs, end it with Ctrl-C; --hang-after SECONDS does so by itself"
-    return (
-        "If it hangs, end it with Ctrl-C, twice; `stereogs resume RUN` goes on from the run's last "
-        "checkpoint. --hang-after SECONDS ends a call by itself"
-    )
+    end = "If it hangs, end it with Ctrl-C"
+    if call.iteration is not None:
+        end += f", twice; {_RESUME}"
+    return f"{end}. --hang-after SECONDS ends a call by itself"
+
+
+def _mend(call: Call) -> str:
+    fix = "report it to its authors if it hangs; else give it more time with --hang-after"
+    return fix if call.iteration is None else f"{fix}; {_RESUME}"
+
+
+_RESUME = "`stereogs resume RUN` goes on from the run's last checkpoint"
 
 
 def _end_process(call: Call, seconds: float) -> None:
     print(
         f"stereogs: no answer came within {seconds:.0f} s, and the request to end was not heeded\n"
-        f"  where  {call}\n  fix    {_advice(call)}",
+        f"  where  {call}\n  fix    {_mend(call)}",
         file=sys.stderr,
         flush=True,
     )

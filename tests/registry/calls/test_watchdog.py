@@ -100,6 +100,27 @@ def test_other_threads_are_watched_and_not_ended(caplog: pytest.LogCaptureFixtur
     assert caplog.messages[0].startswith("elsewhere")
 
 
+LATE = """
+import time
+from registry.calls.watchdog import Hang, Watchdog
+dog = Watchdog(look_every=0.1)
+try:
+    with dog.ending(0.2):
+        from core_rasterizer import open_device
+        open_device()
+        with dog.watching("loss of p.yaml:4", 3):
+            time.sleep(60)
+except Hang as hang:
+    print(hang.explained())
+"""
+
+
+def test_libraries_that_the_device_brings_along_do_not_take_the_signal() -> None:
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, timeout=200)
+    assert "no answer came within 0.2 s" in done.stdout
+    assert done.returncode == 0
+
+
 STUBBORN = """
 import time
 from registry.calls.watchdog import Hang, Watchdog
