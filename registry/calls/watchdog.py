@@ -25,6 +25,8 @@ GRACE = 10.0
 """Seconds that a call has to heed the request to end, before the process ends."""
 HUNG = 2
 """The exit status then: that of every error that was explained."""
+_SIGNAL = "SIGVTALRM"
+"""What interrupts a call. SIGUSR1 and SIGUSR2 are LLVM's, which OpenCL drivers bring along."""
 
 _log = logging.getLogger("stereogs")
 
@@ -74,7 +76,7 @@ class Hang(BaseException):
         return PluginError(
             f"no answer came within {self.seconds:g} s",
             where=str(self.call),
-            fix=_advice(self.call),
+            fix=_mend(self.call),
         )
 
 
@@ -126,7 +128,7 @@ class Watchdog:
         Args:
             seconds: > 0; None ends none.
         """
-        number = getattr(signal, "SIGUSR1", None)
+        number = getattr(signal, _SIGNAL, None)
         main = threading.current_thread() is threading.main_thread()
         if seconds is None or not main or number is None:
             yield
@@ -155,7 +157,7 @@ class Watchdog:
         since = self._asked.setdefault(hung, now)
         if now - since > self._grace:
             _end_process(hung, now - hung.began)
-        signal.pthread_kill(_main_thread(), signal.SIGUSR1)
+        signal.pthread_kill(_main_thread(), getattr(signal, _SIGNAL))
 
     def _hung(self) -> Call | None:
         """The innermost call of the main thread that takes too long."""
@@ -191,18 +193,24 @@ def _main_thread() -> int:
 
 
 def _advice(call: Call) -> str:
-    if call.iteration is None:
-        return "If it hangs, end it with Ctrl-C; --hang-after SECONDS does so by itself"
-    return (
-        "If it hangs, end it with Ctrl-C, twice; `stereogs resume RUN` goes on from the run's last "
-        "checkpoint. --hang-after SECONDS ends a call by itself"
-    )
+    end = "If it hangs, end it with Ctrl-C"
+    if call.iteration is not None:
+        end += f", twice; {_RESUME}"
+    return f"{end}. --hang-after SECONDS ends a call by itself"
+
+
+def _mend(call: Call) -> str:
+    fix = "report it to its authors if it hangs; else give it more time with --hang-after"
+    return fix if call.iteration is None else f"{fix}; {_RESUME}"
+
+
+_RESUME = "`stereogs resume RUN` goes on from the run's last checkpoint"
 
 
 def _end_process(call: Call, seconds: float) -> None:
     print(
         f"stereogs: no answer came within {seconds:.0f} s, and the request to end was not heeded\n"
-        f"  where  {call}\n  fix    {_advice(call)}",
+        f"  where  {call}\n  fix    {_mend(call)}",
         file=sys.stderr,
         flush=True,
     )

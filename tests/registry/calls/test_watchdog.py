@@ -54,7 +54,7 @@ def test_who_is_asked_by_somebody_is_told_of_and_then_forgotten(
 
 
 def test_a_hang_is_ended_with_an_error() -> None:
-    dog, before = quick(), signal.getsignal(signal.SIGUSR1)
+    dog, before = quick(), signal.getsignal(signal.SIGVTALRM)
     begin = time.monotonic()
     with pytest.raises(Hang) as caught, dog.ending(0.1), dog.watching("loss", 3):
         stubborn()
@@ -63,7 +63,7 @@ def test_a_hang_is_ended_with_an_error() -> None:
     assert isinstance(error, PluginError)
     assert error.what == "no answer came within 0.1 s"
     assert error.where == "loss, iteration 3"
-    assert signal.getsignal(signal.SIGUSR1) == before
+    assert signal.getsignal(signal.SIGVTALRM) == before
 
 
 def test_many_short_calls_of_one_that_hangs_do_not_hide_it() -> None:
@@ -98,6 +98,27 @@ def test_other_threads_are_watched_and_not_ended(caplog: pytest.LogCaptureFixtur
     thread.start()
     thread.join()
     assert caplog.messages[0].startswith("elsewhere")
+
+
+LATE = """
+import time
+from registry.calls.watchdog import Hang, Watchdog
+dog = Watchdog(look_every=0.1)
+try:
+    with dog.ending(0.2):
+        from core_rasterizer import open_device
+        open_device()
+        with dog.watching("loss of p.yaml:4", 3):
+            time.sleep(60)
+except Hang as hang:
+    print(hang.explained())
+"""
+
+
+def test_libraries_that_the_device_brings_along_do_not_take_the_signal() -> None:
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, timeout=200)
+    assert "no answer came within 0.2 s" in done.stdout
+    assert done.returncode == 0
 
 
 STUBBORN = """

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from registry import Step
@@ -74,7 +76,7 @@ def test_splits_may_go_by_gradients_that_do_not_cancel() -> None:
 
 def test_the_limits_scale_with_the_extent() -> None:
     step = some_step()
-    step.extent = 100.0
+    step = replace(step, extent=100.0)
     edit = build(GradientThreshold, gradient_threshold=1e-12).refine(step)
     assert edit.split is not None
     assert not edit.split.any()

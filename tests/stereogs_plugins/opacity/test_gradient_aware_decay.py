@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -144,7 +145,7 @@ def poison(model: GaussianModel, value: float) -> None:
 def test_a_gradient_that_is_not_finite_stops_the_decay(function: str, value: float) -> None:
     step, model = moment_with(gaussians())
     logged: dict[str, float] = {}
-    step.log = logged.__setitem__
+    step = replace(step, log=logged.__setitem__)
     decay = build(GradientAwareDecay, function=function)
     assert decay.update(step) is not None
     assert logged["opacity_gradient_undefined"] == 0
@@ -167,7 +168,7 @@ def test_quantiles_of_gradient_and_beta() -> None:
     count = 41
     step = step_with(some_gaussians([0.1] * count, [0.4] * count), iteration=75)
     logged: dict[str, float] = {}
-    step.log = logged.__setitem__
+    step = replace(step, log=logged.__setitem__)
     build(GradientAwareDecay, wrt="logit").update(step)
     gradient = step.model.gradient("opacity_logits").abs()
     for percent in (5, 25, 50, 75, 95):
@@ -179,7 +180,7 @@ def test_quantiles_of_gradient_and_beta() -> None:
     below = float((gradient < gradient.mean()).float().mean())
     assert logged["opacity_gradient_below_mean"] == pytest.approx(below)
     logged.clear()
-    step.iteration = 76
+    step = replace(step, iteration=76)
     build(GradientAwareDecay).update(step)
     assert not any("_q" in name for name in logged)
 
@@ -187,7 +188,7 @@ def test_quantiles_of_gradient_and_beta() -> None:
 def test_pruned_gaussians_that_no_view_supported_are_counted() -> None:
     step = step_with(gaussians())
     logged: dict[str, float] = {}
-    step.log = logged.__setitem__
+    step = replace(step, log=logged.__setitem__)
     decay = build(GradientAwareDecay)
     decay.update(step)
     assert logged["pruned_unseen"] == 0
