@@ -62,7 +62,7 @@ def focus_depth(bounds: tuple[float, float]) -> float:
 
 
 def focus_point(cameras: Sequence[Camera], bounds: tuple[float, float]) -> Tensor:
-    """The point nearest to all optical axes, least squares, `[3]` float64 (RegNeRF, section 3.2).
+    """The point nearest to all optical axes, least squares, `[3]` float64 (RegNeRF).
 
     Where the axes are parallel or part, it lies at `focus_depth` in front of the cameras' mean.
 
@@ -116,7 +116,7 @@ def between(first: Camera, second: Camera, share: float) -> Camera:
 
 
 def between_neighbours(cameras: Sequence[Camera], generator: Generator) -> Camera:
-    """A camera between a random one and the one nearest to it (FSGS, Zhu et al. 2024, section 3.3).
+    """A camera between a random one and the one nearest to it (FSGS, Zhu et al. 2024).
 
     How far between the two is uniform; its place is then moved by normal noise of a tenth of their
     distance in each direction. The paper names neither number.
