@@ -30,7 +30,7 @@ def calls(pipeline: Pipeline, section: str, name: str) -> list[int]:
 
 
 def test_corgs_resets_and_prunes_when_its_code_does() -> None:
-    corgs = published("corgs")
+    corgs = published("cor-gs")
     assert calls(corgs, "opacity", "opacity_reset") == [501, 3501, 6501, 9501]
     assert calls(corgs, "densification", "co_pruning") == [*range(1000, 10_001, 500)]
     assert calls(corgs, "regularizers", "field_agreement") == [*range(500, 10_001)]
@@ -61,7 +61,7 @@ def test_dngaussian_begins_soft_depth_after_1000_and_clears_before_cameras_after
     assert calls(dngaussian, "densification", "before_cameras")[:2] == [2025, 2050]
 
 
-@pytest.mark.parametrize("name", ["regnerf", "freenerf", "sparsenerf", "icogs"])
+@pytest.mark.parametrize("name", ["regnerf", "freenerf", "sparsenerf", "ico-gs"])
 def test_methods_made_for_fields_of_radiance_share_one_schedule(name: str) -> None:
     pipeline = published(name)
     assert pipeline.training.iterations == 10_000
@@ -71,5 +71,5 @@ def test_methods_made_for_fields_of_radiance_share_one_schedule(name: str) -> No
 
 def test_icogs_looks_photographs_up_in_the_last_sixth() -> None:
     assert (
-        len(calls(published("icogs"), "regularizers", "cycle_filtered_warping")) == 10_000 // 6 + 1
+        len(calls(published("ico-gs"), "regularizers", "cycle_filtered_warping")) == 10_000 // 6 + 1
     )
