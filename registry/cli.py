@@ -62,7 +62,7 @@ examples:
 
 environment:
   STEREOGS_DATA      folder of data sets that the ready pipelines read
-  STEREOGS_MODELS    folder of model files that the ready pipelines read
+  STEREOGS_MODELS    folder of model files that the ready pipelines and lpips read
   STEREOGS_CACHE     where answers of priors and found cameras are kept; empty = nowhere
   STEREOGS_CACHE_MB  how many megabytes are kept there; unset = 5000
   STEREOGS_DEVICE    part of the name of the OpenCL device to use
