@@ -11,7 +11,6 @@ from pathlib import Path
 from unittest import mock
 
 from registry.system.memory import peak_memory_mb
-
 from tests.fuzzing.damage import damage
 from tests.fuzzing.guard import Forbidden, watched
 from tests.fuzzing.target import Target
