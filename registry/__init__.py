@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         StereoPrior,
     )
     from .priors.epipolar import epipolar_distances
+    from .priors.flow_geometry import flow_cycle_error, flow_in_size
     from .priors.learned_features import LearnedFeatures
     from .priors.model_file import Sha256, read_model_file
     from .priors.onnx_model import OnnxModel, OnnxTensor
@@ -124,6 +125,8 @@ __all__ = [
     "cache",
     "epipolar_distances",
     "first_line",
+    "flow_cycle_error",
+    "flow_in_size",
     "grey",
     "hookimpl",
     "image_fitting",

@@ -23,7 +23,7 @@ from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step_rendering import StepRenderer
 from .scenes import SMALL, Size, points_of, scene_of, step_of
-from .watching import own_randomness, same_process, untouched
+from .watching import by_itself, untouched
 
 _SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
 
@@ -86,7 +86,7 @@ class Bench:
             "step" if isinstance(value, Step) else f"argument {number}": value
             for number, value in enumerate(given, 1)
         }
-        with untouched(by_name), own_randomness(), same_process(), memory_added() as added:
+        with untouched(by_name), by_itself(), memory_added() as added:
             begin = monotonic()
             try:
                 answer = method(*given)

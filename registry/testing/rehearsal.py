@@ -21,7 +21,7 @@ from .bench import Bench
 from .carrying import check_carry
 from .companions import UNDER_TEST, Upheaval, item, pipeline_of
 from .judging import first_difference, require
-from .watching import own_randomness, same_process, untouched
+from .watching import by_itself, untouched
 
 TRAINING = TrainingSettings(iterations=12, sh_degree=1, sh_every=5)
 """Each kind of edit of `Upheaval` once; none in the last iteration."""
@@ -38,7 +38,7 @@ def rehearse(component: type[Component[Any]], settings: Settings, bench: Bench) 
             switch of the process; or it does not follow a change of topology (`check_carry`).
         ExplainedError: the host refuses an answer, or the component failed.
     """
-    with untouched({"scene": bench.scene}), own_randomness(), same_process():
+    with untouched({"scene": bench.scene}), by_itself():
         trainer = _trainer(component, settings, bench)
         states = _states(trainer)
         difference = _resumed_difference(component, settings, bench, states)

@@ -1,27 +1,27 @@
 """What a component must leave as it found it: what it was given, and what all share.
 
-with untouched({"scene": scene}), own_randomness(), same_process():
+with untouched({"scene": scene}), by_itself():
     component.loss(step)
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import pickle
-import random
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from torch import Tensor
 
 from core_rasterizer import GaussianModel, GaussianReader
 
+from ..calls.process_state import (
+    left_as_found,
+    no_global_random_numbers,
+    own_random_numbers,
+)
 from ..contract.prior import Prior
 from ..contract.step import Step
 from ..errors import PluginError
@@ -50,60 +50,24 @@ def untouched(given: Mapping[str, Any]) -> Iterator[None]:
 
 
 @contextmanager
-def own_randomness() -> Iterator[None]:
-    """Fail if a global random generator was drawn from or seeded; all three are as before afterwards.
+def by_itself() -> Iterator[None]:
+    """Fail if the block draws from global random generators, or changes what the process shares.
 
     Raises:
-        AssertionError: naming the generator.
+        AssertionError: naming the first; everything is as before.
     """
-    kept = torch.get_rng_state(), random.getstate(), np.random.get_state()
-    torch.manual_seed(_SEED)
-    random.seed(_SEED)
-    np.random.seed(_SEED)
-    before = _global_generators()
+    raised: BaseException | None = None
     try:
-        yield
-        used = [name for name, state in _global_generators().items() if state != before[name]]
-    finally:
-        torch.set_rng_state(kept[0])
-        random.setstate(kept[1])
-        np.random.set_state(kept[2])
-    require(
-        not used,
-        f"it drew from or seeded the global random state of {' and '.join(used)}; "
-        "draw from self.generator, which is the component's own",
-    )
-
-
-@contextmanager
-def same_process() -> Iterator[None]:
-    """Fail if a switch of the whole process was left in another position; puts them back.
-
-    Raises:
-        AssertionError: naming the switch.
-    """
-    gradients, kind, folder = torch.is_grad_enabled(), torch.get_default_dtype(), Path.cwd()
-    try:
-        yield
-        left = {
-            "gradients switched off": torch.is_grad_enabled() != gradients,
-            "another default dtype of torch": torch.get_default_dtype() != kind,
-            "another working directory": Path.cwd() != folder,
-        }
-    finally:
-        torch.set_grad_enabled(gradients)
-        torch.set_default_dtype(kind)
-        os.chdir(folder)
-    faults = [name for name, changed in left.items() if changed]
-    require(not faults, f"it left {' and '.join(faults)} behind")
-
-
-def _global_generators() -> dict[str, bytes]:
-    return {
-        "torch": torch.get_rng_state().numpy().tobytes(),
-        "Python": pickle.dumps(random.getstate()),
-        "numpy": pickle.dumps(np.random.get_state()),
-    }
+        with own_random_numbers(_SEED), left_as_found("the component"), no_global_random_numbers():
+            try:
+                yield
+            except BaseException as error:
+                raised = error
+                raise
+    except PluginError as error:
+        if error is raised:  # the block's own
+            raise
+        raise AssertionError(f"{error.what}; {error.fix}") from error
 
 
 def _parts(name: str, value: Any) -> Iterator[tuple[str, str]]:

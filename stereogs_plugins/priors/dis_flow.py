@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import OpticalFlowPrior, Register, Settings, hookimpl
+from registry import (
+    OpticalFlowPrior,
+    Register,
+    Settings,
+    flow_cycle_error,
+    flow_in_size,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from typing import Any
@@ -51,12 +58,8 @@ class DisFlow(OpticalFlowPrior[DisFlowSettings]):
         flow = torch.from_numpy(there_from_here).double()
         limit = self.settings.max_cycle_error
         if limit is not None:
-            flow[_cycle_error(flow, torch.from_numpy(here_from_there)) > limit] = torch.nan
-        # `second` was looked at in the size of `first`.
-        u, v = _pixel_centers(height, width)
-        here_uv = torch.stack([u, v], dim=2)
-        factors = here_uv.new_tensor([second.shape[1] / width, second.shape[0] / height])
-        return ((here_uv + flow) * factors - here_uv).float()
+            flow[flow_cycle_error(flow, torch.from_numpy(here_from_there)) > limit] = torch.nan
+        return flow_in_size(flow, (second.shape[0], second.shape[1])).float()
 
     @staticmethod
     def _both_ways(
@@ -86,37 +89,6 @@ def _grey(image: Tensor, size: tuple[int, int]) -> NDArray[np.uint8]:
     if (brightness.shape[1], brightness.shape[0]) == size:
         return brightness
     return cv2.resize(brightness, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-
-
-def _cycle_error(flow: Tensor, back: Tensor) -> Tensor:
-    """Pixels `[H, W]` between where a pixel is and where it comes back to; infinite outside."""
-    import torch
-    from torch.nn.functional import grid_sample
-
-    height, width = flow.shape[:2]
-    u, v = _pixel_centers(height, width)
-    ends = torch.stack([u, v], dim=2) + flow
-    size = flow.new_tensor([width, height])
-    inside = ((ends >= 0) & (ends <= size)).all(dim=2)
-    sampled = grid_sample(
-        back.double().permute(2, 0, 1)[None],
-        (2 * ends / size - 1)[None],
-        align_corners=False,
-        padding_mode="border",
-    )[0].permute(1, 2, 0)
-    error: Tensor = (flow + sampled).norm(dim=2).where(inside, torch.inf)
-    return error
-
-
-def _pixel_centers(height: int, width: int) -> tuple[Tensor, Tensor]:
-    import torch
-
-    v, u = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64) + 0.5,
-        torch.arange(width, dtype=torch.float64) + 0.5,
-        indexing="ij",
-    )
-    return u, v
 
 
 @hookimpl

@@ -17,6 +17,8 @@ from registry import (
     OpticalFlowPrior,
     PluginError,
     Register,
+    flow_cycle_error,
+    flow_in_size,
     hookimpl,
 )
 from registry.image_fitting import ValueRange
@@ -102,13 +104,9 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         here = first.permute(2, 0, 1)[None]
         flow = self._asked(here, there)
         if self.settings.max_cycle_error is not None:
-            error = _cycle_error(flow, self._asked(there, here))
+            error = flow_cycle_error(flow, self._asked(there, here))
             flow = flow.where(error[..., None] <= self.settings.max_cycle_error, float("nan"))
-        if other == size:
-            return flow
-        places = _pixel_centers(*size)
-        factors = flow.new_tensor([other[1] / size[1], other[0] / size[0]])
-        return (places + flow) * factors - places
+        return flow if other == size else flow_in_size(flow, other).float()
 
     def _asked(self, first: Tensor, second: Tensor) -> Tensor:
         """The flow `[H, W, 2]` between images `[1, 3, H, W]`."""
@@ -135,33 +133,6 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         return torch.stack(
             [along_rows * fit.width_factor, along_columns * fit.height_factor], dim=2
         )
-
-
-def _cycle_error(flow: Tensor, back: Tensor) -> Tensor:
-    """Pixels `[H, W]` between where a pixel is and where it comes back to; infinite outside."""
-    import torch
-    from torch.nn.functional import grid_sample
-
-    height, width = flow.shape[:2]
-    size = flow.new_tensor([width, height])
-    ends = _pixel_centers(height, width) + flow
-    inside = ((ends >= 0) & (ends <= size)).all(dim=2)
-    sampled = grid_sample(
-        back.permute(2, 0, 1)[None],
-        (2 * ends / size - 1)[None],
-        align_corners=False,
-        padding_mode="border",
-    )[0].permute(1, 2, 0)
-    error = torch.linalg.vector_norm(flow + sampled, dim=2)
-    return torch.where(inside, error, torch.inf)
-
-
-def _pixel_centers(height: int, width: int) -> Tensor:
-    """Positions `[H, W, 2]` (column, row)."""
-    import torch
-
-    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    return torch.stack([u, v], dim=2)
 
 
 @hookimpl

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from registry.training.checkpoint import FORMAT
 from tests.fuzzing.formats.arrays_and_models import Checkpoints, OnnxFiles, PriorAnswers
 from tests.fuzzing.formats.images import Images
 from tests.fuzzing.formats.points import PointFiles
@@ -18,7 +17,7 @@ TARGETS: dict[str, type[Target]] = {
         PointFiles,
         PipelineFiles,
         ResultsFiles,
-        *((Checkpoints,) if FORMAT > 1 else ()),  # the first format kept no hashes
+        Checkpoints,
         PriorAnswers,
         OnnxFiles,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
 from unittest import mock
@@ -28,9 +27,7 @@ class Checkpoints(Target):
 
     def write(self) -> tuple[str, ...]:
         """One."""
-        fields = {"iteration": 7, "seconds": 1.5, "tensors": TENSORS, "pipeline": "name: fuzzed\n"}
-        known = {field.name for field in dataclasses.fields(Checkpoint)}
-        save_checkpoint(Checkpoint(**{k: v for k, v in fields.items() if k in known}), self.folder)
+        save_checkpoint(Checkpoint(7, 1.5, TENSORS, "name: fuzzed\n"), self.folder)
         files = sorted(path for path in self.folder.rglob("*") if path.is_file())
         return tuple(str(path.relative_to(self.folder)) for path in files)
 
