@@ -18,7 +18,7 @@ demo: $(VENV)/.runtime ## three photographs to a scored scene, in minutes
 	$(BIN)/stereogs demo
 
 test: $(VENV)/.dev ## the test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
