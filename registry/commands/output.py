@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from ..runs.run import Run
 
 Verbs = Any
 """argparse's own type for a set of verbs is private."""
@@ -72,6 +75,24 @@ def _seconds(text: str) -> float:
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
     return value
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """A run folder to be looked at, and what goes with it; `open_given` opens it."""
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    add_accept_changed_inputs(parser)
+    add_device(parser)
+
+
+def open_given(arguments: argparse.Namespace) -> Run:
+    """The run that the options of `add_run` name."""
+    from ..session import open_run
+
+    return open_run(
+        arguments.run_folder,
+        device=arguments.device,
+        accept_changed_inputs=arguments.accept_changed_inputs,
+    )
 
 
 def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:

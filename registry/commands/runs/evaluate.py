@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from ..output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from ..output import Verbs, add_run, add_verb, console, open_given
 from .train import tell_failures
 
 _EPILOG = """\
@@ -21,22 +20,14 @@ stopped is scored where it stands.
 def add(verbs: Verbs) -> None:
     """Add the verb."""
     parser = add_verb(verbs, "eval", "score a run's views again, from its checkpoint", _EPILOG)
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
-    add_accept_changed_inputs(parser)
-    add_device(parser)
+    add_run(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print."""
-    from ...session import open_run
-
     output = console()
-    run = open_run(
-        arguments.run_folder,
-        device=arguments.device,
-        accept_changed_inputs=arguments.accept_changed_inputs,
-    )
+    run = open_given(arguments)
     from ...comparing.run_table import results_table
     from ...runs.results import RENDERS, renew
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from ..output import Verbs, add_accept_changed_inputs, add_device, add_verb, console
+from ..output import Verbs, add_run, add_verb, console, open_given
 
 PATH = "path"
 
@@ -22,28 +21,20 @@ else numbered PNG pictures.
 def add(verbs: Verbs) -> None:
     """Add the verb."""
     parser = add_verb(verbs, "render", "render a run's test views, or a flight", _EPILOG)
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
     parser.add_argument(
         "--path", action="store_true", help="fly along a smooth path between the training views"
     )
     parser.add_argument(
         "--frames", type=int, default=120, metavar="N", help="pictures of the flight (default 120)"
     )
-    add_accept_changed_inputs(parser)
-    add_device(parser)
+    add_run(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Render and say where the files lie."""
-    from ...session import open_run
-
     output = console()
-    run = open_run(
-        arguments.run_folder,
-        device=arguments.device,
-        accept_changed_inputs=arguments.accept_changed_inputs,
-    )
+    run = open_given(arguments)
     from ...drawing.camera_path import smooth_path
     from ...drawing.pictures import save_view_pictures
     from ...drawing.video import write_video
