@@ -114,7 +114,7 @@ def forged(path: str, value: Any) -> dict[str, Any]:
 
 def written(folder: Path, content: str) -> Path:
     run = RunFolder(folder / "run")
-    run.create(to_yaml(PIPELINE), {}, {})
+    run.create(to_yaml(PIPELINE), {}, {}, lambda folder: None)
     (run.path / "results.json").write_text(content, "utf-8")
     return run.path
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -65,6 +67,6 @@ def test_densities_follow_an_edit_and_are_measured_anew_in_time() -> None:
     first = dropout.state()["density"]
     dropout.carry(torch.tensor([4, 0, 0]), torch.tensor([False, False, True]))
     assert torch.equal(dropout.state()["density"], first[[4, 0, 0]])
-    step.iteration = 500
+    step = replace(step, iteration=500)
     dropout.opacity_scale(step)
     assert torch.equal(dropout.state()["density"], first)

@@ -34,5 +34,5 @@ def test_may_wait_for_a_white_background() -> None:
     step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]))
     policy = build(OpacityReset, only_on_white=True)
     assert policy.update(step) is None
-    step.scene = replace(step.scene, background=(1.0, 1.0, 1.0))
+    step = replace(step, scene=replace(step.scene, background=(1.0, 1.0, 1.0)))
     assert policy.update(step) is not None

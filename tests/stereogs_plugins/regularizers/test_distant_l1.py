@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -29,7 +31,7 @@ def test_is_offered_as_distant_l1_and_keeps_the_contract() -> None:
 def test_only_the_farthest_pixels_count_and_colours_are_clamped() -> None:
     step = step_with(some_gaussians([0.1], [0.5]))
     prior = build(Brightness)
-    step.priors = {"mono": prior}
+    step = replace(step, priors={"mono": prior})
     rgb = torch.rand(48, 64, 3, generator=torch.Generator().manual_seed(1)) * 1.5
     rgb.requires_grad_()
     far = (step.view.image == 0).float()  # stripes of 0 and 1; the dark half is far
@@ -44,7 +46,7 @@ def test_only_the_farthest_pixels_count_and_colours_are_clamped() -> None:
 def test_the_prior_is_asked_once_for_each_photograph() -> None:
     step = step_with(some_gaussians([0.1], [0.5]))
     prior = build(Brightness)
-    step.priors = {"mono": prior}
+    step = replace(step, priors={"mono": prior})
     term = build(DistantL1)
     for _ in range(3):
         term.loss(seen(step, torch.zeros(48, 64, 3)))

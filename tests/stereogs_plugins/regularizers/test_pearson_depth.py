@@ -70,8 +70,8 @@ def fitted(
 
     step, model = moment(build(Known))
     view = replace(step.view, image=torch.rand(2, 3, 3))
-    step.sample = replace(step.sample, view=view)
-    step.iteration = iteration
+    step = replace(step, sample=replace(step.sample, view=view))
+    step = replace(step, iteration=iteration)
     rendering = replace(model.render(step.view.camera), depth=DEPTH)
     step.rendered(lambda: rendering)
     return float(build(PearsonDepth, offset=offset, **s).loss(step))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -34,7 +36,7 @@ def test_bands_come_by_fractions_as_freenerfs_do() -> None:
         sh_degree = 3
 
     step = step_at(300)
-    step.model = Third()
+    step = replace(step, model=Third())
     # FreeNeRF: pointer (L / 3) t / T of L bands in thirds; a third of the way shows a third of them.
     degree = build(CoarseToFine, until=0.9).sample(step, step.sample).sh_degree
     assert degree == pytest.approx(1.0)
@@ -47,7 +49,7 @@ def test_the_blur_shrinks_linearly() -> None:
     step = step_at(450)  # half of the way to 0.9
     wave = 0.5 + 0.5 * torch.cos(2 * torch.pi * (torch.arange(64) + 0.5) / 16)
     image = wave[None, :, None].expand(48, 64, 3).contiguous()
-    step.sample = type(step.sample)(**{**vars(step.sample), "target": image})
+    step = replace(step, sample=replace(step.sample, target=image))
     seen = build(CoarseToFine, blur=4.0).sample(step, step.sample).target
     damped = float((seen - 0.5).abs().max() / (image - 0.5).abs().max())
     assert damped == pytest.approx(

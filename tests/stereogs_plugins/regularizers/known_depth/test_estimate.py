@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -21,7 +23,7 @@ def test_a_monocular_prior_is_asked_first_and_once_a_view() -> None:
     nearness = torch.rand(4, 5)
     step = step_with_depth(torch.ones(4, 5), inverse_depth=nearness)
     mono = step.priors["mono"]
-    step.priors = {"depth": prior_of(lambda view: torch.ones(4, 5)), "mono": mono}
+    step = replace(step, priors={"depth": prior_of(lambda view: torch.ones(4, 5)), "mono": mono})
     farness = Farness(None)
     for _ in range(3):
         values, known = farness.of(step)
@@ -31,13 +33,12 @@ def test_a_monocular_prior_is_asked_first_and_once_a_view() -> None:
 
 
 def test_a_multi_view_prior_answers_with_its_depth_where_it_knows_it() -> None:
-    from dataclasses import replace
 
     depth = torch.tensor([[2.0, 0.0], [3.0, 4.0]])
     step = step_with_depth(torch.ones(2, 2), inverse_depth=torch.ones(2, 2))
     first = step.view
-    step.scene = replace(step.scene, train=(first, replace(first, name="other")))
-    step.priors = {**step.priors, "depth": prior_of(lambda view: depth)}
+    step = replace(step, scene=replace(step.scene, train=(first, replace(first, name="other"))))
+    step = replace(step, priors={**step.priors, "depth": prior_of(lambda view: depth)})
     values, known = Farness("depth").of(step)
     assert torch.equal(values, depth)
     assert known.tolist() == [[True, False], [True, True]]

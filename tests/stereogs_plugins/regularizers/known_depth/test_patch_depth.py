@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -82,7 +84,7 @@ def test_hard_moves_centres_and_soft_moves_opacities_only() -> None:
     ramp = torch.linspace(0, 1, 64)[None, :].expand(48, 64).contiguous()
     for form, moved in (("hard", "means"), ("soft", "opacity_logits")):
         step, model = moment_with(some_gaussians([0.4, 0.5, 0.6], [0.3, 0.8, 0.6]))
-        step.priors = {"mono": fixed(ramp)}
+        step = replace(step, priors={"mono": fixed(ramp)})
         model.zero_gradients()
         term = build(PatchDepth, form=form, smallest=12, largest=12)
         term.loss(step).backward()
@@ -94,10 +96,11 @@ def test_hard_moves_centres_and_soft_moves_opacities_only() -> None:
 def test_a_target_that_is_a_scaled_and_shifted_depth_costs_nothing() -> None:
     step, _ = moment_with(some_gaussians([0.4, 0.5, 0.6], [0.3, 0.8, 0.6]))
     depth = step.render(step.view.camera, gradient=False).depth
-    step.priors = {"mono": fixed(40 - 3 * depth)}  # inverse depth: the larger, the nearer
+    # Inverse depth: the larger, the nearer.
+    step = replace(step, priors={"mono": fixed(40 - 3 * depth)})
     sides = {"smallest": 16, "largest": 16}
     assert float(build(PatchDepth, form="soft", **sides).loss(step)) == 0
-    step.priors = {"mono": fixed(3 * depth)}
+    step = replace(step, priors={"mono": fixed(3 * depth)})
     assert float(build(PatchDepth, form="soft", **sides).loss(step).detach()) > 0.1
 
 

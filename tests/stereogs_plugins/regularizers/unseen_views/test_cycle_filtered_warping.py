@@ -28,7 +28,7 @@ def step_before_wall(depth_of_virtual: float, gain: float = 1.0, apart: float = 
     step = step_with(some_gaussians([0.1], [0.5]))
     cameras = [camera_at(x) for x in (-apart, 0.0, apart)]
     views = tuple(View(f"{k}", c, texture(c)) for k, c in enumerate(cameras))
-    step.scene = Scene("wall", views, (), (1.0, 10.0)).for_training()
+    step = replace(step, scene=Scene("wall", views, (), (1.0, 10.0)).for_training())
     known = {float(c.center[0]) for c in cameras}
 
     def render(camera: Camera, *, gradient: bool = True) -> Rendering:
@@ -38,8 +38,7 @@ def step_before_wall(depth_of_virtual: float, gain: float = 1.0, apart: float = 
         rgb = (gain * texture(camera)).requires_grad_(gradient)
         return Rendering(rgb, (depth * alpha).requires_grad_(gradient), alpha)
 
-    step.render = render
-    return step
+    return replace(step, render=render)
 
 
 def test_it_keeps_the_contract() -> None:
@@ -100,7 +99,7 @@ def test_gradients_reach_colours_and_depth() -> None:
         made.append(inner(camera, gradient=gradient))
         return made[-1]
 
-    step.render = render
+    step = replace(step, render=render)
     build(CycleFilteredWarping, radius=1e-9).loss(step).backward()
     assert made[0].rgb.grad is not None
     assert made[0].depth.grad is not None

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -19,8 +20,7 @@ def step_that_renders(depth: Tensor, alpha: Tensor, iteration: int = 500) -> Ste
     def render(camera: Camera) -> Rendering:
         return Rendering(torch.zeros(*depth.shape, 3), depth, alpha)
 
-    step.render = render
-    return step
+    return replace(step, render=render)
 
 
 def by_loops(depth: Tensor, alpha: Tensor | None) -> float:

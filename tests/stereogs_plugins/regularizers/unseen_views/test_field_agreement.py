@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -42,7 +44,7 @@ def test_fields_that_are_equal_agree() -> None:
 
 def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> None:
     step, bench = bench_step()
-    step.sample = type(step.sample)(**{**vars(step.sample), "background": (0.1, 0.9, 0.4)})
+    step = replace(step, sample=replace(step.sample, background=(0.1, 0.9, 0.4)))
     moved = bench.model()
     moved.write("means", moved.read("means") + 0.2)
     asked = []
@@ -52,7 +54,7 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
         return moved.render(camera, background=background)
 
     other = step.others[0]
-    step.others = (type(other)(1, moved.reader(), other.rendering, elsewhere),)
+    step = replace(step, others=(type(other)(1, moved.reader(), other.rendering, elsewhere),))
     loss = build(FieldAgreement, seed=3).loss(step)
     (camera,) = asked
     generator = torch.Generator().manual_seed(3)
@@ -68,6 +70,6 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
 
 def test_a_single_field_is_refused() -> None:
     step, _ = bench_step()
-    step.others = ()
+    step = replace(step, others=())
     with pytest.raises(PluginError, match=r"no other field"):
         build(FieldAgreement).loss(step)

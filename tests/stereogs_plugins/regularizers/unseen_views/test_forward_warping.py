@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -41,17 +43,19 @@ def test_a_render_that_shows_the_warped_photograph_costs_nothing() -> None:
         image[~seen] = torch.rand(int((~seen).sum()), 3)  # holes count nothing
         return Rendering(image, image[..., 0], image[..., 0])
 
-    step.render = perfect
+    step = replace(step, render=perfect)
     assert float(build(ForwardWarping).loss(step)) == 0
 
 
 def test_without_maps_it_is_refused_and_empty_ones_teach_nothing() -> None:
     step = Bench(open_device(), {}).rendered().step
-    maps, step.maps = step.maps, {}
+    maps = step.maps
+    step = replace(step, maps={})
     with pytest.raises(PluginError, match="no depth maps"):
         build(ForwardWarping).loss(step)
-    step.maps = {
+    empty = {
         name: DepthMap(torch.zeros_like(m.depth), torch.zeros_like(m.valid), m.confidence * 0)
         for name, m in maps.items()
     }
+    step = replace(step, maps=empty)
     assert float(build(ForwardWarping).loss(step)) == 0
