@@ -86,6 +86,8 @@ class Component(Generic[SettingsType]):
     "name", or "{use: name, ...}". None: nothing does."""
     needs_priors: ClassVar[tuple[str, ...]] = ()
     """Capabilities that it asks of the pipeline's priors; `stereogs explain` looks for them."""
+    needs_fields: ClassVar[int] = 1
+    """How many fields of Gaussians (`training.fields`) it must be trained with at least."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)

@@ -97,11 +97,12 @@ def _trainer(
         item(Upheaval, Upheaval.Settings(), "upheaval"),
         *(item(type(prior), prior.settings, name) for name, prior in bench.priors.items()),
     ]
-    parts = Parts(pipeline_of(items, TRAINING), bench.device)
+    training = TRAINING.model_copy(update={"fields": component.needs_fields})
+    parts = Parts(pipeline_of(items, training), bench.device)
     model = bench.model()
     if part is not None:
-        model = new_model(Gaussians(**part("model")), TRAINING, bench.device)
-    return Trainer(TRAINING, parts, bench.scene, model, bench.maps())
+        model = new_model(Gaussians(**part("model")), training, bench.device)
+    return Trainer(training, parts, bench.scene, model, bench.maps())
 
 
 def _copied(state: Mapping[str, Tensor]) -> dict[str, Tensor]:

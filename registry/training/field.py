@@ -368,7 +368,7 @@ class Field:
         """
         self.optimizer.restore(part("optimizer"))
         screen = part("statistics")["screen"]
-        if screen.shape != (2, self.model.count):
+        if screen.shape[1:] != (self.model.count,) or len(screen) not in (2, 3):
             raise RunError(
                 f"the statistics of {self.model.count} Gaussians are {tuple(screen.shape)}"
             )

@@ -31,6 +31,8 @@ class CoPruning(Densification[CoPruningSettings]):
     centre's only counterpart has one itself.
     """
 
+    needs_fields = 2
+
     def refine(self, step: Step) -> Edit:
         """Return what is to be pruned.
 

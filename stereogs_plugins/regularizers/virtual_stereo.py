@@ -69,10 +69,11 @@ def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
     columns = torch.arange(width, dtype=disparity.dtype) + disparity
     inside = (columns >= 0) & (columns <= width - 1)
     position = columns.clamp(0, width - 1)
-    left = position.detach().floor().clamp(max=width - 2)
+    left = position.detach().floor().clamp(0, max(width - 2, 0))
     part = (position - left)[:, :, None]
     rows = torch.arange(height)[:, None]
-    first, second = image[rows, left.long()], image[rows, left.long() + 1]
+    right = (left.long() + 1).clamp(max=width - 1)
+    first, second = image[rows, left.long()], image[rows, right]
     return (first + part * (second - first)) * inside[:, :, None], inside
 
 
@@ -87,6 +88,8 @@ def edge_aware_smoothness(disparity: Tensor, image: Tensor, seen: Tensor) -> Ten
     total = disparity.new_zeros(())
     for axis in (0, 1):
         d, i, s = (x.transpose(0, axis) for x in (disparity, image, seen))
+        if len(d) < 3:
+            continue
         both = s[2:] & s[:-2]
         slope = (0.5 * (d[2:] - d[:-2])).abs() * both
         edge = (0.5 * (i[2:] - i[:-2])).abs().mean(2)

@@ -20,6 +20,7 @@ from registry.pipeline.pipeline import Pipeline
 from registry.plugins.discovery import Offer, Plugins
 from registry.testing import tiny_scene
 from registry.training.trainer import Trainer
+from tests.stereogs_plugins.priors import graphs
 
 PLUGINS = Plugins()
 SHIPPED = [offer for offer in PLUGINS.all() if offer.distribution == "stereogs-plugins"]
@@ -31,8 +32,37 @@ BASE: dict[str, Any] = {
     "initializer": {"use": "random", "count": 100},
     "training": {"iterations": 4, "sh_degree": 0},
 }
-NEEDS: dict[str, dict[str, Any]] = {"stereo_depth": {"priors": ["sgm"]}}
-"""Sections that a component cannot do without."""
+SWEEP = {"priors": [{"use": "plane_sweep", "planes": 12}]}
+DENSE = SWEEP | {"initializer": {"use": "consistency_dense", "hand_on_depth": True}}
+TWO_FIELDS = {"training": BASE["training"] | {"fields": 2}}
+NEEDS: dict[str, dict[str, Any]] = {
+    "stereo_depth": {"priors": ["sgm"]},
+    "depth_ranking": SWEEP,
+    "patch_depth": SWEEP,
+    "depth_from_initializer": DENSE,
+    "forward_warping": DENSE,
+    "field_agreement": TWO_FIELDS,
+    "co_pruning": TWO_FIELDS,
+}
+"""Sections that a component cannot do without; `monocular` adds those that need a network."""
+SETTINGS: dict[str, dict[str, Any]] = {
+    "parameter_l1": {"parameter": "opacities"},
+    "patch_depth": {"form": "hard", "smallest": 4, "largest": 8},
+    "expected_opacity": {"rate": 0.2},
+    "co_pruning": {"distance": 1.0},
+}
+"""Settings without a default."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def monocular(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A monocular prior for those that ask for one."""
+    model = str(graphs.mono(tmp_path_factory.mktemp("purity") / "mono.onnx"))
+    prior = {"use": "onnx_mono", "model": model, "family": "dpt", "short_side": 56}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("pearson_depth", "distant_l1"):
+            patch.setitem(NEEDS, name, {"priors": [prior]})
+        yield
 
 
 def label(offer: Offer) -> str:
@@ -43,9 +73,12 @@ def pipeline(*offers: Offer, **common: Any) -> Pipeline:
     """The base with some components, all of the same settings."""
     values = dict(BASE)
     for offer in offers if common.get("enabled", True) else ():
-        values |= NEEDS.get(offer.name, {})
+        needed = NEEDS.get(offer.name, {})
+        priors = list(values.get("priors", []))
+        priors += [prior for prior in needed.get("priors", []) if prior not in priors]
+        values |= needed | ({"priors": priors} if priors else {})
     for offer in offers:
-        written = {"use": offer.name, **common}
+        written = {"use": offer.name, **SETTINGS.get(offer.name, {}), **common}
         values[offer.point.section] = [*values.get(offer.point.section, []), written]
     return stereogs.build_pipeline(values, plugins=PLUGINS)
 
@@ -64,7 +97,7 @@ def test_everything_that_ships_is_here() -> None:
 def test_a_component_that_is_off_is_a_component_that_is_absent(offer: Offer) -> None:
     absent = pipeline()
     assert pipeline(offer, enabled=False).items == absent.items
-    values = BASE | {offer.point.section: [{"use": offer.name}]}
+    values = BASE | {offer.point.section: [{"use": offer.name, **SETTINGS.get(offer.name, {})}]}
     disabled = stereogs.build_pipeline(values, disable=[offer.name], plugins=PLUGINS)
     assert disabled.to_yaml() == absent.to_yaml()
 
@@ -82,8 +115,12 @@ def test_of_any_two_each_begins_as_if_it_were_alone() -> None:
     device = open_device()
 
     def seeds(*offers: Offer) -> dict[str, int]:
-        parts = Parts(pipeline(*offers), device)
-        return {part.item.qualified_name: part.component.generator.initial_seed() for part in parts}
+        chosen = {label(offer) for offer in offers}
+        return {
+            part.item.qualified_name: part.component.generator.initial_seed()
+            for part in Parts(pipeline(*offers), device)
+            if part.item.qualified_name in chosen
+        }
 
     alone = {label(offer): seeds(offer) for offer in IN_THE_LOOP}
     own = [seeds_of[name] for name, seeds_of in alone.items()]

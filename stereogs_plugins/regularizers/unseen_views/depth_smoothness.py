@@ -39,6 +39,8 @@ class DepthSmoothness(Regularizer[DepthSmoothnessSettings]):
         rendering = step.render(camera)
         depth = rendering.depth / math.sqrt(math.prod(step.scene.bounds))
         here = depth[:-1, :-1]
+        if not here.numel():  # an image of one row or column has no neighbours
+            return depth.sum() * 0
         squares = (here - depth[:-1, 1:]).square() + (here - depth[1:, :-1]).square()
         if self.settings.by_alpha:
             squares = squares * rendering.alpha.detach()[:-1, :-1]

@@ -32,6 +32,8 @@ class FieldAgreement(Regularizer[FieldAgreementSettings]):
     another.
     """
 
+    needs_fields = 2
+
     def loss(self, step: Step) -> Tensor:
         """The sum over the other fields (`training.fields`).
 

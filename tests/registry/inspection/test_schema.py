@@ -23,7 +23,7 @@ from registry.plugins.discovery import GROUP, Offer, Plugins
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "pipelines" / "pipeline.schema.json"
-PIPELINES = sorted([*ROOT.glob("pipelines/*.yaml"), *ROOT.glob("registry/data/*.yaml")])
+PIPELINES = sorted([*ROOT.glob("pipelines/*.yaml"), *ROOT.glob("pipelines/methods/*.yaml")])
 GOOD = """\
 name: small
 scene: {use: toy_scene, path: somewhere, colors: [0, 0.5, 1]}

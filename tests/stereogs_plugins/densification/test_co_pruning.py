@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -24,10 +26,11 @@ def at(positions: Tensor) -> Gaussians:
 
 def step_beside(own: Tensor, *others: Tensor) -> Step:
     step = step_with(at(own))
+    beside = []
     for index, positions in enumerate(others, start=1):
         model = GaussianModel(at(positions), open_device())
-        step.others += (OtherField(index, model.reader(), step.rendering, step.render),)
-    return step
+        beside.append(OtherField(index, model.reader(), step.rendering, step.render))
+    return replace(step, others=tuple(beside))
 
 
 def test_it_is_registered_and_keeps_the_contract() -> None:

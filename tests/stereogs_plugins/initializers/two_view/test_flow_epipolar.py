@@ -42,7 +42,8 @@ class StillFlow(OpticalFlowPrior[Settings]):
 
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
         flow = torch.zeros(*first.shape[:2], 2)
-        flow[..., 0] = -4.0 if first[0, 0, 2] < second[0, 0, 2] else 4.0
+        shift = 4.0 * first.shape[1] / 32  # the focal length grows with the width
+        flow[..., 0] = -shift if first[0, 0, 2] < second[0, 0, 2] else shift
         return flow
 
 

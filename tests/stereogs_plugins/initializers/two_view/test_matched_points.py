@@ -24,6 +24,19 @@ class FixedMatches(MatchingPrior[Settings]):
         return Matches(here, here + off, torch.tensor([1.0, 0.9, 0.8, 0.3]))
 
 
+class WallMatches(MatchingPrior[Settings]):
+    """A wall at 3 between the cameras of `registry.testing`, 0.4 apart."""
+
+    def estimate(self, first: Tensor, second: Tensor) -> Matches:
+        height, width = first.shape[:2]
+        shift = torch.tensor([4.0 * width / 32, 0.0])  # the focal length grows with the width
+        if first[0, 0, 2] < second[0, 0, 2]:
+            shift = -shift
+        spots = torch.rand(20, 2, generator=torch.Generator().manual_seed(4))
+        here = (0.3 + 0.4 * spots) * torch.tensor([width, height])
+        return Matches(here, here + shift, torch.ones(20))
+
+
 @pytest.fixture(autouse=True)
 def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", "")
@@ -75,4 +88,5 @@ def test_sift_gives_points_on_the_rooms_surfaces(procedural_room: Scene) -> None
 
 
 def test_it_keeps_the_contract() -> None:
-    check(MatchedPoints, priors=fixed())
+    prior = WallMatches(Settings(), Context("m", 0, open_device()))
+    check(MatchedPoints, priors={"m": prior})

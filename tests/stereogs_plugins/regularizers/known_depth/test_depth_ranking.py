@@ -7,15 +7,16 @@ from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import DepthRanking
 from tests.stereogs_plugins.building import build
 
-from .steps import fixed, step_with_depth
+from ..monocular import Brightness
+from .steps import step_with_depth
 
 SLOPE = torch.linspace(1, 2, 40, dtype=torch.float64)[None, :].expand(30, 40).contiguous()
 
 
 def test_it_keeps_the_contract() -> None:
-    check(DepthRanking, priors={"mono": fixed(torch.rand(24, 32))})
+    check(DepthRanking, priors={"mono": build(Brightness)})
     mvpgs = {"pairs": 512, "reach": None, "margin": 0.0, "continuity": 0.0}
-    check(DepthRanking, priors={"mono": fixed(torch.rand(24, 32))}, **mvpgs)
+    check(DepthRanking, priors={"mono": build(Brightness)}, **mvpgs)
 
 
 def test_a_right_order_costs_nothing_and_a_wrong_one_the_difference() -> None:

@@ -12,6 +12,7 @@ from stereogs_plugins.regularizers.known_depth import PatchDepth
 from stereogs_plugins.regularizers.known_depth.patches import Patches
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
+from ..monocular import Brightness
 from .steps import fixed
 
 KNOWN = torch.ones(4, 4, dtype=torch.bool)
@@ -31,7 +32,7 @@ def normalized(image: Tensor, side: int, form: str) -> Tensor:
 
 def test_it_keeps_the_contract() -> None:
     for form in ("hard", "soft"):
-        check(PatchDepth, form=form, priors={"mono": fixed(torch.rand(24, 32))})
+        check(PatchDepth, form=form, priors={"mono": build(Brightness)})
 
 
 def test_a_small_array_by_hand() -> None:
