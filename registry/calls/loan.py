@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 
 
+class Overwritten(PluginError):
+    """A component wrote into what it was lent: whatever others make of that now would be wrong."""
+
+
 class Loan:
     """Tensors that a component may look at.
 
@@ -45,7 +49,7 @@ class Loan:
         """Refuse a block that writes into something lent.
 
         Raises:
-            PluginError: names the first.
+            Overwritten: names the first.
         """
         marks = [_mark(tensor) for tensor in self._tensors.values()]
         copies = _copies(self._tensors) if are_checked() else {}
@@ -147,8 +151,8 @@ def _copies(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
 
-def _written(name: str) -> PluginError:
-    return PluginError(
+def _written(name: str) -> Overwritten:
+    return Overwritten(
         f"it wrote into {name}, which it may only look at",
         fix="work on a copy (`tensor.clone()`), and return what is to change",
     )

@@ -12,7 +12,7 @@ import torch
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
-from ..calls.loan import Loan, of_rendering, of_view
+from ..calls.loan import Loan, Overwritten, of_rendering, of_view
 from ..contract.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
@@ -73,6 +73,9 @@ def evaluate(
     Args:
         metrics: the pipeline's metric components.
         pictures: a folder for `save_view_pictures`; None writes none.
+
+    Raises:
+        Overwritten: a metric wrote into the render or the photograph; no other score could be trusted.
     """
     scores: dict[str, dict[str, float | None]] = {}
     unavailable: dict[str, str] = {}
@@ -106,6 +109,8 @@ def _measured(
     try:
         with part.at_work(lent=lent):
             return check_score(part.component.measure_view(rendering, view, scene))
+    except Overwritten:
+        raise
     except ExplainedError as error:
         failures.setdefault(part.item.qualified_name, error)
         return Unavailable(error.what)

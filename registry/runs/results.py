@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from core_rasterizer import ExplainedError
 
-from ..calls.loan import Loan, of_scene
+from ..calls.loan import Loan, Overwritten, of_scene
 from ..contract.scene import Scene
 from ..errors import PluginError, RunError
 from ..pipeline.parts import Part
@@ -138,6 +138,8 @@ def _written(
     try:
         with part.at_work(lent=lent):
             return [_inside(folder, file) for file in _existing(write())]
+    except Overwritten:
+        raise
     except ExplainedError as error:
         failures.append(_told(part.item.qualified_name, error))
         return []
