@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 from ..errors import PluginError
 from .component import Component, SettingsType
-
-if TYPE_CHECKING:
-    from ..priors.onnx_model import OnnxModel
 
 
 class Prior(Component[SettingsType], ABC):
@@ -32,12 +29,15 @@ class Prior(Component[SettingsType], ABC):
         return ""
 
     @classmethod
-    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+    def settings_for(cls, model: Any) -> Sequence[Mapping[str, Any]]:
         """Settings with which this prior might run an ONNX file; `stereogs priors check` tries them.
 
         Each with the file itself, as plain values that a pipeline could hold, the likeliest first. What
         the graph's names and sizes cannot tell, such as the numbers for black and white, is left to
         trial: one entry for each possibility. Empty: the file has not the form of this prior's models.
+
+        Args:
+            model: a `registry.OnnxModel`.
         """
         return ()
 
