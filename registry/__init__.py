@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         Initializer,
         Metric,
         Modifier,
+        Observer,
         OpacityPolicy,
         OpacityUpdate,
         Perturbation,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         Unavailable,
         ViewMetric,
     )
+    from .contract.events import IterationDone, RunEnded, RunStarted, ViewsScored
     from .contract.fact import Fact
     from .contract.hook_points import API_VERSION
     from .contract.hooks import Register, hookimpl
@@ -82,6 +84,7 @@ __all__ = [
     "Flow",
     "ImageMetricSettings",
     "Initializer",
+    "IterationDone",
     "LearnedFeatures",
     "Matches",
     "MatchingPrior",
@@ -89,6 +92,7 @@ __all__ = [
     "Modifier",
     "MonocularDepthPrior",
     "MultiViewDepthPrior",
+    "Observer",
     "OnnxModel",
     "OnnxModelSettings",
     "OnnxProvider",
@@ -107,7 +111,9 @@ __all__ = [
     "Regularizer",
     "Render",
     "Report",
+    "RunEnded",
     "RunError",
+    "RunStarted",
     "Sample",
     "Sampler",
     "Scene",
@@ -122,6 +128,7 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
+    "ViewsScored",
     "cache",
     "epipolar_distances",
     "first_line",

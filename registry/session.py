@@ -200,7 +200,7 @@ def train(
             out=Path(out).expanduser() if isinstance(out, str | os.PathLike) else out,
             console=_console(progress),
             scene=scene,
-            observer=callback,
+            callback=callback,
         )
 
 
@@ -234,7 +234,7 @@ def resume(
             device=_device(device),
             console=_console(progress),
             scene=scene and validate(scene),
-            observer=callback,
+            callback=callback,
             accept_changed_inputs=accept_changed_inputs,
         )
 

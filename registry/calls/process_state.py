@@ -49,7 +49,7 @@ _PLACE = Shared(
 
 
 @contextmanager
-def left_as_found(who: object) -> Iterator[None]:
+def left_as_found(who: object, *, threads: bool = True) -> Iterator[None]:
     """Refuse a block that changes what the whole process shares, and put it back.
 
     The working directory, and torch's gradient mode, default type and number of threads. Of threads
@@ -57,13 +57,14 @@ def left_as_found(who: object) -> Iterator[None]:
 
     Args:
         who: whose text says who is at work.
+        threads: whether to tell of threads.
 
     Raises:
         PluginError: something was changed; names the first.
     """
     shared = _shared()
     before = [one.read() for one in shared]
-    threads = threading.active_count()
+    number = threading.active_count()
     changed: list[Shared] = []
     try:
         yield
@@ -72,9 +73,9 @@ def left_as_found(who: object) -> Iterator[None]:
             if one.read() != value:
                 one.put_back(value)
                 changed.append(one)
-    if threading.active_count() > threads and str(who) not in _TOLD_OF_THREADS:
+    if threads and threading.active_count() > number and str(who) not in _TOLD_OF_THREADS:
         _TOLD_OF_THREADS.add(str(who))
-        newest = threading.enumerate()[threads:]
+        newest = threading.enumerate()[number:]
         names = ", ".join(repr(thread.name) for thread in newest)
         _log.warning("%s left a thread behind: %s; join it before you return", who, names)
     if changed:

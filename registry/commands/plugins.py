@@ -31,7 +31,7 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
 _NEW_EPILOG = """\
 kinds:
   scene, initializer, prior, sampler, appearance, regularizer, modifier, densification, opacity,
-  perturbation, metric, exporter, report
+  perturbation, metric, exporter, report, observer
 
 examples:
   stereogs plugins new solid --kind regularizer

@@ -146,7 +146,7 @@ def _mean_numbers(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float
 
 def _method(pipeline: Mapping[str, Any]) -> str:
     tree = copy.deepcopy(dict(pipeline))
-    for section in ("metrics", "exporters", "reports"):
+    for section in ("metrics", "exporters", "reports", "observers"):
         tree.pop(section, None)
     tree["scene"].pop("path", None)
     tree["training"].pop("seed", None)

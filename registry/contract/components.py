@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Edit, GaussianReader, Rendering
 
+    from .events import IterationDone, RunEnded, RunStarted, ViewsScored
     from .prior import Prior
     from .scene import PointCloud, Scene, TrainingScene, View
     from .step import Sample, Step
@@ -226,3 +227,26 @@ class Report(Component[SettingsType], ABC):
     @abstractmethod
     def write(self, folder: Path, scene: Scene) -> list[Path]:
         """Read the run folder's results and renders; write into it and return the files written."""
+
+
+class Observer(Component[SettingsType]):
+    """Is told how a run goes, for example to log it; answers nothing and can change nothing.
+
+    A run with it ends in the same bits as one without. What an observer does not want to hear of it
+    leaves out. One that fails ends the run.
+    """
+
+    def started(self, run: RunStarted) -> None:
+        """Hear that a run begins, or goes on; once, before anything else."""
+
+    def iterated(self, done: IterationDone) -> None:
+        """Hear of an iteration that is complete, when due by `start`, `stop` and `every`."""
+
+    def evaluated(self, scored: ViewsScored) -> None:
+        """Hear the scores: with `training.evaluate_every` while training goes on, and at the end."""
+
+    def ended(self, run: RunEnded) -> None:
+        """Hear that the run is done, was stopped or failed: close what is open. Told once, at last.
+
+        It is told after an error of this observer too, but not to one whose `started` failed.
+        """

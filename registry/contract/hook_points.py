@@ -32,6 +32,8 @@ class HookPoint:
         required: a pipeline cannot do without.
         scheduled: the host lends `start`, `stop` and `every`.
         weighted: the host lends `weight` and `step`.
+        observes: it is told what happens and takes no part in it: a run has it once, whatever number of
+            fields of Gaussians, and may be resumed without it.
     """
 
     section: str
@@ -42,6 +44,7 @@ class HookPoint:
     required: bool = False
     scheduled: bool = False
     weighted: bool = False
+    observes: bool = False
 
     @property
     def host_settings(self) -> tuple[str, ...]:
@@ -111,5 +114,13 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
     HookPoint("metrics", "metric", "stereogs_register_metrics", c.ViewMetric),
     HookPoint("exporters", "exporter", "stereogs_register_exporters", c.Exporter),
     HookPoint("reports", "report", "stereogs_register_reports", c.Report),
+    HookPoint(
+        "observers",
+        "observer",
+        "stereogs_register_observers",
+        c.Observer,
+        scheduled=True,
+        observes=True,
+    ),
 )
 """In the order in which a pipeline is written."""

@@ -92,3 +92,8 @@ def stereogs_register_exporters(register: Register[c.Exporter[Any]]) -> None:
 @hookspec
 def stereogs_register_reports(register: Register[c.Report[Any]]) -> None:
     """Offer pages and pictures made from a finished run."""
+
+
+@hookspec
+def stereogs_register_observers(register: Register[c.Observer[Any]]) -> None:
+    """Offer loggers and other listeners: they are told how a run goes."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline.parts import TRAINING_SECTIONS
 from ..pipeline.pipeline import Item, Pipeline
 
 STAGES: Mapping[str, Mapping[str, str]] = {
@@ -35,6 +34,9 @@ STAGES: Mapping[str, Mapping[str, str]] = {
         "metrics": "renders of test and training views, the scene with its truth",
         "exporters": "the Gaussians, the scene",
         "reports": "the run folder, the scene",
+    },
+    "told of the run as it goes, asked for nothing": {
+        "observers": "start and end, scores; of iterations the losses, the render, the Gaussians",
     },
 }
 """The sections of a pipeline in the order in which they are at work, and what each is given."""
@@ -80,7 +82,7 @@ def faults(pipeline: Pipeline) -> list[str]:
             for capability in item.offer.component.needs_priors
             if not _able(pipeline, capability)
         ]
-        if item.point.section in TRAINING_SECTIONS and not _due(item, pipeline):
+        if item.point.scheduled and not _due(item, pipeline):
             found.append(f"{item.qualified_name}: is never due")
     return found
 
@@ -104,7 +106,7 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     component, section = item.offer.component, item.point.section
     notes = [("is", (component.__doc__ or "").strip().partition("\n")[0])]
     notes.append(("from", f"{item.offer.distribution} {item.offer.version}, {item.place}"))
-    if section in TRAINING_SECTIONS:
+    if item.point.scheduled:
         notes.append(("when", _when(item, pipeline)))
     given = next(sections[section] for sections in STAGES.values() if section in sections)
     notes.append(("reads", given))

@@ -113,7 +113,7 @@ def at_work(
             blame(item, iteration),
             WATCHDOG.watching(who, iteration),
             LEDGER.watching(who),
-            left_as_found(who),
+            left_as_found(who, threads=not item.offer.point.observes),
             _random_numbers(seed, inner),
             inner.lent.kept(),
         ):

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
-TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.scheduled)
-"""The sections whose components are asked within the training loop."""
-
+TRAINING_SECTIONS = frozenset(p.section for p in HOOK_POINTS if p.scheduled and not p.observes)
+"""The sections whose components take part in the training loop, those of each field in its own."""
 
 LOOK_EVERY = 10
 """Iterations between two looks at the global random generators."""
@@ -71,7 +70,8 @@ class Parts:
     def for_field(self, index: int) -> Parts:
         """The same pipeline for another field of Gaussians.
 
-        What trains is built anew, with random numbers of its own; what a run has once is shared.
+        What trains is built anew, with random numbers of its own; what a run has once is shared, but for
+        observers, whom the first field alone is shown to.
 
         Args:
             index: the field's number, from 1 on; 0 is this one.
@@ -86,6 +86,7 @@ class Parts:
             else parts
             for section, parts in self._parts.items()
         }
+        other._parts |= {point.section: () for point in HOOK_POINTS if point.observes}
         return other
 
     def __getitem__(self, section: str) -> tuple[Part, ...]:
@@ -151,6 +152,8 @@ class Parts:
         for part in self:
             start = f"{part.item.qualified_name}/"
             if f"{start}generator" not in state:
+                if part.item.point.observes:  # new in a run that goes on
+                    continue
                 raise RunError(
                     f"the checkpoint knows no component {part.item.qualified_name!r}",
                     where=str(part.item.place),

@@ -80,17 +80,23 @@ class Pipeline:
         (item,) = self.items[section]
         return item
 
-    def to_yaml(self) -> str:
-        """The pipeline with every default written out; `parse_pipeline` reads the same one back."""
+    def plain(self) -> dict[str, Any]:
+        """The pipeline as plain values, every default written out; of observers nothing if it has none."""
         tree: dict[str, Any] = {"name": self.name}
         if self.protocol is not None:
             tree["protocol"] = self.protocol.written
         for point in HOOK_POINTS:
             written = [_written(item) for item in self.items[point.section]]
+            if point.observes and not written:
+                continue  # as in pipelines of before there were observers
             bare = point.holds == "one" or (point.holds == "one or list" and len(written) < 2)
             tree[point.section] = (written[0] if written else None) if bare else written
         tree["training"] = self.training.model_dump(mode="json")
-        return to_yaml(escape_variables(tree))
+        return tree
+
+    def to_yaml(self) -> str:
+        """`plain` as a file; `parse_pipeline` reads the same pipeline back."""
+        return to_yaml(escape_variables(self.plain()))
 
 
 def load_pipeline(

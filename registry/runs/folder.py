@@ -7,6 +7,7 @@ initialization/   what the initializer reports: facts.json and pictures
 metrics.jsonl     one line every few iterations
 checkpoint/       the two newest moments to resume from (see training/checkpoint.py)
 renders/          the test views; exports/  what the exporters wrote
+observers/        what loggers and other observers wrote
 failures/         iterations that failed, to be repeated (see replay.py)
 results.json      scores and measurements, once training has ended
 """

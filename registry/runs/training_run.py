@@ -1,4 +1,4 @@
-"""A whole run: load, initialize, train with observers, evaluate, export. And going on with one."""
+"""A whole run: load, initialize, train, evaluate, export. And going on with one."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ from ..training.trainer import Iteration, Trainer, resumed
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
-from .metrics_log import MetricsLog
+from .observing.metrics_log import MetricsLog
+from .observing.observers import Observers, observed
+from .observing.progress import TrainingProgress
 from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
 from .origin.provenance import circumstances
 from .origin.unedited import check_unedited
-from .progress import TrainingProgress
 from .replay import keep_failure
 from .results import check_recorded_hash, finish
 from .run import CHECKPOINT, Run, Stages
 
 _log = logging.getLogger(__name__)
 
-Observer = Callable[[Iteration], bool | None]
+Callback = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
@@ -58,7 +59,7 @@ def start(
     out: Path | ChooseFolder | None,
     console: Console,
     scene: Scene | None = None,
-    observer: Observer | None = None,
+    callback: Callback | None = None,
 ) -> Run:
     """Train a pipeline.
 
@@ -70,7 +71,7 @@ def start(
         scene: in place of what the pipeline's loader would load; valid.
 
     Returns:
-        The run; not `finished` after Ctrl-C or at the observer's wish, with a checkpoint in its folder.
+        The run; not `finished` after Ctrl-C or at the callback's wish, with a checkpoint in its folder.
 
     Raises:
         ExplainedError: whatever went wrong.
@@ -83,7 +84,8 @@ def start(
     writing = f"; writing {run.folder.path}" if run.folder else ""
     console.print(f"{run.initialization['points']:,} points; {device.name}{writing}")
     with run.folder.to_itself() if run.folder else nullcontext():
-        _train_to_end(run, trainer, console, observer)
+        with observed(run, trainer, resumed=False) as observers:
+            _train_to_end(run, trainer, observers, console, callback)
     return run
 
 
@@ -94,7 +96,7 @@ def resume(
     device: Device,
     console: Console,
     scene: Scene | None = None,
-    observer: Observer | None = None,
+    callback: Callback | None = None,
     accept_changed_inputs: bool = False,
 ) -> Run:
     """Go on with a run from its checkpoint, to the same end as if it had never stopped.
@@ -127,7 +129,8 @@ def resume(
         console.print(
             f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, console, observer)
+        with observed(run, trainer, resumed=True) as observers:
+            _train_to_end(run, trainer, observers, console, callback)
     return run
 
 
@@ -241,8 +244,14 @@ def _begun(
     return run, trainer
 
 
-def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observer | None) -> None:
-    """Train, observe, and write the results if the end was reached and there is a folder for them."""
+def _train_to_end(
+    run: Run,
+    trainer: Trainer,
+    observers: Observers,
+    console: Console,
+    callback: Callback | None,
+) -> None:
+    """Train, tell of it, and write the results if the end was reached and there is a folder for them."""
     settings = run.pipeline.training
     metrics = MetricsLog(run.add_metrics)
     autosave = _Autosave(run)
@@ -256,12 +265,14 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
             run.iteration = done.number
             progress.update(done.number, done.loss, done.gaussians)
             metrics.add(done, run.seconds.training, last=done.number == settings.iterations)
+            observers.iterated(done)
             if _due(done.number, settings.evaluate_every):
                 scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
                 metrics.write({"iteration": done.number, "test": scores.mean})
+                observers.evaluated({"test": scores})
                 for error in scores.failures.values():
                     _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)
-            wanted = observer is None or observer(done) is not False
+            wanted = callback is None or callback(done) is not False
             if stop.requested or not wanted:
                 break
             if _due(done.number, settings.checkpoint_every) or autosave.due():
@@ -270,6 +281,7 @@ def _train_to_end(run: Run, trainer: Trainer, console: Console, observer: Observ
         run.save_checkpoint()
     if run.finished and run.folder is not None:
         finish(run)
+        observers.evaluated(run.scores)
 
 
 def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:

@@ -27,6 +27,7 @@ from ..contract.answers import (
     check_sample,
 )
 from ..contract.components import Densification
+from ..contract.events import IterationDone
 from ..contract.maps import DepthMap
 from ..contract.scene import TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
@@ -166,18 +167,36 @@ class Field:
 
     def seen_by_others(self) -> OtherField:
         """What the losses and policies of other fields may look at."""
-        rendering = self._rendering
         return OtherField(
             index=self.index,
             model=self._reader,
-            rendering=replace(
-                rendering,
-                rgb=rendering.rgb.detach(),
-                depth=rendering.depth.detach(),
-                alpha=rendering.alpha.detach(),
-            ),
+            rendering=_looked_at(self._rendering),
             render=StepRenderer(self.model, self._step.sample, gradients=False),
         )
+
+    def done(self, loss: float, numbers: Mapping[str, float], seconds: float) -> IterationDone:
+        """The iteration that is complete, as observers are told of it.
+
+        Args:
+            loss, numbers: what it recorded.
+            seconds: of training so far.
+        """
+        return IterationDone(
+            iteration=self._step.iteration,
+            seconds=seconds,
+            loss=loss,
+            numbers=MappingProxyType(dict(numbers)),
+            gaussians=self.model.count,
+            learning_rates=self._step.learning_rates,
+            view=self._step.view,
+            rendering=_looked_at(self._rendering),
+            model=self._reader,
+        )
+
+    @property
+    def lent(self) -> Loan:
+        """What components were shown in this iteration."""
+        return self._lent
 
     def differentiate(self, others: tuple[OtherField, ...]) -> float:
         """The loss and its backward pass.
@@ -376,3 +395,13 @@ class Field:
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))
+
+
+def _looked_at(rendering: Rendering) -> Rendering:
+    """A render without gradients; writing into it is seen as writing into the render."""
+    return replace(
+        rendering,
+        rgb=rendering.rgb.detach(),
+        depth=rendering.depth.detach(),
+        alpha=rendering.alpha.detach(),
+    )

@@ -6,8 +6,8 @@
                                    6. opacity policies
 
 With several fields (`training.fields`) each stage is done for all of them before the next begins.
-Observers (progress, logs, checkpoints, evaluation) come last: they run in whoever consumes
-`Trainer.run`, which yields after every iteration.
+Progress, observers, evaluation and checkpoints come last: they run in whoever consumes `Trainer.run`,
+which yields after every iteration.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _log = logging.getLogger("stereogs")
 
 @dataclass(frozen=True)
 class Iteration:
-    """What an iteration leaves behind for observers.
+    """What an iteration leaves behind for whoever consumes `Trainer.run`.
 
     Args:
         number: 1-based.

@@ -14,7 +14,7 @@ from registry.plugins.discovery import GROUP, SELECTION, Plugins
 
 TOY_NAMES = (
     *("toy_scene", "toy_points", "toy_prior", "toy_term", "toy_dropout", "toy_growth", "toy_fade"),
-    *("toys.psnr", "toy_files", "toy_report"),
+    *("toys.psnr", "toy_files", "toy_report", "toy_diary"),
 )
 TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
 TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]

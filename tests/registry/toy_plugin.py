@@ -174,6 +174,43 @@ class ToyReport(r.Report[r.Settings]):
         return [file]
 
 
+class ToyDiarySettings(r.Settings):
+    fault: Literal["none", "started", "iterated", "evaluated", "ended", "draws", "writes"] = "none"
+
+
+class ToyDiary(r.Observer[ToyDiarySettings]):
+    """Writes down what it hears, a line each; may fail in any of it."""
+
+    def _note(self, *words: object) -> None:
+        if self.folder is not None:
+            with (self.folder / "diary.txt").open("a", encoding="utf-8") as file:
+                print(*words, file=file)
+        if words[0] == self.settings.fault:
+            raise ZeroDivisionError(f"boom in {words[0]}")
+
+    def started(self, run: r.RunStarted) -> None:
+        self.folder = run.folder
+        self._note("started", run.title, run.iteration, run.resumed, run.iterations)
+
+    def iterated(self, done: r.IterationDone) -> None:
+        self._note("iterated", done.iteration, done.gaussians, *done.numbers)
+        if self.settings.fault == "draws":
+            torch.rand(())
+        if self.settings.fault == "writes":
+            done.rendering.rgb.zero_()
+
+    def evaluated(self, scored: r.ViewsScored) -> None:
+        self._note("evaluated", scored.iteration, *scored.mean)
+
+    def ended(self, run: r.RunEnded) -> None:
+        self._note("ended", run.iteration, run.finished, run.results is not None, run.error)
+
+
+@r.hookimpl
+def stereogs_register_observers(register: r.Register[ToyDiary]) -> None:
+    register("toy_diary", ToyDiary)
+
+
 @r.hookimpl
 def stereogs_register_scenes(register: r.Register[ToyScene]) -> None:
     register("toy_scene", ToyScene)

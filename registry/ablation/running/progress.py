@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from ...runs.progress import ShownBar
+from ...runs.observing.progress import ShownBar
 from .training_process import TrainingProcess
 
 

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from difflib import SequenceMatcher
 from pathlib import Path
+from typing import Any
 
+from ...contract.hook_points import HOOK_POINTS
 from ...errors import RunError
-from ...pipeline.pipeline import Pipeline, parse_pipeline
+from ...pipeline.pipeline import Pipeline, build_pipeline
+from ...pipeline.yaml_source import parse
 from ...plugins.discovery import Plugins
+
+_NO_PART = [point.section for point in HOOK_POINTS if point.observes]
+"""Sections that may change from one part of a run to the next: no bit depends on them."""
 
 
 def check_unedited(file: Path, now: Pipeline, before: str, plugins: Plugins) -> None:
-    """Refuse a pipeline that means something else than before. Comments and layout may change.
+    """Refuse a pipeline that means something else than before. Comments, layout and observers may change.
 
     Args:
         file: the pipeline's file.
@@ -22,7 +28,7 @@ def check_unedited(file: Path, now: Pipeline, before: str, plugins: Plugins) -> 
         RunError: it was edited; names the first line that differs.
     """
     text = file.read_text("utf-8")
-    if text == before or now.to_yaml() == parse_pipeline(before, plugins).to_yaml():
+    if text == before or _meaning(now) == _meaning(_without_observers(before, plugins)):
         return
     number, written, was = _first_change(before.splitlines(), text.splitlines())
     raise RunError(
@@ -31,6 +37,19 @@ def check_unedited(file: Path, now: Pipeline, before: str, plugins: Plugins) -> 
         where=f"{file}:{number}",
         fix="bring that line back, or train the changed pipeline into a folder of its own",
     )
+
+
+def _meaning(pipeline: Pipeline) -> dict[str, Any]:
+    return {key: value for key, value in pipeline.plain().items() if key not in _NO_PART}
+
+
+def _without_observers(text: str, plugins: Plugins) -> Pipeline:
+    """A pipeline as it was; the packages of its observers may be gone."""
+    root = parse(text, "pipeline")
+    if isinstance(root.content, dict):
+        for section in _NO_PART:
+            root.content.pop(section, None)
+    return build_pipeline(root, plugins)
 
 
 def _first_change(before: list[str], now: list[str]) -> tuple[int, list[str], list[str]]:

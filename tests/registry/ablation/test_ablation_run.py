@@ -26,7 +26,7 @@ from registry.ablation.running.runner import train_all
 from registry.ablation.running.training_process import training_arguments
 from registry.cli import main
 from registry.plugins.discovery import SELECTION, Plugins
-from registry.runs.metrics_log import MetricsLog
+from registry.runs.observing.metrics_log import MetricsLog
 from registry.runs.training_run import start
 from tests.html_page import Page
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff

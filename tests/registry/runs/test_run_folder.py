@@ -10,7 +10,7 @@ import pytest
 
 from registry import RunError
 from registry.runs.folder import RunFolder, default_folder
-from registry.runs.metrics_log import MetricsLog
+from registry.runs.observing.metrics_log import MetricsLog
 from registry.system.files import new_folder, replacing, write_text
 from registry.training.trainer import Iteration
 

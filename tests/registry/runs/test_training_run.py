@@ -22,7 +22,7 @@ from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.metrics_log import MetricsLog
+from registry.runs.observing.metrics_log import MetricsLog
 from registry.runs.origin.source_code import checkout
 from registry.runs.run import Run
 from registry.runs.training_run import open_run, resume, start

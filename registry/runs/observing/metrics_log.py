@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..system.files import jsonable
-from ..training.trainer import Iteration
+from ...system.files import jsonable
+from ...training.trainer import Iteration
 
 EVERY = 50
 """Iterations that share a line."""

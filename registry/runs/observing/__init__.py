@@ -1,0 +1,1 @@
+"""Who is told how training goes: a terminal, metrics.jsonl, and the pipeline's observers."""
