@@ -32,6 +32,7 @@ class HookPoint:
         required: a pipeline cannot do without.
         scheduled: the host lends `start`, `stop` and `every`.
         weighted: the host lends `weight` and `step`.
+        in_pipeline: False for what a pipeline does not name, because it trains whole pipelines.
     """
 
     section: str
@@ -42,6 +43,7 @@ class HookPoint:
     required: bool = False
     scheduled: bool = False
     weighted: bool = False
+    in_pipeline: bool = True
 
     @property
     def host_settings(self) -> tuple[str, ...]:
@@ -111,5 +113,9 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
     HookPoint("metrics", "metric", "stereogs_register_metrics", c.ViewMetric),
     HookPoint("exporters", "exporter", "stereogs_register_exporters", c.Exporter),
     HookPoint("reports", "report", "stereogs_register_reports", c.Report),
+    HookPoint(
+        "runner", "runner", "stereogs_register_runners", c.Runner, holds="one", in_pipeline=False
+    ),
 )
+PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)
 """In the order in which a pipeline is written."""

@@ -92,3 +92,8 @@ def stereogs_register_exporters(register: Register[c.Exporter[Any]]) -> None:
 @hookspec
 def stereogs_register_reports(register: Register[c.Report[Any]]) -> None:
     """Offer pages and pictures made from a finished run."""
+
+
+@hookspec
+def stereogs_register_runners(register: Register[c.Runner[Any]]) -> None:
+    """Offer places where trainings run, such as a cluster."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..calls.loan import NOTHING, Loan, are_checked
 from ..contract.component import Component, Context
-from ..contract.hook_points import HOOK_POINTS
+from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
 from ..errors import RunError
 from .blame import at_work
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
-TRAINING_SECTIONS = frozenset(point.section for point in HOOK_POINTS if point.scheduled)
+TRAINING_SECTIONS = frozenset(point.section for point in PIPELINE_POINTS if point.scheduled)
 """The sections whose components are asked within the training loop."""
 
 
