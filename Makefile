@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,6 +35,10 @@ new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
+
+cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker killed in the middle; minutes
+	$(PIP) --editable '.[dev,cluster]'
+	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

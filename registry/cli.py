@@ -14,7 +14,8 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import ablate, check, compare, completion, doctor, explain, plugins, priors, schema
+from .commands import check, compare, completion, doctor, explain, plugins, priors, schema
+from .commands.batches import ablate, bench
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, render, replay, resume, train
 from .messages.suggestions import did_you_mean, listing
@@ -36,6 +37,7 @@ VERBS = {
     "render": render,
     "compare": compare,
     "ablate": ablate,
+    "bench": bench,
     "explain": explain,
     "plugins": plugins,
     "priors": priors,
@@ -56,6 +58,7 @@ examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
   stereogs ablate ablations/parts
+  stereogs bench MATRIX.yaml                  several pipelines on several scenes
   stereogs explain 3dgs                       what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
   stereogs priors check FILE.onnx             how to run a network of your own, and how good it is

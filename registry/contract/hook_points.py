@@ -34,6 +34,7 @@ class HookPoint:
         weighted: the host lends `weight` and `step`.
         observes: it is told what happens and takes no part in it: a run has it once, whatever number of
             fields of Gaussians, and may be resumed without it.
+        in_pipeline: False for what a pipeline does not name, because it trains whole pipelines.
     """
 
     section: str
@@ -45,6 +46,7 @@ class HookPoint:
     scheduled: bool = False
     weighted: bool = False
     observes: bool = False
+    in_pipeline: bool = True
 
     @property
     def host_settings(self) -> tuple[str, ...]:
@@ -122,5 +124,9 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         scheduled=True,
         observes=True,
     ),
+    HookPoint(
+        "runner", "runner", "stereogs_register_runners", c.Runner, holds="one", in_pipeline=False
+    ),
 )
+PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)
 """In the order in which a pipeline is written."""

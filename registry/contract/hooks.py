@@ -97,3 +97,8 @@ def stereogs_register_reports(register: Register[c.Report[Any]]) -> None:
 @hookspec
 def stereogs_register_observers(register: Register[c.Observer[Any]]) -> None:
     """Offer loggers and other listeners: they are told how a run goes."""
+
+
+@hookspec
+def stereogs_register_runners(register: Register[c.Runner[Any]]) -> None:
+    """Offer places where trainings run, such as a cluster."""

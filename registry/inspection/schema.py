@@ -12,7 +12,7 @@ from typing import Any
 from pydantic.errors import PydanticInvalidForJsonSchema
 
 from ..contract.component import Settings
-from ..contract.hook_points import HOOK_POINTS, HookPoint
+from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..pipeline.protocol_rules import ProtocolChoice
 from ..pipeline.protocols import protocol_names
 from ..pipeline.schedule import HostSettings
@@ -51,10 +51,10 @@ def pipeline_schema(offers: Iterable[Offer]) -> Schema:
         "name": {"type": "string", "description": "For titles and for the run folder."},
         "protocol": {"anyOf": [names, protocol], "description": "What scores are comparable with."},
     }
-    by_section: dict[str, list[Offer]] = {point.section: [] for point in HOOK_POINTS}
+    by_section: dict[str, list[Offer]] = {point.section: [] for point in PIPELINE_POINTS}
     for offer in offers:
         by_section[offer.point.section].append(offer)
-    for point in HOOK_POINTS:
+    for point in PIPELINE_POINTS:
         properties[point.section] = _section(point, by_section[point.section], definitions)
     properties["training"] = {"anyOf": [{"$ref": "#/$defs/training"}, {"type": "null"}]}
     return {
@@ -62,7 +62,7 @@ def pipeline_schema(offers: Iterable[Offer]) -> Schema:
         "title": "A StereoGS pipeline",
         "type": "object",
         "properties": properties,
-        "required": ["name", *(point.section for point in HOOK_POINTS if point.required)],
+        "required": ["name", *(point.section for point in PIPELINE_POINTS if point.required)],
         "additionalProperties": False,
         "$defs": definitions,
     }

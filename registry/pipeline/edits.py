@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..contract.components import SceneLoader
-from ..contract.hook_points import HOOK_POINTS
+from ..contract.hook_points import PIPELINE_POINTS
 from ..errors import PipelineError
 from ..messages.suggestions import did_you_mean, listing
 from ..plugins.discovery import Plugins
@@ -15,7 +15,7 @@ from ..plugins.recognition import recognize, recognizing
 from .settings_check import plain
 from .yaml_source import Node, Place, parse
 
-SECTIONS = {point.section: point for point in HOOK_POINTS}
+SECTIONS = {point.section: point for point in PIPELINE_POINTS}
 TOP_LEVEL = ("name", "protocol", *SECTIONS, "training")
 """The keys of a pipeline file."""
 _SCENE = "scene"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..calls.loan import NOTHING, Loan, are_checked
 from ..contract.component import Component, Context
-from ..contract.hook_points import HOOK_POINTS
+from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
 from ..errors import RunError
 from .blame import at_work
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
-TRAINING_SECTIONS = frozenset(p.section for p in HOOK_POINTS if p.scheduled and not p.observes)
+TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
 """The sections whose components take part in the training loop, those of each field in its own."""
 
 LOOK_EVERY = 10
@@ -86,7 +86,7 @@ class Parts:
             else parts
             for section, parts in self._parts.items()
         }
-        other._parts |= {point.section: () for point in HOOK_POINTS if point.observes}
+        other._parts |= {point.section: () for point in PIPELINE_POINTS if point.observes}
         return other
 
     def __getitem__(self, section: str) -> tuple[Part, ...]:

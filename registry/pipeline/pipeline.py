@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..contract.component import Settings
-from ..contract.hook_points import HOOK_POINTS, HookPoint
+from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..plugins.discovery import Offer, Plugins
@@ -85,7 +85,7 @@ class Pipeline:
         tree: dict[str, Any] = {"name": self.name}
         if self.protocol is not None:
             tree["protocol"] = self.protocol.written
-        for point in HOOK_POINTS:
+        for point in PIPELINE_POINTS:
             written = [_written(item) for item in self.items[point.section]]
             if point.observes and not written:
                 continue  # as in pipelines of before there were observers
@@ -165,7 +165,7 @@ def build_pipeline(
         point.section: _section(
             point, sections.get(point.section), root.place, plugins, training.iterations
         )
-        for point in HOOK_POINTS
+        for point in PIPELINE_POINTS
     }
     return Pipeline(_name(sections.get("name"), root.place), items, training, protocol)
 
@@ -204,7 +204,7 @@ def _section(
         )
     items: dict[str, Item] = {}
     for component in written:
-        item = _item(point, component, plugins, iterations)
+        item = component_item(point, component, plugins.find, iterations)
         if item is None:
             continue
         if item.name in items:
@@ -224,8 +224,15 @@ def _section(
     return tuple(items.values())
 
 
-def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> Item | None:
-    """One component, or None if it is switched off."""
+def component_item(
+    point: HookPoint, node: Node, find: Callable[[HookPoint, str], Offer], iterations: int
+) -> Item | None:
+    """One component as it is written, or None if it is switched off.
+
+    Args:
+        find: as `Plugins.find`.
+        iterations: of the run, for shares of it.
+    """
     mapping = expand(node)
     label = _label(point, mapping)
     lent_nodes = {k: v for k, v in mapping.items() if k in point.host_settings}
@@ -243,7 +250,7 @@ def _item(point: HookPoint, node: Node, plugins: Plugins, iterations: int) -> It
     if not settings.enabled:
         return None
     try:
-        offer = plugins.find(point, settings.use)
+        offer = find(point, settings.use)
     except PluginError as error:
         place = str(mapping["use"].place)
         where = f"{place}; {error.where}" if error.where else place

@@ -8,13 +8,15 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-from ..contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
+from ..contract.hook_points import API_VERSION, PIPELINE_POINTS, HookPoint
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..system.files import new_folder
 from .discovery import installed_entries, offered_name
 
-KINDS: Mapping[str, HookPoint] = {point.section.removesuffix("s"): point for point in HOOK_POINTS}
+KINDS: Mapping[str, HookPoint] = {
+    point.section.removesuffix("s"): point for point in PIPELINE_POINTS
+}
 """What a package can be written for: the sections of a pipeline, in the singular."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]*")

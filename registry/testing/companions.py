@@ -12,7 +12,7 @@ from core_rasterizer import Edit, Gaussians, Relocation
 
 from ..contract.component import Component, Settings
 from ..contract.components import Densification, Initializer, Metric
-from ..contract.hook_points import HOOK_POINTS, HookPoint
+from ..contract.hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
 from ..contract.in_memory import IN_MEMORY, InMemoryScene
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, TrainingScene
@@ -83,7 +83,9 @@ def _relocation(number: Tensor) -> Relocation | None:
 
 def pipeline_of(items: list[Item], training: TrainingSettings) -> Pipeline:
     """A pipeline of these components, for a scene that is given, with points and a score if none is."""
-    given = {point.section: tuple(i for i in items if i.point is point) for point in HOOK_POINTS}
+    given = {
+        point.section: tuple(i for i in items if i.point is point) for point in PIPELINE_POINTS
+    }
     usual = {
         "scene": item(InMemoryScene, Settings(), IN_MEMORY),
         "initializer": item(ScenePoints, Settings(), "scene_points"),

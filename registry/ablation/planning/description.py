@@ -11,6 +11,7 @@ vary:
     small: {priors.stereo.path: small.onnx}
 scenes: [llff_fern, {use: procedural}]
 seeds: 3
+runner: {use: ray}                where the runs are trained; without it in processes of this machine
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from ...pipeline.settings_check import plain
 from ...pipeline.yaml_source import Node, Place, read
 from .variations import Variation, alternatives, values
 
-KEYS = ("pipeline", "toggles", "vary", "scenes", "seeds")
+KEYS = ("pipeline", "toggles", "vary", "scenes", "seeds", "runner")
 """The keys of an ablation file."""
 
 
@@ -56,6 +57,7 @@ class Description:
         toggles, variations: what changes from combination to combination.
         scenes: texts or mappings, see scenes.py; empty means the pipeline's own scene.
         seeds: how many, >= 1.
+        runner: who trains them, as a pipeline writes a component; None: processes of this machine.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Description:
     variations: tuple[Variation, ...] = ()
     scenes: tuple[Node, ...] = ()
     seeds: int = 1
+    runner: Node | None = None
 
 
 def read_description(path: Path, pipeline: Path | None = None) -> Description:
@@ -104,8 +107,9 @@ def read_description(path: Path, pipeline: Path | None = None) -> Description:
         ),
         _toggles(keys.get("toggles")),
         _variations(keys.get("vary")),
-        _scenes(keys.get("scenes")),
+        written_scenes(keys.get("scenes")),
         seed_count(keys.get("seeds")),
+        keys.get("runner"),
     )
 
 
@@ -153,7 +157,12 @@ def _variations(node: Node | None) -> tuple[Variation, ...]:
     )
 
 
-def _scenes(node: Node | None) -> tuple[Node, ...]:
+def written_scenes(node: Node | None) -> tuple[Node, ...]:
+    """The scenes of a list as they are written; none if nothing is said.
+
+    Raises:
+        PipelineError: it is no list, or an empty one.
+    """
     if node is None:
         return ()
     if not isinstance(node.content, list) or not node.content:

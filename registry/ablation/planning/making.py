@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 
@@ -57,9 +57,33 @@ def make_plan(description: Description, plugins: Plugins) -> Plan:
         combinations,
         (),
     )
+    return with_runs(
+        plan,
+        scenes,
+        lambda combination, scene, seed: _pipeline(
+            description.pipeline, switches, combination, scene, seed, plugins
+        ),
+    )
+
+
+def with_runs(
+    plan: Plan,
+    scenes: Sequence[AblatedScene],
+    pipeline_of: Callable[[Combination, AblatedScene, int], Pipeline],
+) -> Plan:
+    """A plan with a run for each combination, scene and seed.
+
+    Args:
+        plan: without runs.
+        scenes: those that it names.
+        pipeline_of: what is trained.
+
+    Raises:
+        PipelineError: two combinations are the same pipeline.
+    """
     runs: dict[str, PlannedRun] = {}
-    for combination, scene, seed in itertools.product(combinations, scenes, seeds):
-        pipeline = _pipeline(description.pipeline, switches, combination, scene, seed, plugins)
+    for combination, scene, seed in itertools.product(plan.combinations, scenes, plan.seeds):
+        pipeline = pipeline_of(combination, scene, seed)
         digest = pipeline_digest(pipeline)
         if digest in runs:
             raise _same(plan, runs[digest], combination, scene.label)
@@ -128,9 +152,14 @@ def _pipeline(
     changes += [
         switch.off for switch, is_on in zip(switches, combination.on, strict=True) if not is_on
     ]
-    changes.append(Change(SEED, Node(seed, Place("the seeds of the ablation"))))
+    return changed(root, changes, seed, plugins)
+
+
+def changed(root: Node, changes: Sequence[Change], seed: int, plugins: Plugins) -> Pipeline:
+    """The pipeline of a tree, which is left as it is, with changes made in order and a seed."""
     tree = deepcopy(root)
-    for change in changes:
+    seeded = Change(SEED, Node(seed, Place(f"seed {seed} of those to train with")))
+    for change in (*changes, seeded):
         set_value(tree, change.path, deepcopy(change.value), change.value.place)
     return build_pipeline(tree, plugins)
 

@@ -51,6 +51,7 @@ class Plan:
         scenes, seeds: what each combination is trained on and with.
         combinations: the rows, in order.
         runs: in order: combinations, in each the scenes, in each the seeds.
+        kind: "ablation" or "bench", for titles and files.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Plan:
     seeds: tuple[int, ...]
     combinations: tuple[Combination, ...]
     runs: tuple[PlannedRun, ...]
+    kind: str = "ablation"
 
     @property
     def size(self) -> str:

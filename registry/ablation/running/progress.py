@@ -8,7 +8,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ...runs.observing.progress import ShownBar
-from .training_process import TrainingProcess
 
 
 class AblationProgress(ShownBar):
@@ -33,17 +32,15 @@ class AblationProgress(ShownBar):
         super().__init__(bar)
         self._task = bar.add_task("ablation", total=total, done=0, at_work="")
 
-    def ended(self, process: TrainingProcess, failure: str) -> None:
+    def ended(self, name: str, failure: str) -> None:
         """Tell of a run that has ended; `failure` is empty if it is finished."""
         self._done += 1
-        name = process.run.path.name
         self._console.print(f"{self._done}/{self._total}  {name}  {failure or 'finished'}")
 
-    def show(self, working: Sequence[TrainingProcess]) -> None:
-        """Show those at work; a bar counts the iterations that they have done."""
+    def show(self, parts: Sequence[float]) -> None:
+        """Show those at work, each by its share that is done; a bar counts their iterations."""
         if not self._console.is_terminal:
             return
-        parts = [process.progress() for process in working]
         self._bar.update(
             self._task,
             completed=self._done + sum(parts),

@@ -29,7 +29,7 @@ def as_page(plan: Plan, results: Results, folder: AblationFolder) -> str:
         section("Plots", grid(list(plots(plan, results)))),
         *(section(scene, grid(_pictures(plan, results, folder, scene))) for scene in plan.scenes),
     ]
-    return page(f"Ablation: {plan.name}", contents)
+    return page(f"{plan.kind.capitalize()}: {plan.name}", contents)
 
 
 def _table(plan: Plan, results: Results, caption: str, scene: str | None) -> str:

@@ -17,14 +17,16 @@ from PIL import Image
 from rich.console import Console
 
 from core_rasterizer import Device
-from registry import RunError
+from registry import RunError, TrainingTask
 from registry.ablation.planning.plan import PlannedRun
 from registry.ablation.running import jobs
+from registry.ablation.running.choosing import choose_runner
 from registry.ablation.running.folder import AblationFolder
+from registry.ablation.running.local_processes import LocalProcesses, training_arguments
 from registry.ablation.running.progress import AblationProgress
 from registry.ablation.running.runner import train_all
-from registry.ablation.running.training_process import training_arguments
 from registry.cli import main
+from registry.pipeline.parts import Part
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.runs.observing.metrics_log import MetricsLog
 from registry.runs.training_run import start
@@ -127,6 +129,19 @@ def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:
     return plan(write(folder), toys, toggles="second").runs
 
 
+def task_of(run: PlannedRun, folder: AblationFolder) -> TrainingTask:
+    place = folder.run(run).path
+    return TrainingTask(run.pipeline.to_yaml(), 5, place, place.with_name("log"))
+
+
+def local(device: Device, lock: int | None = None) -> Part:
+    """The host's own runner, one training at a time."""
+    runner = choose_runner(None, 1, Plugins(()), device)
+    assert isinstance(runner.component, LocalProcesses)
+    runner.component.lock = lock
+    return runner
+
+
 def train_here(
     run: PlannedRun, folder: AblationFolder, device: Device, stop_at: int | None = None
 ) -> None:
@@ -156,10 +171,10 @@ def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run)
     assert folder.results(run) == {}
-    assert training_arguments(run, place) == ["resume", str(place.path)]
+    assert training_arguments(task_of(run, folder)) == ["resume", str(place.path)]
     for file in place.path.glob("checkpoint/*/tensors.safetensors"):
         file.write_bytes(b"damaged")
-    verb, pipeline, *out = training_arguments(run, place)
+    verb, pipeline, *out = training_arguments(task_of(run, folder))
     assert verb == "train"
     assert out == ["--out", str(place.path)]
     assert Path(pipeline).read_text() == run.pipeline.to_yaml()
@@ -169,12 +184,12 @@ def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
 
 
 def test_ctrl_c_stops_those_at_work_and_begins_no_other(
-    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[int] = []
 
-    def press_once(self: AblationProgress, working: list[object]) -> None:
-        shown.append(len(working))
+    def press_once(self: AblationProgress, parts: list[float]) -> None:
+        shown.append(len(parts))
         if len(shown) == 1:
             signal.raise_signal(signal.SIGINT)
 
@@ -185,7 +200,7 @@ def test_ctrl_c_stops_those_at_work_and_begins_no_other(
         with pytest.raises(RunError, match="in use by another process"), folder.locked():
             pass
         console = Console(file=io.StringIO())
-        outcome = train_all(runs, folder, jobs=1, device=None, lock=lock, console=console)
+        outcome = train_all(runs, folder, local(device, lock), device=None, console=console)
     assert shown[0] == 1
     assert outcome.stopped
     assert outcome.failures == {}
@@ -197,7 +212,7 @@ def test_ctrl_c_stops_those_at_work_and_begins_no_other(
 
 
 def test_a_training_that_leaves_no_results_has_failed(
-    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     does_nothing = shutil.which("true")
     assert does_nothing
@@ -206,7 +221,7 @@ def test_a_training_that_leaves_no_results_has_failed(
     folder = AblationFolder(tmp_path / "out")
     console = Console(file=io.StringIO())
     with folder.locked() as lock:
-        outcome = train_all([run], folder, jobs=1, device=None, lock=lock, console=console)
+        outcome = train_all([run], folder, local(device, lock), device=None, console=console)
     assert "left no results" in outcome.failures[run]
     assert not outcome.stopped
 

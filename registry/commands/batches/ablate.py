@@ -1,0 +1,85 @@
+"""`stereogs ablate`: a pipeline with parts on and off and settings varied, as one table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..output import Verbs, add_verb
+from .carrying_out import add_arguments, carry_out
+
+if TYPE_CHECKING:
+    from ...ablation.planning.description import Description
+
+_EPILOG = """\
+examples:
+  stereogs ablate pipelines/demo.yaml --vary densification.gradient_threshold=1e-4,2e-4,4e-4
+  stereogs ablate pipelines/stereogs.yaml --toggle initializer,stereo_depth,opacity
+  stereogs ablate pipelines/ablations/parts.yaml --scenes llff_fern,llff_flower --seeds 3
+
+On is what the pipeline says. Off: a component is disabled, unless it names what it takes the place of;
+so decays of opacity give way to 3DGS's periodic reset. An ablation file may say otherwise.
+
+Runs that are finished are found by their pipeline and not trained again: the same command goes on
+where it was stopped. It writes ablation.txt, ablation.csv and index.html.
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Add the verb."""
+    parser = add_verb(
+        verbs, "ablate", "train with parts on and off, and settings varied; one table", _EPILOG
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="a pipeline or an ablation file")
+    parser.add_argument(
+        "--toggle", metavar="A,B", help="what to switch on and off: sections or names of components"
+    )
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="A.B=V,V",
+        help="values of a setting; repeat for several settings",
+    )
+    parser.add_argument(
+        "--scenes", metavar="A,B", help="folders in STEREOGS_DATA, or paths (with a slash)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, metavar="N", help="train with so many seeds (default 1)"
+    )
+    parser.add_argument(
+        "--pipeline", type=Path, metavar="FILE", help="in place of an ablation file's own pipeline"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="A.B=VALUE",
+        help="change a setting of the pipeline, as for train",
+    )
+    add_arguments(parser, "runs/ablation-<file>")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train what is missing, then write and print the table; 130 after Ctrl-C."""
+    from ...ablation.planning.making import make_plan
+    from ...plugins.discovery import Plugins
+
+    description, plugins = _description(arguments), Plugins()
+    return carry_out(arguments, make_plan(description, plugins), description.runner, plugins)
+
+
+def _description(arguments: argparse.Namespace) -> Description:
+    from ...ablation.planning.arguments import with_arguments
+    from ...ablation.planning.description import read_description
+
+    return with_arguments(
+        read_description(arguments.file, arguments.pipeline),
+        overrides=arguments.set,
+        toggles=arguments.toggle,
+        vary=arguments.vary,
+        scenes=arguments.scenes,
+        seeds=arguments.seeds,
+    )
