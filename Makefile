@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test stress kills lint types docs site bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -43,6 +43,9 @@ docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, wri
 	$(BIN)/python docs/make_reference.py
 	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
 
+site: $(VENV)/.docs ## the documentation as a site in build/site; opens without a network
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine
 
@@ -72,4 +75,8 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.runtime
 	$(PIP) --editable '.[dev,heic,plot,video]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.dev
+	$(PIP) --editable '.[docs]'
 	@touch $@
