@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs site bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test proofs stress kills lint types docs site bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,11 +20,14 @@ demo: $(VENV)/.runtime ## three photographs to a scored scene, in minutes
 test: $(VENV)/.dev ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
+proofs: $(VENV)/.dev ## the tests that take longest: real photographs and networks, killed runs, all methods
+	$(BIN)/python -m pytest -m proof --numprocesses 2 --dist worksteal --timeout 900
+
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
 
 kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed, new ones each time
-	KILLS=50 $(BIN)/python -m pytest -s tests/registry/runs/test_kills.py --timeout 7200
+	KILLS=50 $(BIN)/python -m pytest -m proof -s tests/registry/runs/test_kills.py --timeout 7200
 
 fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
 	$(BIN)/python -m tests.fuzzing 100000

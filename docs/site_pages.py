@@ -1,8 +1,8 @@
 """What the site shows that does not lie in docs/ (a hook of mkdocs, see mkdocs.yml).
 
-The pages are written for the repository: they link to its files and folders by relative paths. On the site the
-README is the first page, and every file or folder that a page links to becomes a page with its text, so that
-the same links lead somewhere in both places.
+The pages are written for the repository: they link to its files and folders by relative paths. On the
+site the README is the first page, and every file or folder that a page links to becomes a page with its
+text, so that the same links lead somewhere in both places.
 """
 
 from __future__ import annotations
