@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,11 +20,14 @@ demo: $(VENV)/.runtime ## three photographs to a scored scene, in minutes
 test: $(VENV)/.dev ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
+proofs: $(VENV)/.dev ## the tests that take longest: real photographs and networks, killed runs, all methods
+	$(BIN)/python -m pytest -m proof --numprocesses 2 --dist worksteal --timeout 900
+
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
 
 kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed, new ones each time
-	KILLS=50 $(BIN)/python -m pytest -s tests/registry/runs/test_kills.py --timeout 7200
+	KILLS=50 $(BIN)/python -m pytest -m proof -s tests/registry/runs/test_kills.py --timeout 7200
 
 fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
 	$(BIN)/python -m tests.fuzzing 100000
@@ -50,6 +53,9 @@ types: $(VENV)/.dev ## mypy, strict
 docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, written from the code
 	$(BIN)/python docs/make_reference.py
 	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
+
+site: $(VENV)/.docs ## the documentation as a site in build/site; opens without a network
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine
@@ -80,4 +86,8 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.runtime
 	$(PIP) --editable '.[dev,heic,plot,video]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.dev
+	$(PIP) --editable '.[docs]'
 	@touch $@

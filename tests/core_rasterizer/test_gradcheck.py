@@ -15,6 +15,11 @@ from tests.core_rasterizer.options import smoothing_of
 from tests.core_rasterizer.scenes import Scene, random_camera, random_scene
 
 SCENES, PER_TEST = 200, 20
+FIRSTS = [
+    pytest.param(first, marks=pytest.mark.proof if first >= 2 * PER_TEST else ())
+    for first in range(0, SCENES, PER_TEST)
+]
+"""The number of each test's first scene: forty scenes in the suite, the others among the proofs."""
 
 
 def smooth_scene(generator: torch.Generator, sh_degree: int) -> Scene:
@@ -72,7 +77,7 @@ def images(
     return render
 
 
-@pytest.mark.parametrize("first", range(0, SCENES, PER_TEST))
+@pytest.mark.parametrize("first", FIRSTS)
 def test_the_kernels_pass_gradcheck(device: Device, first: int) -> None:
     """Every parameter, off-centre cameras, background, the clamp, two renders in one backward."""
     for seed in range(first, first + PER_TEST):
@@ -88,7 +93,7 @@ def test_the_kernels_pass_gradcheck(device: Device, first: int) -> None:
         ), seed
 
 
-@pytest.mark.parametrize("first", range(0, SCENES, PER_TEST))
+@pytest.mark.parametrize("first", FIRSTS)
 def test_poses_and_filters_pass_gradcheck(device: Device, first: int) -> None:
     """The same scenes with the cameras' poses, half of them through every filter, with half a band."""
     for seed in range(first, first + PER_TEST):

@@ -56,6 +56,7 @@ def test_they_are_found_through_their_entry_points(installed: Plugins) -> None:
             assert found == (project["name"], project["version"])
 
 
+@pytest.mark.proof
 def test_their_own_tests_pass(site: Path, tmp_path: Path) -> None:
     tests = [str(file) for package in PACKAGES for file in package.glob("test_*.py")]
     assert len(tests) == len(PACKAGES)

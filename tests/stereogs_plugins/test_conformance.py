@@ -122,7 +122,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "metrics.ssim": (lambda folder: {"quantize": "png8"},),
     "metrics.ssim_skimage": (lambda folder: {"quantize": "png8"},),
     "metrics.lpips": (needs_nothing, network),
-    "metrics.lpips_proper": (needs_nothing, network),
+    "metrics.lpips_proper": (network,),
     "metrics.depth_error": (needs_nothing, lambda folder: {"against": "points"}),
     "metrics.depth_within": (
         lambda folder: {"percent": 40.0},

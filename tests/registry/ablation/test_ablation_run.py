@@ -86,7 +86,10 @@ def test_an_ablation_from_the_command_line(
 
 
 def test_the_page_shows_photographs_named_by_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv(SELECTION, "llff,random,psnr")
     capture = write_llff(tmp_path / "capture", World())
@@ -101,20 +104,28 @@ def test_the_page_shows_photographs_named_by_numbers(
         "training: {iterations: 2, sh_degree: 0}\n"
     )
     vary = "training.initial_opacity=0.1,0.2"
+    for run in plan(pipeline, Plugins(), vary=(vary,)).runs:
+        train_here(run, AblationFolder(out), device)
     assert main(["ablate", str(pipeline), "--vary", vary, "--out", str(out)]) == 0
+    assert "2 of them finished" in capsys.readouterr().out
     page = Page((out / "index.html").read_text("utf-8"))
     assert "0: photograph" in page.text
     assert [image["alt"] for image in page.images] == ["photograph", *["render", "depth"] * 2]
 
 
-def test_a_failure_is_told_and_the_others_are_trained(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_failure_is_told_beside_what_the_others_gave(
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv(SELECTION, "procedural,initializers.ply,sfm,dropout,psnr")
     pipeline, out = tmp_path / "tiny.yaml", tmp_path / "out"
     pipeline.write_text(TINY)
     vary = "initializer={use: ply, path: missing.ply},sfm"
-    command = ["ablate", str(pipeline), "--vary", vary, "--out", str(out), "--jobs", "2"]
+    _, good = plan(pipeline, Plugins(), vary=(vary,)).runs
+    train_here(good, AblationFolder(out), device)
+    command = ["ablate", str(pipeline), "--vary", vary, "--out", str(out)]
     assert main(command) == 2
     captured = capsys.readouterr()
     assert "1 of 2 runs failed; the first one said:" in captured.err
@@ -211,18 +222,19 @@ def test_ctrl_c_stops_those_at_work_and_begins_no_other(
         pass
 
 
-def test_a_training_that_leaves_no_results_has_failed(
+def test_trainings_that_leave_no_results_have_failed_and_keep_no_other_from_its_turn(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     does_nothing = shutil.which("true")
     assert does_nothing
     monkeypatch.setattr(sys, "executable", does_nothing)
-    (run, _) = toy_runs(toys, tmp_path)
+    runs = toy_runs(toys, tmp_path)
     folder = AblationFolder(tmp_path / "out")
     console = Console(file=io.StringIO())
     with folder.locked() as lock:
-        outcome = train_all([run], folder, local(device, lock), device=None, console=console)
-    assert "left no results" in outcome.failures[run]
+        outcome = train_all(runs, folder, local(device, lock), device=None, console=console)
+    assert len(runs) == 2
+    assert all("left no results" in outcome.failures[run] for run in runs)
     assert not outcome.stopped
 
 

@@ -12,10 +12,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[3]
 FEW = 3
 
 
+@pytest.mark.proof
 def test_killed_runs_end_as_if_nobody_had_killed_them(tmp_path: Path) -> None:
     count = int(os.environ.get("KILLS", FEW))
     seed = 1 if count == FEW else random.randrange(2**32)

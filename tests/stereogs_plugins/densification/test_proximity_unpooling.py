@@ -29,7 +29,7 @@ def test_is_offered_as_proximity_unpooling_and_keeps_the_contract() -> None:
     expected = {"proximity_unpooling": ProximityUnpooling}
     assert offered(stereogs_register_densifications) == expected
     check(ProximityUnpooling)
-    check(ProximityUnpooling, size=0.0, distance=0.01, split_distance=0.1)
+    check(ProximityUnpooling, size=0.02, distance=0.06, split_distance=0.1)
 
 
 def test_proximity_is_the_mean_squared_distance_to_three_neighbours() -> None:

@@ -102,6 +102,7 @@ def test_points_outside_the_bounds_are_dropped(scene: Scene, points: PointCloud)
     assert (found.positions.double() @ pose[2, :3] + pose[2, 3]).median() < 3.3
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(("name", "least"), [("llff_fern", 550), ("llff_flower", 1500)])
 def test_three_real_photographs_give_points(name: str, least: int) -> None:
     scene = build(LLFFScene, path=data_folder(name)).load()

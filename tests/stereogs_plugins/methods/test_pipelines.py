@@ -107,6 +107,7 @@ def test_it_trains_with_every_part_in_its_turn(file: Path) -> None:
             assert any(map(item.schedule.due, range(1, LONG + 1))), item.qualified_name
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("file", SHORT, ids=lambda file: file.stem)
 def test_a_part_that_is_switched_off_is_as_if_it_were_not_there(file: Path) -> None:
     tree = tree_of(file, BRIEF)

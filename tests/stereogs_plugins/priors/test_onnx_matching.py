@@ -136,6 +136,7 @@ def test_files_and_answers_are_checked(tmp_path: Path) -> None:
         build(OnnxMatching, model=finder, matcher=beyond).matches(dotted(FIRST), dotted(SECOND))
 
 
+@pytest.mark.proof
 def test_xfeat_and_lighterglue_on_fern() -> None:
     folder = models_folder("xfeat")
     scene = build(LLFFScene, path=data_folder("llff_fern"), train_views=3).load()

@@ -157,6 +157,7 @@ def test_settings_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         build(PlaneSweep, cost="features", features=tmp_path / "missing.onnx")
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(
     ("name", "least"),
     [("llff_fern", (0.73, 0.91, 0.95)), ("llff_flower", (0.37, 0.68, 0.91))],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from benchmarks.priors_depth import point_errors
@@ -12,6 +13,8 @@ from stereogs_plugins.priors.onnx_stereo import OnnxStereo
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder, models_folder
 from tests.stereogs_plugins.building import build
+
+pytestmark = pytest.mark.proof
 
 
 def test_hitnet_on_cones() -> None:

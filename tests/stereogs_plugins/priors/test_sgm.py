@@ -139,6 +139,7 @@ BAD_2 = {
 """Per cent of pixels that may be off by more than 2 px; some 0.5 above what was measured."""
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_real_pairs(name: str, cost: str) -> None:

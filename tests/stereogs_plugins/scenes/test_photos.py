@@ -225,6 +225,7 @@ def test_other_photographs_or_settings_are_other_cameras(
     assert len(asked) == 3
 
 
+@pytest.mark.proof
 def test_a_photograph_of_something_else_is_named(folder: Path, tmp_path: Path) -> None:
     from skimage import data
 
@@ -461,6 +462,7 @@ def test_folders_that_are_recognized(tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
 
 
+@pytest.mark.proof
 def test_the_published_cameras_of_the_fern(tmp_path: Path) -> None:
     """Eight of the twenty pictures; with all of them rotations are off by 0.33 degrees at most."""
     data = data_folder("llff_fern")

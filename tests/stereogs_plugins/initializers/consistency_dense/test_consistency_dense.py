@@ -190,6 +190,7 @@ def test_a_prior_is_needed(scene: Scene) -> None:
     assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
 
 
+@pytest.mark.proof
 def test_three_real_photographs() -> None:
     scene = build(LLFFScene, path=data_folder("llff_fern")).load()
     points = build(
