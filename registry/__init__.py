@@ -51,9 +51,12 @@ if TYPE_CHECKING:
     from .contract.prior import Prior
     from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
     from .contract.step import OtherField, Render, Sample, Step
+    from .drawing.camera_path import smooth_path
     from .drawing.logged_pictures import LoggerSettings
     from .drawing.metric_images import ImageMetricSettings, white_outside
-    from .drawing.pictures import grey, nearness_picture, side_by_side
+    from .drawing.orientation import upright_rotation
+    from .drawing.pictures import grey, nearness_picture, save_png, side_by_side
+    from .drawing.video import write_video
     from .errors import PipelineError, PluginError, RunError, SceneError
     from .plugins.optional import optional_module
     from .priors.capabilities import (
@@ -151,10 +154,14 @@ __all__ = [
     "photos",
     "read_model_file",
     "read_results",
+    "save_png",
     "side_by_side",
+    "smooth_path",
+    "upright_rotation",
     "validate",
     "virtual_views",
     "web_page",
     "white_outside",
     "write_text",
+    "write_video",
 ]

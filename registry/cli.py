@@ -17,7 +17,7 @@ from core_rasterizer.errors import ExplainedError
 from .commands import check, compare, completion, doctor, explain, plugins, priors, schema
 from .commands.batches import ablate, bench
 from .commands.output import error_console
-from .commands.runs import demo, evaluate, render, replay, resume, train
+from .commands.runs import demo, evaluate, export, render, replay, resume, train
 from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
@@ -35,6 +35,7 @@ VERBS = {
     "replay": replay,
     "eval": evaluate,
     "render": render,
+    "export": export,
     "compare": compare,
     "ablate": ablate,
     "bench": bench,
@@ -57,6 +58,7 @@ examples:
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
+  stereogs export runs/3dgs-fern --format gltf    for other programs
   stereogs ablate ablations/parts
   stereogs bench MATRIX.yaml                  several pipelines on several scenes
   stereogs explain 3dgs                       what runs when, and what it needs

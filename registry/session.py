@@ -270,6 +270,42 @@ def open_run(
         )
 
 
+def export(
+    run: Run,
+    format_name: str,
+    folder: PathLike | None = None,
+    *,
+    changes: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> list[Path]:
+    """Write a run for other programs, by any exporter that is installed.
+
+    Args:
+        format_name: the exporter, as a pipeline names it: "ply", "gltf", ...
+        folder: to write into, created if need be; None: the run folder's exports.
+        changes: `key=value`, settings of the exporter.
+        without: kinds of initial points whose Gaussians are left out, for example "margin"; see
+            `Run.kinds`.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        ExplainedError: no such exporter or kind, wrong settings, no folder, or what the exporter says.
+    """
+    from .exporting import export as written
+    from .inspection.single_item import qualified, single_item
+    from .runs.results import EXPORTS
+    from .training.threads import one_torch_thread
+
+    point = SECTIONS["exporters"]
+    offer = Plugins().find(point, format_name)
+    item = single_item(offer, [qualified(text, point.section) for text in changes])
+    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
+    with one_torch_thread():
+        return written(run, item, place, without)
+
+
 def render(
     source: Run | GaussianModel,
     camera: Camera,

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from registry.runs.run import Picture, Run
     from registry.session import (
         build_pipeline,
+        export,
         load_scene,
         open_run,
         render,
@@ -43,6 +44,7 @@ __all__ = [
     "Scene",
     "View",
     "build_pipeline",
+    "export",
     "list_devices",
     "load_scene",
     "open_device",

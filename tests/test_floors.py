@@ -19,6 +19,7 @@ FLOORS = (
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),
+    ("exporting",),
     ("comparing", "ablation", "session", "testing"),
     ("commands",),
     ("cli",),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor
 
+from ..camera import Camera
 from ..device import Device
 from ..gaussians import Gaussians
+from ..rendering import Rendering
 
 if TYPE_CHECKING:
     from .model import GaussianModel
@@ -77,6 +81,16 @@ class ModelReader:
     def touched(self) -> Tensor:
         """Which Gaussians touched a pixel, bool `[N]`; see `GaussianModel.touched`."""
         return self._model.touched()
+
+    def render(self, camera: Camera, *, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Rendering:
+        """A camera as it would be scored: without gradients, colours in [0, 1].
+
+        Args:
+            background: behind the Gaussians, three numbers in [0, 1].
+        """
+        with torch.no_grad():
+            rendering = self._model.render(camera, background=background)
+        return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)
 
     def gaussians(self) -> Gaussians:
         """A copy of all of them on the host."""

@@ -45,6 +45,9 @@ class PointCloud:
         pictures: `[H, W, 3]` in [0, 1] by file name without ending; the run keeps them as PNG.
         maps: what is known of each training view's depth, by the view's name, for components that
             train on it (`Step.maps`); empty if the initializer knows nothing.
+        kinds: which points are measured and which are guessed, `[P]` bool by the kind's name, for
+            example "confirmed" and "margin". Gaussians that descend from a point stay of its kind, so
+            that a kind can be left out of what is looked at. Empty: nothing is told apart.
     """
 
     positions: Tensor
@@ -54,6 +57,7 @@ class PointCloud:
     facts: Mapping[str, Any] = field(default_factory=dict)
     pictures: Mapping[str, Tensor] = field(default_factory=dict)
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
+    kinds: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.positions.shape[0])

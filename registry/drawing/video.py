@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterable
 from itertools import chain
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from ..system.files import replacing
@@ -32,8 +33,7 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
         return target, "pictures (no video: pip install 'stereogs-plugins[video]')"
     remaining = iter(frames)
     first = next(remaining)
-    # The common colour format of H.264 wants even sizes.
-    height, width = (size // 2 * 2 for size in first.shape[:2])
+    height, width = _even(first).shape[:2]
     video = target.with_suffix(".mp4")
     with replacing(video) as temporary:
         writer = imageio_ffmpeg.write_frames(
@@ -45,16 +45,22 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
             output_params=["-f", "mp4"],
             ffmpeg_log_level="error",
         )
-        _feed(writer, chain([first], remaining), height, width)
-    return video, "video"
+        _feed(writer, chain([first], remaining))
+    return video, "MP4 video"
 
 
-def _feed(
-    writer: Generator[None, bytes | None], frames: Iterable[Tensor], height: int, width: int
-) -> None:
+def _even(frame: Tensor) -> Tensor:
+    """The frame with its last row and column twice where H.264's common colour format wants even sizes."""
+    height, width = frame.shape[:2]
+    rows = torch.arange(height + height % 2).clamp(max=height - 1)
+    columns = torch.arange(width + width % 2).clamp(max=width - 1)
+    return frame[rows][:, columns]
+
+
+def _feed(writer: Generator[None, bytes | None], frames: Iterable[Tensor]) -> None:
     writer.send(None)
     try:
         for frame in frames:
-            writer.send(to_bytes(frame[:height, :width].contiguous()).tobytes())
+            writer.send(to_bytes(_even(frame)).tobytes())
     finally:
         writer.close()

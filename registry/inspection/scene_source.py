@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..contract.scene import validate
 from ..errors import SceneError
-from ..pipeline.edits import apply_override, expand
 from ..pipeline.parts import build_part
 from ..pipeline.pipeline import Item, load_pipeline
 from ..pipeline.ready import is_pipeline_file, ready_pipelines
-from ..pipeline.schedule import HostSettings
-from ..pipeline.settings_check import escape_variables, validate_settings
-from ..pipeline.yaml_source import Node, Place
+from ..pipeline.settings_check import escape_variables
+from ..pipeline.yaml_source import Node
 from ..plugins.discovery import Plugins
 from ..plugins.recognition import SCENE, recognize
+from .single_item import COMMAND_LINE, qualified, single_item
 
 if TYPE_CHECKING:
     from core_rasterizer import Device
@@ -48,7 +47,7 @@ def find_loader(
     Raises:
         ExplainedError: nothing is there, no loader or several know the folder, or wrong settings.
     """
-    overrides = [_qualified(text) for text in changes]
+    overrides = [qualified(text, SCENE.section) for text in changes]
     if is_pipeline_file(data) or (not data.exists() and data.as_posix() in ready_pipelines()):
         if format_name is not None:
             raise SceneError(
@@ -72,23 +71,10 @@ def load(found: FoundLoader, device: Device) -> Scene:
         return validate(part.component.load())
 
 
-def _qualified(text: str) -> str:
-    start = f"{SCENE.section}."
-    return text if text.startswith(start) else start + text
-
-
 def _folder_item(
     data: Path, plugins: Plugins, format_name: str | None, overrides: Sequence[str]
 ) -> Item:
     """The item that a pipeline would have with `scene: {use: ..., path: ..., ...}`."""
     offer = recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
-    place = Place("the command line")
-    path = Node(escape_variables(str(data)), place)
-    root = Node({SCENE.section: Node({"path": path}, place)}, place)
-    for text in overrides:
-        apply_override(root, text)
-    assert isinstance(root.content, dict)
-    settings = validate_settings(
-        offer.settings_type, Node({**expand(root.content[SCENE.section])}, place), SCENE.section
-    )
-    return Item(offer.name, settings, HostSettings(use=offer.name), offer, place)
+    path = Node(escape_variables(str(data)), COMMAND_LINE)
+    return single_item(offer, overrides, {"path": path})

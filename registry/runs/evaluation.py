@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
 
-import torch
-
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
 from ..calls.loan import Loan, Overwritten, of_rendering, of_view
@@ -149,6 +147,4 @@ def clamped_render(
     model: GaussianModel, camera: Camera, background: tuple[float, float, float]
 ) -> Rendering:
     """A camera without gradients, colours clamped to [0, 1]."""
-    with torch.no_grad():
-        rendering = model.render(camera, background=background)
-    return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)
+    return model.reader().render(camera, background=background)

@@ -137,7 +137,7 @@ def _written(
     """The files that an exporter or a report has written; none, and a failure noted, if it failed."""
     try:
         with part.at_work(lent=lent):
-            return [_inside(folder, file) for file in _existing(write())]
+            return [_inside(folder, file) for file in existing_files(write())]
     except Overwritten:
         raise
     except ExplainedError as error:
@@ -145,7 +145,7 @@ def _written(
         return []
 
 
-def _existing(answer: Any) -> list[Path]:
+def existing_files(answer: Any) -> list[Path]:
     """What an exporter or a report says it wrote: paths of files that are there."""
     if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
         raise PluginError(f"the answer is {answer!r}, expected a list of paths")

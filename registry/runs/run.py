@@ -115,6 +115,14 @@ class Run:
         return self.model.digest()
 
     @property
+    def kinds(self) -> dict[str, Tensor]:
+        """Which Gaussians descend from initial points of a kind, `[N]` bool by its name.
+
+        Empty if the initializer tells no kinds apart (`PointCloud.kinds`).
+        """
+        return self.checkpoint().part("kinds")
+
+    @property
     def scores(self) -> dict[str, Scores]:
         """By split, "test" and "train"; measured when first asked for: `scores["test"].mean["psnr"]`."""
         if self._scores is None or self._scores[0] != self.iteration:

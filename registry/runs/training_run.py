@@ -232,7 +232,7 @@ def _begun(
         "seconds": round(seconds.initialization, 3),
     }
     facts |= {name: value for name, value in points.facts.items() if name not in facts}
-    trainer = Trainer(pipeline.training, parts, scene, model, points.maps)
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, points.kinds)
     run = Run(
         pipeline,
         parts,

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, Edit, GaussianModel, Rendering, apply_edit
+from core_rasterizer import Adam, Carried, Edit, GaussianModel, Rendering, apply_edit
 
 from ..calls.loan import Loan, are_checked, of_maps, of_rendering, of_scene
 from ..contract.answers import (
@@ -86,15 +86,23 @@ class Field:
         parts: its components.
         model: the Gaussians, changed in place.
         index: its number; 0 is the one that is scored.
+        kinds: of the points that the Gaussians start from (`PointCloud.kinds`).
 
     Attributes:
         logged: numbers that this iteration recorded, by name.
+        kinds: which Gaussians descend from points of a kind, `[N]` bool by its name.
     """
 
     def __init__(
-        self, around: Surroundings, parts: Parts, model: GaussianModel, index: int
+        self,
+        around: Surroundings,
+        parts: Parts,
+        model: GaussianModel,
+        index: int,
+        kinds: Mapping[str, Tensor] | None = None,
     ) -> None:
         self.index, self.parts, self.model = index, parts, model
+        self.kinds = dict(kinds or {})
         self.optimizer = Adam(model)
         self.parameters = ComponentParameters(parts)
         self.logged: dict[str, float] = {}
@@ -315,7 +323,7 @@ class Field:
             count = self.model.count
             with blame(part.item, step.iteration):
                 carried = apply_edit(self.model, self.optimizer, edit, self._topology)
-            self.parts.carry(carried.source, carried.fresh, count, step.iteration)
+            self._carry(carried, count)
             edited = True
         return edited
 
@@ -353,8 +361,13 @@ class Field:
         _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
         self._log_number("removed_not_finite", number)
         carried = apply_edit(self.model, self.optimizer, Edit(prune=broken), self._topology)
-        self.parts.carry(carried.source, carried.fresh, len(broken), iteration)
+        self._carry(carried, len(broken))
         return True
+
+    def _carry(self, carried: Carried, count: int) -> None:
+        """What belongs to single Gaussians follows an edit of `count` of them."""
+        self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+        self.parts.carry(carried.source, carried.fresh, count, self._step.iteration)
 
     def _log_number(self, name: str, value: float) -> None:
         self.logged[name] = float(value)
@@ -378,6 +391,7 @@ class Field:
             "topology": {"generator": self._topology.get_state()},
             "components": self.parts.state(iteration),
             "parameters": self.parameters.state(),
+            "kinds": {name: mask.clone() for name, mask in self.kinds.items()},
         }
 
     def restore(self, part: Callable[[str], Mapping[str, Any]]) -> None:
@@ -396,6 +410,7 @@ class Field:
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))
+        self.kinds = dict(part("kinds"))
 
 
 def _looked_at(rendering: Rendering) -> Rendering:

@@ -25,8 +25,8 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
         points: at least one.
 
     Raises:
-        SceneError: there is no point; one with a position, colour, scale or opacity that cannot be; or a
-            picture whose name is not a file's.
+        SceneError: there is no point; one with a position, colour, scale or opacity that cannot be; a
+            picture whose name is not a file's; or a kind that is no mask of the points.
     """
     _check(points)
     count = len(points)
@@ -85,6 +85,14 @@ def _check(points: PointCloud) -> None:
             "the initializer found no points to start from",
             fix="use more or better overlapping views, or another one: --set initializer.use=random",
         )
+    for name, mask in points.kinds.items():
+        if not is_file_name(name) or "," in name:
+            raise SceneError(f"the kind {name!r} of points has no plain name")
+        if mask.dtype != torch.bool or tuple(mask.shape) != (count,):
+            raise SceneError(
+                f"points.kinds[{name!r}] is {mask.dtype} of shape {tuple(mask.shape)}, "
+                f"expected a bool for each of {count} points"
+            )
     for name, shape in (
         ("positions", (count, 3)),
         ("colors", (count, 3)),

@@ -62,6 +62,7 @@ class Trainer:
         scene: validated.
         model: the Gaussians, changed in place.
         maps: each training view's depth, as the initializer knows it (`PointCloud.maps`).
+        kinds: of the points that the Gaussians start from (`PointCloud.kinds`).
 
     Attributes:
         iteration: the last one that is complete; 0 before the first.
@@ -75,14 +76,15 @@ class Trainer:
         scene: Scene,
         model: GaussianModel,
         maps: Mapping[str, DepthMap] | None = None,
+        kinds: Mapping[str, Tensor] | None = None,
     ) -> None:
         self.settings, self.parts, self.scene, self.model = settings, parts, scene, model
         self.iteration = 0
         self._around = Surroundings(settings, scene.for_training(), maps or {})
-        self.fields = [Field(self._around, parts, model, 0)]
+        self.fields = [Field(self._around, parts, model, 0, kinds)]
         for index in range(1, settings.fields):
             twin = new_model(model.gaussians(), settings, model.device)
-            self.fields.append(Field(self._around, parts.for_field(index), twin, index))
+            self.fields.append(Field(self._around, parts.for_field(index), twin, index, kinds))
         for part in parts:
             if part.item.point.scheduled and not part.item.schedule.ever_due(settings.iterations):
                 _log.warning(

@@ -39,6 +39,8 @@ class ToyScene(r.SceneLoader[ToySceneSettings]):
 
 class ToyPointsSettings(r.Settings):
     count: int | None = None
+    kinds: bool = False
+    """Tell those before z = 3 from those behind."""
 
 
 class ToyPoints(r.Initializer[ToyPointsSettings]):
@@ -47,7 +49,9 @@ class ToyPoints(r.Initializer[ToyPointsSettings]):
         if points is None:
             raise r.SceneError("the scene has no points", where=scene.name, fix="use another one")
         end = self.settings.count
-        return r.PointCloud(points.positions[:end], points.colors[:end])
+        near = points.positions[:end, 2] < 3
+        kinds = {"near": near, "far": ~near} if self.settings.kinds else {}
+        return r.PointCloud(points.positions[:end], points.colors[:end], kinds=kinds)
 
 
 class ToyPrior(r.Prior[r.Settings]):

@@ -50,8 +50,9 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "patch_depth": {"form": "hard", "smallest": 4, "largest": 8},
     "expected_opacity": {"rate": 0.2},
     "co_pruning": {"distance": 1.0},
+    "video": {"frames": 2},
 }
-"""Settings without a default."""
+"""Settings without a default, or with one that takes long."""
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-_NAMES = ("cameras", "images", "points3D")
+_BINARY = ("cameras.bin", "images.bin", "points3D.bin")
+_TEXT = ("cameras.txt", "images.txt", "points3D.txt")
 _ONE_FOCAL_LENGTH = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _DISTORTION: dict[str, Distortion] = {
     "SIMPLE_PINHOLE": "PINHOLE",
@@ -89,9 +90,9 @@ def read_colmap_model(folder: Path, fix: str) -> ColmapModel:
         SceneError: a file is missing or damaged, a number is not finite, a rotation is none, or
             something refers to a camera or image that does not exist.
     """
-    suffix = ".bin" if (folder / "images.bin").is_file() else ".txt"
+    names = _BINARY if (folder / _BINARY[1]).is_file() else _TEXT
     with decoding("the COLMAP model", folder, fix):
-        cameras, images, points = (folder / f"{name}{suffix}" for name in _NAMES)
+        cameras, images, points = (folder / name for name in names)
         model = ColmapModel(
             read_cameras(cameras),
             sorted(read_images(images).items(), key=lambda item: item[1].name),

@@ -223,6 +223,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 f"{view.view.name.removesuffix('.png')}_depth": view.picture() for view in views
             },
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
+            kinds={kind: kinds[chosen] == number for number, kind in enumerate(layers)},
         )
 
 

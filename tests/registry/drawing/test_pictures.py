@@ -113,8 +113,8 @@ def test_with_an_encoder_there_is_a_video(tmp_path: Path) -> None:
     encoder = pytest.importorskip("imageio_ffmpeg")
     frames = [torch.full((33, 47, 3), shade) for shade in (0.0, 0.5, 1.0, 0.5)]
     written, note = write_video(frames, tmp_path / "path")
-    assert note == "video"
+    assert note == "MP4 video"
     assert [file.name for file in tmp_path.iterdir()] == ["path.mp4"]
     reader = encoder.read_frames(str(written))
-    assert next(reader)["size"] == (46, 32)
+    assert next(reader)["size"] == (48, 34)
     assert len(list(reader)) == 4

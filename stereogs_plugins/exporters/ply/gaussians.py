@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import Exporter, Register, Scene, Settings, hookimpl
+from registry import Exporter, Scene, Settings
+
+from .cameras import write_cameras
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -13,17 +15,15 @@ if TYPE_CHECKING:
 
 
 class PlyExporter(Exporter[Settings]):
-    """Writes scene.ply: means, spherical harmonics, opacity logits, log-scales, quaternions."""
+    """Writes scene.ply: means, spherical harmonics, opacity logits, log-scales, quaternions.
+
+    Beside it lies cameras.json, which viewers of the 3DGS code read.
+    """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write the file and return its path."""
+        """Write the two files and return their paths."""
         from core_rasterizer import save_ply
 
         path = folder / "scene.ply"
         save_ply(model.gaussians(), path)
-        return [path]
-
-
-@hookimpl
-def stereogs_register_exporters(register: Register[PlyExporter]) -> None:
-    register("ply", PlyExporter)
+        return [path, write_cameras(scene, folder)]

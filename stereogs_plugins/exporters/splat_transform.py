@@ -1,0 +1,77 @@
+"""`sog` and `html`: made from a PLY file by PlayCanvas's program splat-transform."""
+
+from __future__ import annotations
+
+from abc import ABC
+from typing import TYPE_CHECKING, ClassVar
+
+from registry import Exporter, PluginError, Register, Scene, Settings, hookimpl
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from core_rasterizer import GaussianReader
+
+PROGRAM = "splat-transform"
+PACKAGE = "@playcanvas/splat-transform"
+
+
+class SplatTransform(Exporter[Settings], ABC):
+    """Writes one file by the program, which must be on the PATH."""
+
+    file_name: ClassVar[str]
+
+    def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
+        """Write scene.ply, have the program read it, and return what it wrote.
+
+        Raises:
+            PluginError: the program is not there, or it failed; scene.ply stays, for the command that the
+                message names.
+        """
+        import shutil
+        import subprocess
+
+        from core_rasterizer import save_ply
+
+        ply, target = folder / "scene.ply", folder / self.file_name
+        save_ply(model.gaussians(), ply)
+        # Without "cpu" it wants a GPU that WebGPU can use, and stops where there is none.
+        options = ["--quiet", "--overwrite", "--gpu", "cpu", str(ply), str(target)]
+        program = shutil.which(PROGRAM)
+        if program is None:
+            raise PluginError(
+                f"the program {PROGRAM} is not on the PATH; {ply} is written",
+                fix=_command(["npx", PACKAGE, *options]),
+            )
+        done = subprocess.run([program, *options], capture_output=True, text=True, check=False)
+        if done.returncode or not target.is_file():
+            said = (done.stderr or done.stdout).strip()
+            raise PluginError(
+                f"{PROGRAM} failed with exit status {done.returncode}: {said[-500:]}",
+                fix=_command([PROGRAM, *options[1:]]),
+            )
+        return [target]
+
+
+class SogExporter(SplatTransform):
+    """Writes scene.sog, PlayCanvas's compressed format for the web; and scene.ply, which it is made from."""
+
+    file_name = "scene.sog"
+
+
+class HtmlExporter(SplatTransform):
+    """Writes scene.html, the scene and a viewer in one file; and scene.ply, which it is made from."""
+
+    file_name = "scene.html"
+
+
+def _command(words: list[str]) -> str:
+    import shlex
+
+    return f"the command is: {shlex.join(words)}"
+
+
+@hookimpl
+def stereogs_register_exporters(register: Register[SogExporter | HtmlExporter]) -> None:
+    register("sog", SogExporter)
+    register("html", HtmlExporter)

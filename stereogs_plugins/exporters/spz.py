@@ -1,0 +1,88 @@
+"""`spz`: Niantic's compressed format, a tenth of the PLY's size, written by the package gsply."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from registry import Exporter, PluginError, Register, Scene, Settings, hookimpl
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from core_rasterizer import GaussianReader, Gaussians
+
+_ODD_IN_Y_PLUS_Z = (1, 2, 4, 7, 9, 11, 12, 14)
+"""Coefficients of spherical harmonics up to degree 3 that change sign with y and z together."""
+
+
+class SpzExporter(Exporter[Settings]):
+    """Writes scene.spz, version 3: positions to 1/4096 of a world unit, everything else in 8 to 10 bits.
+
+    The format's axes are x right, y up, z back: the scene is turned by half a turn about x, and programs
+    that read the format turn it back.
+    """
+
+    def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
+        """Write the file and return its path.
+
+        Raises:
+            PluginError: the package gsply is not installed.
+        """
+        gsply = _gsply()
+        path = folder / "scene.spz"
+        gaussians = half_turned(model.gaussians())
+        fields = (
+            gaussians.means,
+            gaussians.log_scales,
+            gaussians.quaternions,
+            gaussians.opacity_logits,
+            gaussians.sh[:, 0],
+            gaussians.sh[:, 1:],
+        )
+        gsply.write_spz(path, gsply.GSData(*(field.contiguous().numpy() for field in fields)))
+        _forget_time(path)
+        return [path]
+
+
+def half_turned(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians turned by 180 degrees about the x axis, with unit quaternions.
+
+    A Gaussian is its own mirror image, so that (w, x, -y, -z) turns it as well as a product would.
+    """
+    import torch
+    from torch.nn.functional import normalize
+
+    from core_rasterizer import Gaussians
+
+    signs = torch.ones(gaussians.sh.shape[1], 1)
+    signs[[index for index in _ODD_IN_Y_PLUS_Z if index < len(signs)]] = -1
+    return Gaussians(
+        means=gaussians.means * torch.tensor([1.0, -1, -1]),
+        log_scales=gaussians.log_scales,
+        quaternions=normalize(gaussians.quaternions, dim=1) * torch.tensor([1.0, 1, -1, -1]),
+        opacity_logits=gaussians.opacity_logits,
+        sh=gaussians.sh * signs,
+    )
+
+
+def _forget_time(path: Path) -> None:
+    """Clear the time of writing in the header of a gzip file (RFC 1952): same scene, same bytes."""
+    with path.open("r+b") as file:
+        file.seek(4)
+        file.write(bytes(4))
+
+
+def _gsply() -> Any:
+    try:
+        import gsply
+    except ImportError as error:
+        raise PluginError(
+            "spz files are written by the package gsply, which is not installed",
+            fix="pip install 'stereogs-plugins[spz]'",
+        ) from error
+    return gsply
+
+
+@hookimpl
+def stereogs_register_exporters(register: Register[SpzExporter]) -> None:
+    register("spz", SpzExporter)

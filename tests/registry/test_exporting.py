@@ -1,0 +1,112 @@
+"""Any exporter on a finished run, whole or without Gaussians of some kinds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import stereogs
+from registry import PluginError, RunError, Scene
+from registry.cli import main
+from registry.errors import PipelineError
+from registry.testing import tiny_scene
+
+from .conftest import TOY_ENTRIES, Install
+
+ITERATIONS = 12
+
+
+@pytest.fixture(autouse=True)
+def _toys(install: Install) -> None:
+    install("toys", "1.5", TOY_ENTRIES)
+
+
+def two_walls() -> Scene:
+    """The tiny scene with points at z = 2 and z = 4, further apart than any Gaussian is large."""
+    scene = tiny_scene()
+    assert scene.points is not None
+    positions = scene.points.positions.clone()
+    positions[:, 2] = 2 + 2 * (torch.arange(len(positions)) % 3 == 0).float()
+    return replace(scene, points=replace(scene.points, positions=positions))
+
+
+def train(
+    out: Path | None = None, *, kinds: bool = True, stop_at: int = ITERATIONS
+) -> stereogs.Run:
+    pipeline = {
+        "name": "kinds",
+        "initializer": {"use": "toy_points", "kinds": kinds},
+        "densification": [{"use": "toy_growth", "every": 2}],
+        "training": {"iterations": ITERATIONS, "sh_degree": 0, "fields": 2},
+    }
+    return stereogs.train(
+        pipeline,
+        scene=two_walls(),
+        out=out,
+        progress=False,
+        callback=lambda done: done.number < stop_at,
+    )
+
+
+def assert_told_apart(run: stereogs.Run) -> None:
+    near = run.model.read("means")[:, 2] < 3
+    assert sorted(run.kinds) == ["far", "near"]
+    assert torch.equal(run.kinds["near"], near)
+    assert torch.equal(run.kinds["far"], ~near)
+
+
+def test_descendants_stay_of_their_kind(tmp_path: Path) -> None:
+    """Through clones, splits and prunings, in a checkpoint, and through a stop."""
+    run = train(tmp_path / "run", stop_at=5)
+    assert run.model.count != len(two_walls().points or ())
+    assert_told_apart(run)
+    assert_told_apart(stereogs.open_run(tmp_path / "run", scene=two_walls()))
+    resumed = stereogs.resume(tmp_path / "run", scene=two_walls(), progress=False)
+    assert_told_apart(resumed)
+    assert resumed.hash == train().hash
+
+
+def test_kinds_change_no_bit_of_the_gaussians() -> None:
+    without = train(kinds=False)
+    assert without.hash == train().hash
+    assert without.kinds == {}
+
+
+def test_a_kind_is_left_out_of_an_export(tmp_path: Path) -> None:
+    run = train()
+    (whole,) = stereogs.export(run, "toy_files", tmp_path / "whole")
+    (part,) = stereogs.export(run, "toy_files", tmp_path / "part", without=["far"])
+    assert int(whole.read_text("utf-8")) == run.model.count
+    assert int(part.read_text("utf-8")) == int(run.kinds["near"].sum()) < run.model.count
+
+
+def test_what_cannot_be_exported_is_explained(tmp_path: Path) -> None:
+    run = train()
+    with pytest.raises(RunError, match="no kind 'fat'; did you mean 'far'") as caught:
+        stereogs.export(run, "toy_files", tmp_path, without=["fat"])
+    assert caught.value.fix == "kinds: near, far"
+    with pytest.raises(RunError, match="no Gaussian would be left"):
+        stereogs.export(run, "toy_files", tmp_path, without=["far", "near"])
+    with pytest.raises(PluginError, match="no plugin offers the exporter 'toy_file'"):
+        stereogs.export(run, "toy_file", tmp_path)
+    with pytest.raises(PipelineError, match="size"):
+        stereogs.export(run, "toy_files", tmp_path, changes=["size=3"])
+    with pytest.raises(RunError, match="in memory only"):
+        stereogs.export(run, "toy_files")
+    with pytest.raises(RunError, match="no kind") as caught:
+        stereogs.export(train(kinds=False), "toy_files", tmp_path, without=["far"])
+    assert "tells no kinds of points apart" in caught.value.fix
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_verb_writes_into_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipeline = {"scene": {"use": "toy_scene", "path": "x"}, "initializer": "toy_points"}
+    training = {"name": "verb", "training": {"iterations": 1, "sh_degree": 0}}
+    stereogs.train(pipeline | training, out=tmp_path / "run", progress=False)
+    assert main(["export", str(tmp_path / "run"), "--format", "toy_files"]) == 0
+    file = tmp_path / "run" / "exports" / "count.txt"
+    assert capsys.readouterr().out == f"exported  {file}\n"
+    assert file.read_text("utf-8") == "60"
