@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
+    from .view_parameters import ViewParameters
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -122,6 +123,7 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
+    "ViewParameters",
     "cache",
     "epipolar_distances",
     "first_line",

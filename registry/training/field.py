@@ -95,6 +95,9 @@ class Field:
     ) -> None:
         self.index, self.parts, self.model = index, parts, model
         self.optimizer = Adam(model)
+        for part in parts.training:
+            with part.at_work(lent=around.lent):
+                part.component.begin_training(around.scene)
         self.parameters = ComponentParameters(parts)
         self.logged: dict[str, float] = {}
         self._around, self._settings = around, around.settings

@@ -132,6 +132,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "reports.html": (needs_nothing,),
 }
 ELSEWHERE = {
+    "appearances.exposure": "appearances/test_exposure.py",
     "densification.co_pruning": "densification/test_co_pruning.py",
     "densification.faint_growth": "densification/test_faint_growth.py",
     "densification.proximity_unpooling": "densification/test_proximity_unpooling.py",
@@ -142,6 +143,7 @@ ELSEWHERE = {
     "modifiers.depth_density_dropout": "modifiers/test_depth_density_dropout.py",
     "modifiers.opacity_noise": "modifiers/test_opacity_noise.py",
     "opacity.expected_opacity": "opacity/test_expected_opacity.py",
+    "perturbations.iterate_averaging": "perturbations/test_iterate_averaging.py",
     "perturbations.position_noise": "perturbations/test_position_noise.py",
     "priors.dis_flow": "priors/test_dis_flow.py",
     "priors.onnx_flow": "priors/test_onnx_flow.py",
@@ -161,6 +163,7 @@ ELSEWHERE = {
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",
     "regularizers.virtual_stereo": "regularizers/test_virtual_stereo.py",
     "scene.photos": "scenes/test_photos.py",
+    "samplers.camera_refinement": "samplers/test_camera_refinement.py",
     "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
     "samplers.independent_views": "samplers/test_independent_views.py",
     "samplers.random_background": "samplers/test_random_background.py",
