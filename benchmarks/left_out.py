@@ -16,18 +16,16 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from statistics import fmean
 from time import process_time
 
-from torch import Tensor
-from torch.nn.functional import avg_pool2d
-
+from benchmarks.left_out_scenes import CHANGES, thinned
 from benchmarks.results_plan import CASES, PIPELINES
 from core_rasterizer import Device, open_device
-from registry import PointCloud, RunError, Scene, View
+from registry import PointCloud, RunError, Scene
 from registry.ablation.planning.making import pipeline_digest
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Pipeline
@@ -62,7 +60,7 @@ class Record:
 
     Args:
         case: the data set and how many training views it has before some are left out.
-        half: whether at half the size.
+        changes: made to the scene, by commas; see `benchmarks.left_out_scenes`.
         digest: of the pipeline.
         psnr, ssim: means over the views left out.
         train_psnr: mean over the views trained on.
@@ -72,7 +70,7 @@ class Record:
     """
 
     case: str
-    half: bool
+    changes: str
     digest: str
     seed: int
     psnr: float
@@ -83,49 +81,16 @@ class Record:
     cpu_seconds: float
 
 
-def thinned(scene: Scene) -> Scene:
-    """The scene without its test views, tested on every third training view instead.
-
-    Args:
-        scene: with at least two training views.
-    """
-    kept = tuple(view for index, view in enumerate(scene.train) if index % 3 != 1)
-    tested = tuple(view for index, view in enumerate(scene.train) if index % 3 == 1)
-    return replace(scene, train=kept, test=tested)
-
-
-def halved(view: View) -> View:
-    """The view at half its size, each pixel the mean of four; an odd last row or column is left out."""
-    camera = view.camera
-    smaller = replace(
-        camera,
-        fx=camera.fx / 2,
-        fy=camera.fy / 2,
-        cx=camera.cx / 2,
-        cy=camera.cy / 2,
-        width=camera.width // 2,
-        height=camera.height // 2,
-    )
-    image = _means_of_four(view.image)
-    mask = None if view.mask is None else _means_of_four(view.mask[..., None].float())[..., 0] == 1
-    alpha = None if view.alpha is None else _means_of_four(view.alpha[..., None])[..., 0]
-    return View(view.name, smaller, image, mask, alpha)
-
-
-def _means_of_four(image: Tensor) -> Tensor:
-    return avg_pool2d(image.permute(2, 0, 1), 2).permute(1, 2, 0).contiguous()
-
-
 @dataclass(eq=False)
 class Bench:
     """Trains variants of pipelines; scenes and first points are made once for all that share them.
 
     Args:
-        half: whether photographs are taken at half their size, for a quarter of the time.
+        changes: names of `left_out_scenes.CHANGES`, done to each scene one after the other.
     """
 
     device: Device
-    half: bool
+    changes: tuple[str, ...]
 
     def __post_init__(self) -> None:
         self._points: dict[str, PointCloud] = {}
@@ -148,7 +113,7 @@ class Bench:
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean
         return Record(
             case=case,
-            half=self.half,
+            changes=",".join(self.changes),
             digest=pipeline_digest(pipeline),
             seed=settings.seed,
             psnr=_number(test["psnr"]),
@@ -162,10 +127,9 @@ class Bench:
     def _load(self, case: str) -> Scene:
         pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", SCENES[case])
         scene = thinned(load_scene(pipeline, device=self.device))
-        if not self.half:
-            return scene
-        train, test = (tuple(map(halved, views)) for views in (scene.train, scene.test))
-        return replace(scene, train=train, test=test)
+        for name in self.changes:
+            scene = CHANGES[name](scene)
+        return scene
 
     def _first_points(
         self, case: str, pipeline: Pipeline, parts: Parts, scene: Scene
@@ -189,13 +153,13 @@ def measure(
     bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
 ) -> Iterator[tuple[Variant, Record]]:
     """Every variant on every case with every seed; what is recorded already is not trained again."""
-    known = {(record.case, record.half, record.digest): record for record in _recorded()}
+    known = {(record.case, record.changes, record.digest): record for record in _recorded()}
     for case in cases:
         for seed in range(seeds):
             for variant in variants:
                 overrides = [*variant.overrides, f"training.seed={seed}"]
                 built = build_pipeline(pipeline, overrides)
-                key = (case, bench.half, pipeline_digest(built))
+                key = (case, ",".join(bench.changes), pipeline_digest(built))
                 if key not in known:
                     known[key] = bench.trial(case, built)
                     _record(known[key])
@@ -247,9 +211,11 @@ def main() -> int:
         "--cases", default=DEFAULT_CASES, help="by commas; of: " + ", ".join(SCENES)
     )
     parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 on")
-    parser.add_argument("--half", action="store_true", help="photographs at half their size")
+    parser.add_argument(
+        "--change", action="append", default=[], choices=CHANGES, help="what is done to the scenes"
+    )
     arguments = parser.parse_args()
-    bench, results = Bench(open_device(), arguments.half), []
+    bench, results = Bench(open_device(), tuple(arguments.change)), []
     cases = arguments.cases.split(",")
     for variant, record in measure(
         bench, arguments.pipeline, arguments.variants, cases, arguments.seeds
