@@ -86,7 +86,8 @@ def rigid_motion(rotation: Tensor, translation: Tensor) -> Tensor:
         torch.stack([-y, x, zero, translation[2]]),
         torch.zeros(4, dtype=torch.float64),
     )
-    return torch.linalg.matrix_exp(torch.stack(rows))
+    motion: Tensor = torch.linalg.matrix_exp(torch.stack(rows))
+    return motion
 
 
 @hookimpl

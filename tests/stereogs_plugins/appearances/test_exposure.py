@@ -13,10 +13,10 @@ from stereogs_plugins.appearances.exposure import Exposure, stereogs_register_ap
 from tests.stereogs_plugins.building import build, offered, some_gaussians
 
 
-def begun(**settings: float) -> tuple[Exposure, list[Step], tuple[Tensor, ...]]:
+def begun() -> tuple[Exposure, list[Step], tuple[Tensor, ...]]:
     """The component, a step of each training view, and the views' maps."""
     scene = tiny_scene()
-    exposure = build(Exposure, **settings)
+    exposure = build(Exposure)
     exposure.begin_training(scene.for_training())
     step = step_of(GaussianModel(some_gaussians([0.1], [0.5]), open_device()), scene)
     steps = [replace(step, sample=replace(step.sample, view=v)) for v in step.scene.train]
@@ -75,7 +75,7 @@ def test_gradients_reach_the_picture_and_the_views_own_map() -> None:
 
 def test_photographs_of_different_exposure_are_told_apart() -> None:
     """Two photographs of one grey wall, 0.4 and 0.6: the maps explain the difference, the wall stays."""
-    exposure, steps, maps = begun(learning_rate=5e-3)
+    exposure, steps, maps = begun()
     adam = torch.optim.Adam(maps, lr=5e-3)
     wall = torch.full((4, 4, 3), 0.5)
     for iteration in range(200):
