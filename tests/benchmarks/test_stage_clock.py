@@ -28,14 +28,14 @@ def test_a_stage_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> 
 
     def failing() -> None:
         now[0] += 4
-        raise ValueError
+        raise ValueError("it failed")
 
     worker.inner, worker.outer, worker.failing = inner, outer, failing
     clock.wrap(worker, "inner", "inside")
     clock.wrap(worker, "outer", "outside")
     clock.wrap(worker, "failing", "inside")
     assert worker.outer() == 7
-    with pytest.raises(ValueError, match=""):
+    with pytest.raises(ValueError, match="it failed"):
         worker.failing()
     now[0] += 5
     taken = clock.finish()
