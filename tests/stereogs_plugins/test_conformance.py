@@ -143,7 +143,6 @@ ELSEWHERE = {
     "modifiers.depth_density_dropout": "modifiers/test_depth_density_dropout.py",
     "modifiers.opacity_noise": "modifiers/test_opacity_noise.py",
     "opacity.expected_opacity": "opacity/test_expected_opacity.py",
-    "perturbations.iterate_averaging": "perturbations/test_iterate_averaging.py",
     "perturbations.position_noise": "perturbations/test_position_noise.py",
     "priors.dis_flow": "priors/test_dis_flow.py",
     "priors.onnx_flow": "priors/test_onnx_flow.py",
