@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
+    from .view_parameters import ViewParameters
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -140,6 +141,7 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
+    "ViewParameters",
     "ViewsScored",
     "cache",
     "epipolar_distances",

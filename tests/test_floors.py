@@ -15,7 +15,7 @@ MOST_ROOMS = 12
 FLOORS = (
     ("errors", "system", "messages", "web_page"),
     ("contract", "cache", "image_fitting", "calls"),
-    ("drawing", "plugins", "photos", "virtual_views"),
+    ("drawing", "plugins", "photos", "view_parameters", "virtual_views"),
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),

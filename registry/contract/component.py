@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
+    from .scene import TrainingScene
+
 
 class Settings(pydantic.BaseModel):
     """Base of every component's settings: immutable, unknown keys refused.
@@ -107,6 +109,12 @@ class Component(Generic[SettingsType]):
         self.settings = settings
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)
+
+    def begin_training(self, scene: TrainingScene) -> None:
+        """Look at the scene, before `parameters` is asked and before the first iteration.
+
+        Asked once of each component of the training loop, in a run that is resumed before `restore`.
+        """
 
     def parameters(self) -> Sequence[ParameterGroup]:
         """Numbers of one's own that take part in the loss; the host steps and saves them."""

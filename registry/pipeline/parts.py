@@ -95,6 +95,12 @@ class Parts:
     def __iter__(self) -> Iterator[Part]:
         return (part for parts in self._parts.values() for part in parts)
 
+    @property
+    def training(self) -> Iterator[Part]:
+        """Those that are asked within the training loop."""
+        asked = (parts for name, parts in self._parts.items() if name in TRAINING_SECTIONS)
+        return (part for parts in asked for part in parts)
+
     def one(self, section: str) -> Part:
         """The component of a section that holds exactly one."""
         (part,) = self._parts[section]

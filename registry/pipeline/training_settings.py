@@ -32,6 +32,8 @@ class LearningRates(Settings):
     """Of the logarithms of the scales."""
     rotation: Rate = 1e-3
     """Of the quaternions."""
+    final_share: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """What is left at the end of all rates but that of the means; half a cosine leads there."""
 
 
 class TrainingSettings(Settings):

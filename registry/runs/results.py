@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from core_rasterizer import ExplainedError
@@ -23,7 +24,7 @@ from .folder import RunFolder
 from .origin.provenance import describe_device
 
 if TYPE_CHECKING:
-    from .run import Run
+    from .run import Run, Stages
 
 RENDERS = "renders"
 EXPORTS = "exports"
@@ -40,14 +41,11 @@ def finish(run: Run) -> None:
     folder = run.folder_or_refuse()
     before = folder.results()
     scores = score(run)
-    stages = run.seconds.rounded()
     results = jsonable(
         {
             **describe(run),
             "initialization": run.initialization,
-            "seconds": stages["training"],
-            "seconds_total": round(sum(stages.values()), 3),
-            "stages": stages,
+            **_times(run.seconds),
             "iterations_per_second": round(run.iteration / max(run.seconds.training, 1e-9), 3),
             "peak_memory_mb": peak_memory_mb(),
             "changed_inputs": folder.inputs()[1],
@@ -56,7 +54,17 @@ def finish(run: Run) -> None:
     )
     if before.get("hash", results["hash"]) != results["hash"]:
         _log.warning("the hash was %s when the run was finished before", before["hash"])
+    begin = monotonic()
     _write_with_outputs(run, results)
+    run.seconds.outputs = monotonic() - begin
+    folder.write_results(results | _times(run.seconds))
+
+
+def _times(stages: Stages) -> dict[str, Any]:
+    """Seconds of training, of everything, and of each stage."""
+    rounded = stages.rounded()
+    total = round(sum(rounded.values()), 3)
+    return {"seconds": rounded["training"], "seconds_total": total, "stages": rounded}
 
 
 def renew(run: Run) -> dict[str, Any]:

@@ -50,12 +50,16 @@ class Picture(NamedTuple):
 
 @dataclass
 class Stages:
-    """Seconds of wall-clock time that each stage took; after a resume, the loading done last counts."""
+    """Seconds of wall-clock time that each stage took; after a resume, the loading done last counts.
+
+    `outputs` is what exporters and reports take. Imports are nobody's: they come before a run begins.
+    """
 
     scene: float = 0.0
     initialization: float = 0.0
     training: float = 0.0
     evaluation: float = 0.0
+    outputs: float = 0.0
 
     def rounded(self) -> dict[str, float]:
         """By name, to milliseconds."""

@@ -95,7 +95,7 @@ def check(
 
 def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -> Any:
     """What a new component answers to the question of its kind, and that its state can be had."""
-    built = component(settings, Context(UNDER_TEST, 7, bench.device))
+    built = _built(component, settings, bench)
     try:
         answer = ASK[point_of(component).section](bench, built)
     except Refusal as refusal:
@@ -104,7 +104,7 @@ def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -
     state = built.state()
     for name, value in state.items():
         require(isinstance(value, Tensor), f"state()[{name!r}] is not a tensor")
-    other = component(settings, Context(UNDER_TEST, 7, bench.device))
+    other = _built(component, settings, bench)
     other.restore({name: value.clone() for name, value in state.items()})
     require(same(other.state(), state), "restore() does not bring back what state() returned")
     return answer
@@ -112,7 +112,15 @@ def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -
 
 def _at_size(component: type[Component[Any]], settings: Settings, small: Bench, size: Size) -> Cost:
     """What an answer at another size costs."""
-    built = component(settings, Context(UNDER_TEST, 7, small.device))
     bench = Bench(small.device, small.priors, size)
+    built = _built(component, settings, bench)
     ASK[point_of(component).section](bench, built)
     return Cost(bench.seconds, bench.megabytes)
+
+
+def _built(component: type[Component[Any]], settings: Settings, bench: Bench) -> Component[Any]:
+    """A new component that has seen the scene."""
+    built = component(settings, Context(UNDER_TEST, 7, bench.device))
+    if point_of(component).section in TRAINING_SECTIONS:
+        built.begin_training(bench.scene.for_training())
+    return built

@@ -104,6 +104,9 @@ class Field:
         self.index, self.parts, self.model = index, parts, model
         self.kinds = dict(kinds or {})
         self.optimizer = Adam(model)
+        for part in parts.training:
+            with part.at_work(lent=around.lent):
+                part.component.begin_training(around.scene)
         self.parameters = ComponentParameters(parts)
         self.logged: dict[str, float] = {}
         self._around, self._settings = around, around.settings

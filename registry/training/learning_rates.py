@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from math import cos, pi
+
 from ..pipeline.training_settings import TrainingSettings
 
 
 def learning_rates(iteration: int, settings: TrainingSettings, extent: float) -> dict[str, float]:
     """The learning rate of each parameter group of `core_rasterizer.Adam`.
 
-    Only that of the means changes: log-linear from `position` to `position_final` (3DGS).
+    That of the means goes log-linearly from `position` to `position_final` (3DGS), the others along half
+    a cosine from what they are to `final_share` of it (Loshchilov and Hutter 2017, SGDR, eq. 5).
 
     Args:
         iteration: 1-based.
@@ -21,11 +24,13 @@ def learning_rates(iteration: int, settings: TrainingSettings, extent: float) ->
         position = rates.position * (rates.position_final / rates.position) ** progress
     else:  # a logarithm has no zero; go there in a straight line
         position = rates.position + (rates.position_final - rates.position) * progress
+    half_cosine = (1 + cos(pi * iteration / settings.iterations)) / 2
+    share = rates.final_share + (1 - rates.final_share) * half_cosine
     return {
         "means": position * extent,
-        "sh_constant": rates.sh_constant,
-        "sh_rest": rates.sh_rest,
-        "opacity_logits": rates.opacity,
-        "log_scales": rates.scale,
-        "quaternions": rates.rotation,
+        "sh_constant": share * rates.sh_constant,
+        "sh_rest": share * rates.sh_rest,
+        "opacity_logits": share * rates.opacity,
+        "log_scales": share * rates.scale,
+        "quaternions": share * rates.rotation,
     }

@@ -49,11 +49,10 @@ class ExposureSettings(r.Settings):
 
 
 class ToyExposure(r.Appearance[ExposureSettings]):
-    """One brightness for all photographs, trained along."""
+    """One brightness for all photographs, trained along; made when the scene is shown."""
 
-    def __init__(self, settings: ExposureSettings, context: r.Context) -> None:
-        super().__init__(settings, context)
-        self.factor = torch.ones((), requires_grad=True)
+    def begin_training(self, scene: r.TrainingScene) -> None:
+        self.factor = torch.full((), len(scene.train) / 2.0, requires_grad=True)  # there are two
 
     def parameters(self) -> Sequence[r.ParameterGroup]:
         return [r.ParameterGroup("factor", [self.factor], self.settings.learning_rate)]

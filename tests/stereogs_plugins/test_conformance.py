@@ -138,6 +138,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
 ELSEWHERE = {
     "exporters.spz": "exporters/test_spz.py",
     "exporters.video": "exporters/test_video.py",
+    "appearances.exposure": "appearances/test_exposure.py",
     "densification.co_pruning": "densification/test_co_pruning.py",
     "densification.faint_growth": "densification/test_faint_growth.py",
     "densification.proximity_unpooling": "densification/test_proximity_unpooling.py",
@@ -171,6 +172,7 @@ ELSEWHERE = {
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",
     "regularizers.virtual_stereo": "regularizers/test_virtual_stereo.py",
     "scene.photos": "scenes/test_photos.py",
+    "samplers.camera_refinement": "samplers/test_camera_refinement.py",
     "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
     "samplers.independent_views": "samplers/test_independent_views.py",
     "samplers.random_background": "samplers/test_random_background.py",

@@ -70,6 +70,18 @@ def test_rates_of_zero_are_possible() -> None:
     assert learning_rates(50, settings, 1.0)["means"] == pytest.approx(0.8e-4)
 
 
+def test_the_other_rates_end_in_their_share_along_half_a_cosine() -> None:
+    settings = TrainingSettings(iterations=100, learning_rates=LearningRates(final_share=0.2))
+    known = {"sh_constant": 2.5e-3, "opacity_logits": 0.05, "log_scales": 5e-3, "quaternions": 1e-3}
+    for iteration, share in ((50, 0.6), (75, 0.2 + 0.8 * (1 - 2**-0.5) / 2), (100, 0.2)):
+        rates = learning_rates(iteration, settings, 1.0)
+        for name, rate in known.items():
+            assert rates[name] == pytest.approx(share * rate), (iteration, name)
+        plain = learning_rates(iteration, TrainingSettings(iterations=100), 1.0)
+        assert rates["means"] == plain["means"]
+        assert plain["sh_constant"] == 2.5e-3  # without a share, to the last bit
+
+
 def test_seeds_are_the_same_on_every_machine() -> None:
     assert derived_seed(0, "views") == 4875131893980719605
     assert derived_seed(1, "views") != derived_seed(0, "views")

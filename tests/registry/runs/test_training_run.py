@@ -75,7 +75,9 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert (results["iterations"], len(results["hash"])) == (30, 64)
     assert results["gaussians"] > 0
     assert results["seconds"] > 0
-    assert list(results["stages"]) == ["scene", "initialization", "training", "evaluation"]
+    stages = ["scene", "initialization", "training", "evaluation", "outputs"]
+    assert list(results["stages"]) == stages
+    assert min(results["stages"].values()) > 0
     assert results["stages"]["training"] == results["seconds"]
     assert results["stages"]["initialization"] == results["initialization"]["seconds"] > 0
     assert results["seconds_total"] == pytest.approx(sum(results["stages"].values()))

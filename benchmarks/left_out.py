@@ -1,0 +1,230 @@
+"""Pipelines judged on training views that they did not see: `python -m benchmarks.left_out`.
+
+Every third of a data set's training views is left out, the middle one of each three; the pipeline
+trains on the others and is scored on those. Test views play no part, so that settings may be chosen
+here. A variant is a line of overrides, as for `--set`:
+
+    python -m benchmarks.left_out plain "more dropout: modifiers.dropout.rate=0.3"
+
+prints what each variant gains over the first. Records lie in `benchmarks/out/left_out.jsonl`; what is
+there with the same pipeline is not trained again (a change of the code is not seen: remove the file).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+from time import process_time
+
+from benchmarks.left_out_scenes import CHANGES, thinned
+from benchmarks.results_plan import CASES, PIPELINES
+from core_rasterizer import Device, open_device
+from registry import PointCloud, RunError, Scene
+from registry.ablation.planning.making import pipeline_digest
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import Pipeline
+from registry.runs.evaluation import evaluate
+from registry.session import build_pipeline, load_scene
+from registry.training.initial_model import initial_gaussians, new_model
+from registry.training.threads import one_torch_thread
+from registry.training.trainer import Trainer
+
+OUT = Path(__file__).parent / "out" / "left_out.jsonl"
+DEFAULT_CASES = "llff_fern-6,llff_flower-6,dtu_scan24-6,dtu_scan65-6"
+SCENES = {f"{case.data}-{case.views}": case.overrides for case in CASES}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A name, and what `--set` would say to the pipeline."""
+
+    name: str
+    overrides: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> Variant:
+        """Read "name" or "name: one=1; two=2"."""
+        name, _, overrides = text.partition(":")
+        return cls(name.strip(), tuple(part.strip() for part in overrides.split(";") if part))
+
+
+@dataclass(frozen=True)
+class Record:
+    """One training.
+
+    Args:
+        case: the data set and how many training views it has before some are left out.
+        changes: made to the scene, by commas; see `benchmarks.left_out_scenes`.
+        digest: of the pipeline.
+        psnr, ssim: means over the views left out.
+        train_psnr: mean over the views trained on.
+        gaussians: at the end.
+        initial_cpu_seconds: depth and first points; 0 if an earlier trial of this process made them.
+        cpu_seconds: of the training, all threads together.
+    """
+
+    case: str
+    changes: str
+    digest: str
+    seed: int
+    psnr: float
+    ssim: float
+    train_psnr: float
+    gaussians: int
+    initial_cpu_seconds: float
+    cpu_seconds: float
+
+
+@dataclass(eq=False)
+class Bench:
+    """Trains variants of pipelines; scenes and first points are made once for all that share them.
+
+    Args:
+        changes: names of `left_out_scenes.CHANGES`, done to each scene one after the other.
+    """
+
+    device: Device
+    changes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self._points: dict[str, PointCloud] = {}
+        self._scene = cache(self._load)
+
+    @one_torch_thread()
+    def trial(self, case: str, pipeline: Pipeline) -> Record:
+        """Train one pipeline on one case."""
+        settings = pipeline.training
+        scene = self._scene(case)
+        parts = Parts(pipeline, self.device)
+        begin = process_time()
+        points = self._first_points(case, pipeline, parts, scene)
+        had_points = process_time()
+        model = new_model(initial_gaussians(points, settings), settings, self.device)
+        for _ in Trainer(settings, parts, scene, model, points.maps).run():
+            pass
+        trained = process_time()
+        test = evaluate(model, scene, scene.test, parts["metrics"]).mean
+        train = evaluate(model, scene, scene.train, parts["metrics"]).mean
+        return Record(
+            case=case,
+            changes=",".join(self.changes),
+            digest=pipeline_digest(pipeline),
+            seed=settings.seed,
+            psnr=_number(test["psnr"]),
+            ssim=_number(test["ssim"]),
+            train_psnr=_number(train["psnr"]),
+            gaussians=model.count,
+            initial_cpu_seconds=round(had_points - begin, 1),
+            cpu_seconds=round(trained - had_points, 1),
+        )
+
+    def _load(self, case: str) -> Scene:
+        pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", SCENES[case])
+        scene = thinned(load_scene(pipeline, device=self.device))
+        for name in self.changes:
+            scene = CHANGES[name](scene)
+        return scene
+
+    def _first_points(
+        self, case: str, pipeline: Pipeline, parts: Parts, scene: Scene
+    ) -> PointCloud:
+        items = (*pipeline.items["initializer"], *pipeline.items["priors"])
+        settings = [item.settings.model_dump_json() for item in items]
+        key = json.dumps([case, [item.offer.name for item in items], settings])
+        if key not in self._points:
+            initializer = parts.one("initializer").component
+            self._points[key] = initializer.initialize(scene.for_training(), parts.priors)
+        return self._points[key]
+
+
+def _number(score: float | None) -> float:
+    if score is None:
+        raise RunError("a view has no score", fix="choose a case whose views have one")
+    return round(score, 4)
+
+
+def measure(
+    bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
+) -> Iterator[tuple[Variant, Record]]:
+    """Every variant on every case with every seed; what is recorded already is not trained again."""
+    known = {(record.case, record.changes, record.digest): record for record in _recorded()}
+    for case in cases:
+        for seed in range(seeds):
+            for variant in variants:
+                overrides = [*variant.overrides, f"training.seed={seed}"]
+                built = build_pipeline(pipeline, overrides)
+                key = (case, ",".join(bench.changes), pipeline_digest(built))
+                if key not in known:
+                    known[key] = bench.trial(case, built)
+                    _record(known[key])
+                yield variant, known[key]
+
+
+def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
+    """Means of each variant, and what it gains over the first on the same cases and seeds."""
+    lines = [
+        "| variant | PSNR | SSIM | gain dB, mean | by case | training views | CPU s | Gaussians |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    rows = {v.name: [r for one, r in results if one == v] for v in variants}
+    first = rows[variants[0].name]
+    for name, records in rows.items():
+        gains = [a.psnr - b.psnr for a, b in zip(records, first, strict=True)]
+        cases = dict.fromkeys(record.case for record in records)
+        by_case = [
+            fmean(g for g, r in zip(gains, records, strict=True) if r.case == case)
+            for case in cases
+        ]
+        lines.append(
+            f"| {name} | {fmean(r.psnr for r in records):.2f} | {fmean(r.ssim for r in records):.4f} "
+            f"| {fmean(gains):+.3f} | {' '.join(f'{gain:+.2f}' for gain in by_case)} "
+            f"| {fmean(r.train_psnr for r in records):.2f} "
+            f"| {fmean(r.cpu_seconds for r in records):.1f} "
+            f"| {fmean(r.gaussians for r in records):,.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def _recorded() -> list[Record]:
+    if not OUT.is_file():
+        return []
+    return [Record(**json.loads(line)) for line in OUT.read_text().splitlines()]
+
+
+def _record(record: Record) -> None:
+    OUT.parent.mkdir(exist_ok=True)
+    with OUT.open("a") as file:
+        file.write(json.dumps(asdict(record)) + "\n")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("variants", nargs="+", type=Variant.parse, help='"name: one=1; two=2"')
+    parser.add_argument("--pipeline", type=Path, default=PIPELINES / "weightfree_fast.yaml")
+    parser.add_argument(
+        "--cases", default=DEFAULT_CASES, help="by commas; of: " + ", ".join(SCENES)
+    )
+    parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 on")
+    parser.add_argument(
+        "--change", action="append", default=[], choices=CHANGES, help="what is done to the scenes"
+    )
+    arguments = parser.parse_args()
+    bench, results = Bench(open_device(), tuple(arguments.change)), []
+    cases = arguments.cases.split(",")
+    for variant, record in measure(
+        bench, arguments.pipeline, arguments.variants, cases, arguments.seeds
+    ):
+        print(f"{record.case} seed {record.seed} {variant.name}: {record}", flush=True)
+        results.append((variant, record))
+    print(table(results, arguments.variants))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""Where a process spends its time: a clock of stages within stages, and one training run under it.
+
+    python -m benchmarks.stage_clock RECORD.json train pipelines/weightfree_fast.yaml ...
+
+runs `stereogs` with the arguments after the first and writes what each stage took. The functions that
+make a stage are wrapped from outside; what the project runs is what it always runs.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+BORN = "STAGE_CLOCK_BORN"
+"""Environment variable with the reading of `time.monotonic` just before the process was started."""
+REST = "everything else"
+IMPORTS = "imports"
+INTERPRETER = "interpreter"
+
+
+class StageClock:
+    """Seconds of each stage by itself, what lies within another stage not counted twice.
+
+    CPU seconds are those of all threads while the stage was at work.
+    """
+
+    def __init__(self, born: float) -> None:
+        wall, cpu = time.monotonic(), time.process_time()
+        self.taken: dict[str, list[float]] = {INTERPRETER: [wall - born, cpu]}
+        self._open = [REST]
+        self._last = (wall, cpu)
+
+    def _charge(self) -> None:
+        now = (time.monotonic(), time.process_time())
+        row = self.taken.setdefault(self._open[-1], [0.0, 0.0])
+        for index in range(2):
+            row[index] += now[index] - self._last[index]
+        self._last = now
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """A block that belongs to a stage."""
+        self._charge()
+        self._open.append(name)
+        try:
+            yield
+        finally:
+            self._charge()
+            self._open.pop()
+
+    def wrap(self, owner: Any, attribute: str, name: str) -> None:
+        """Count every call of a function or method as a stage."""
+        inner: Callable[..., Any] = getattr(owner, attribute)
+
+        @functools.wraps(inner)
+        def timed(*arguments: Any, **options: Any) -> Any:
+            with self.stage(name):
+                return inner(*arguments, **options)
+
+        setattr(owner, attribute, timed)
+
+    def wrap_imports(self) -> None:
+        """Count every import that is not within another one, those inside functions too."""
+        inner = builtins.__import__
+
+        def timed(name: str, *arguments: Any, **options: Any) -> Any:
+            if self._open[-1] == IMPORTS:
+                return inner(name, *arguments, **options)
+            with self.stage(IMPORTS):
+                return inner(name, *arguments, **options)
+
+        builtins.__import__ = timed
+
+    def finish(self) -> dict[str, list[float]]:
+        """Wall and CPU seconds by stage."""
+        self._charge()
+        return self.taken
+
+
+def wrap_stages(clock: StageClock) -> None:
+    """Have the stages of a training run counted."""
+    from core_rasterizer.device.program import Program
+    from registry.priors.capabilities import MultiViewDepthPrior
+    from registry.runs import results, run, training_run
+    from registry.runs.run import Run
+    from registry.training.field import Field
+    from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
+
+    clock.wrap(Program, "__init__", "kernels built or loaded")
+    clock.wrap(training_run, "load_scene", "photographs")
+    clock.wrap(MultiViewDepthPrior, "depths", "depth prior")
+    clock.wrap(ConsistencyDense, "initialize", "points")
+    clock.wrap(training_run, "initial_gaussians", "points")
+    for method, name in (
+        ("begin", "iteration: schedules and samples"),
+        ("render", "iteration: modifiers and render"),
+        ("differentiate", "iteration: loss and backward pass"),
+        ("update_opacities", "iteration: opacity policies"),
+        ("change_topology", "iteration: densification"),
+        ("step_optimizer", "iteration: Adam"),
+        ("perturb", "iteration: perturbations"),
+    ):
+        clock.wrap(Field, method, name)
+    clock.wrap(Run, "keep_in", "run folder and checkpoints")
+    clock.wrap(run, "save_checkpoint", "run folder and checkpoints")
+    clock.wrap(results, "_write_with_outputs", "results and export")
+    clock.wrap(Run, "evaluate", "evaluation")
+
+
+def main() -> int:
+    clock = StageClock(float(os.environ[BORN]))
+    clock.wrap_imports()
+    from registry.cli import main as stereogs
+
+    wrap_stages(clock)
+    status = stereogs(sys.argv[2:])
+    Path(sys.argv[1]).write_text(json.dumps(clock.finish()))
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from benchmarks.left_out import Record, Variant, table
+from benchmarks.left_out_scenes import TURN, exposed, half, thinned, turned
+from core_rasterizer import Camera
+from registry import Scene, View
+
+
+def scene_of(count: int) -> Scene:
+    """Views 6 x 4 pixels; their numbers are their colours."""
+    camera = Camera.centered(torch.eye(4), 50.0, 6, 4)
+    views = [View(str(i), camera, torch.full((4, 6, 3), i / count)) for i in range(count)]
+    return Scene("views", tuple(views), (View("test", camera, torch.ones(4, 6, 3)),), (1.0, 9.0))
+
+
+@pytest.mark.parametrize(
+    ("count", "left_out"), [(2, "1"), (3, "1"), (6, "1 4"), (8, "1 4 7"), (9, "1 4 7")]
+)
+def test_every_third_view_is_left_out_and_no_test_view_stays(count: int, left_out: str) -> None:
+    scene = thinned(scene_of(count))
+    assert [view.name for view in scene.test] == left_out.split()
+    assert sorted([v.name for v in (*scene.train, *scene.test)]) == [str(i) for i in range(count)]
+
+
+def test_a_point_stays_where_it_is_in_a_half_sized_photograph() -> None:
+    scene = scene_of(3)
+    image = torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0))
+    scene = replace(scene, train=(replace(scene.train[0], image=image), *scene.train[1:]))
+    small, view = half(scene).train[0], scene.train[0]
+    assert small.image.shape == (2, 3, 3)
+    torch.testing.assert_close(small.image[1, 2], image[2:4, 4:6].mean(dim=(0, 1)))
+    point = torch.tensor([[0.1, -0.2, 5.0]], dtype=torch.float64)
+    for whole, halved in zip(
+        view.camera.project(point)[:2], small.camera.project(point)[:2], strict=True
+    ):
+        torch.testing.assert_close(halved, whole / 2)
+
+
+def test_cameras_are_turned_by_as_much_as_it_says_and_not_on_average() -> None:
+    scene = thinned(scene_of(9))
+    off = []
+    for before, after in zip(scene.train, turned(scene).train, strict=True):
+        ahead = after.camera.unproject(*(torch.tensor([x]).double() for x in (3.0, 2.0, 1.0)))
+        u, v, _ = before.camera.project(ahead)
+        off.append(torch.cat([u - 3.0, v - 2.0]))
+        assert torch.equal(after.image, before.image)
+    assert float(torch.stack(off).square().sum(dim=1).mean().sqrt()) == pytest.approx(
+        TURN, rel=0.01
+    )
+    assert float(torch.stack(off).mean(dim=0).norm()) < 0.01
+
+
+def test_exposures_differ_and_the_views_left_out_keep_theirs() -> None:
+    before = thinned(scene_of(9))
+    after = exposed(before)
+    ratios = torch.stack(
+        [
+            (a.image / b.image).mean(dim=(0, 1))
+            for a, b in zip(after.train, before.train, strict=True)
+            if 0 < float(b.image.mean()) < 0.6
+        ]
+    )
+    assert float(ratios.std(dim=0).min()) > 0.02
+    assert after.test == before.test
+
+
+def test_a_table_compares_with_the_first_variant_case_by_case() -> None:
+    first, second = Variant.parse("plain"), Variant.parse("more: a.b=1; c=[2, 3]")
+    assert second.overrides == ("a.b=1", "c=[2, 3]")
+
+    def record(case: str, psnr: float) -> Record:
+        return Record(case, "", "0", 0, psnr, 0.5, 30.0, 1000, 1.0, 2.0)
+
+    results = [
+        (first, record("a", 20.0)),
+        (second, record("a", 20.5)),
+        (first, record("b", 10.0)),
+        (second, record("b", 9.0)),
+    ]
+    assert "| more | 14.75 | 0.5000 | -0.250 | +0.50 -1.00 |" in table(results, [first, second])
