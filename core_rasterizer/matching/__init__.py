@@ -6,7 +6,8 @@ from ..first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .feature_sweep import FeatureSweep
-    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
+    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS, MOST_PATCH_SOURCES
+    from .patch_match import PatchMatch, PlaneMap
     from .plane_sweep import ZnccSweep
     from .rectified import census_costs, feature_costs, right_costs, zncc_costs
     from .semi_global import CostVolume, Penalties, aggregate, pick
@@ -19,9 +20,12 @@ __all__ = [
     "LARGEST_PENALTY",
     "MAX_RADIUS",
     "MAX_SWEEP_RADIUS",
+    "MOST_PATCH_SOURCES",
     "CostVolume",
     "FeatureSweep",
+    "PatchMatch",
     "Penalties",
+    "PlaneMap",
     "ZnccSweep",
     "aggregate",
     "census_costs",
