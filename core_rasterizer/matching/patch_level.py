@@ -29,7 +29,6 @@ class PatchLevel:
         cameras: of any sizes and principal points.
         nearness: (lowest, highest) inverse z-depth of a plane at its pixel, world units^-1.
         radius: of the windows, pixels.
-        stride: every so many pixels of a window are compared, in both directions.
         seed: of the random numbers.
     """
 
@@ -41,7 +40,6 @@ class PatchLevel:
         nearness: tuple[float, float],
         *,
         radius: int,
-        stride: int,
         seed: int,
     ) -> None:
         self._device, self.cameras, self._seed = device, tuple(cameras), seed
@@ -50,7 +48,6 @@ class PatchLevel:
         self._range = tuple(np.float32(value) for value in nearness)
         self._defines = {
             "RADIUS": radius,
-            "STRIDE": stride,
             "LEVELS": GREY_LEVELS,
             "MOST_SOURCES": MOST_PATCH_SOURCES,
             "REFINEMENTS": REFINEMENTS,

@@ -41,10 +41,10 @@ class Round:
 
 SCHEDULE = (
     Round(4, 8, 0.0),
-    Round(4, 3, 0.1),
-    Round(2, 3, 0.1),
-    Round(1, 2, 0.2),
-    Round(1, 1, 0.2),
+    Round(4, 3, 0.05),
+    Round(2, 3, 0.05),
+    Round(1, 2, 0.05),
+    Round(1, 1, 0.05),
 )
 
 
@@ -72,7 +72,6 @@ class PatchMatch:
         cameras: of any sizes and principal points.
         bounds: (near, far) z-depth between which surfaces are looked for, world units, 0 < near < far.
         radius: of the windows, pixels.
-        stride: every so many pixels of a window are compared, in both directions.
         seed: of the random numbers; the same seed and device give the same bits.
 
     Raises:
@@ -86,8 +85,7 @@ class PatchMatch:
         cameras: Sequence[Camera],
         bounds: tuple[float, float],
         *,
-        radius: int = 5,
-        stride: int = 2,
+        radius: int = 3,
         seed: int = 0,
     ) -> None:
         near, far = bounds
@@ -114,7 +112,6 @@ class PatchMatch:
                 smaller,
                 (1 / far, 1 / near),
                 radius=radius,
-                stride=stride,
                 seed=seed,
             )
 

@@ -34,7 +34,7 @@ class PatchMatchSettings(Settings):
     """Nothing is farther than so many times the scene's far bound."""
     max_sources: int = Field(5, ge=1, le=MOST_PATCH_SOURCES)
     """Each view is compared with so many others at most: those that see the same under a good angle."""
-    radius: int = Field(5, ge=1, le=12)
+    radius: int = Field(3, ge=1, le=12)
     """Radius of the windows that are compared, pixels; every second pixel counts."""
     seed: int = Field(0, ge=0, lt=2**32)
     """Of the random planes. The pipeline's own seed does not change a prior's answer."""

@@ -14,12 +14,15 @@
  * depths start in `known`.
  */
 
-#define SIDE (2 * RADIUS / STRIDE + 1)
-#define SAMPLES (SIDE * SIDE)
+/* Windows are compared in every second pixel, like the fields of one colour of a chess board. */
+#define SIDE (2 * RADIUS + 1)
+#define SAMPLES ((SIDE * SIDE + 1) / 2)
+#define FIRST_IN_ROW(v) (((v) + RADIUS) % 2 - RADIUS)
 #define SOURCE_NUMBERS 24
 #define SOURCE_LAYOUT 4
 #define COLOR_FALLOFF 3.125f /* 1 / (2 * 0.4^2), for grey values in [-1, 1] */
 #define NOISE 4e-6f /* variance of grey values that counts as no texture */
+#define FORGIVEN 1.0f /* pixels by which views may disagree, since depths are read pixel by pixel */
 #define MOST_MISSED 3.0f /* pixels; views that disagree by more are as wrong as any */
 #define LEAST_WEIGHT 0.01f /* a source view of less is not asked */
 #define WORST 2.0f /* of NCC = -1, and where a view does not see the point */
@@ -116,10 +119,10 @@ static inline void look_around(
     lane values[SAMPLES], total = (lane)0, mean = (lane)0;
     here->x = FROM_INT(x) + 0.5f;
     here->y = (lane)(y + 0.5f);
-    for (int i = 0, v = -RADIUS; v <= RADIUS; v += STRIDE) {
+    for (int i = 0, v = -RADIUS; v <= RADIUS; v++) {
         const int row = clamp(y + v, 0, height - 1);
         const lane_int row_within = (lane_int)(row == y + v ? -1 : 0);
-        for (int u = -RADIUS; u <= RADIUS; u += STRIDE, i++) {
+        for (int u = FIRST_IN_ROW(v); u <= RADIUS; u += 2, i++) {
             const lane_int column = x + u;
             const lane_int within = (column >= 0) & (column < width) & row_within;
             values[i] = gather_real(grey, row * width + limited(column, width - 1));
@@ -176,11 +179,11 @@ static inline lane photometric_cost(
     const lane down_x = m[1] + on.down * m[9] - 0.5f * down_z;
     const lane down_y = m[4] + on.down * m[10] - 0.5f * down_z;
     lane sum = (lane)0, squares = (lane)0, covariance = (lane)0;
-    for (int i = 0, v = -RADIUS; v <= RADIUS; v += STRIDE) {
+    for (int i = 0, v = -RADIUS; v <= RADIUS; v++) {
         const lane row_x = x - 0.5f * z + (real)v * down_x;
         const lane row_y = y - 0.5f * z + (real)v * down_y;
         const lane row_z = z + (real)v * down_z;
-        for (int u = -RADIUS; u <= RADIUS; u += STRIDE, i++) {
+        for (int u = FIRST_IN_ROW(v); u <= RADIUS; u += 2, i++) {
             const lane inverse = 1 / (row_z + (real)u * right_z);
             const lane value = sample(pairs + layout[0], width, height,
                                       (row_x + (real)u * right_x) * inverse,
@@ -215,8 +218,9 @@ static inline lane round_trip(
     const lane back_z = m[6] * u + m[7] * v + m[8] + there * m[11];
     const lane back_x = (m[0] * u + m[1] * v + m[2] + there * m[9]) / back_z - here->x;
     const lane back_y = (m[3] * u + m[4] * v + m[5] + there * m[10]) / back_z - here->y;
-    const lane missed = lane_sqrt(back_x * back_x + back_y * back_y);
-    return (seen & (back_z > (lane)0) & (missed < (lane)MOST_MISSED)) ? missed : (lane)MOST_MISSED;
+    const lane missed = lane_sqrt(back_x * back_x + back_y * back_y) - FORGIVEN;
+    const lane_int known_there = seen & (back_z > (lane)0) & (missed < (lane)MOST_MISSED);
+    return known_there ? LANE_MAX(missed, (lane)0) : (lane)MOST_MISSED;
 }
 
 static inline plane load_plane(__global const real *planes, int pixels, lane_int at)
