@@ -36,8 +36,6 @@ class PatchMatchSettings(Settings):
     """Each view is compared with so many others at most: those that see the same under a good angle."""
     radius: int = Field(3, ge=1, le=12)
     """Radius of the windows that are compared, pixels; every second pixel counts."""
-    seed: int = Field(0, ge=0, lt=2**32)
-    """Of the random planes. The pipeline's own seed does not change a prior's answer."""
 
 
 class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
@@ -54,7 +52,8 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
         """Return one depth map for each view.
 
         A depth is valid where the point projects into another view that it was compared with. The
-        confidence is 1 less the cost: of windows that do not match, and of views that disagree.
+        confidence is 1 less the cost: of windows that do not match, and of views that disagree. Random
+        planes are the same for every run, so that the pipeline's seed changes nothing.
 
         Raises:
             PluginError: all cameras stand in one place.
@@ -73,9 +72,7 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
                 fix="use views from different places, or check the poses",
             )
         greys = [grey(view.image) for view in views]
-        matcher = PatchMatch(
-            self.context.device, greys, cameras, reach, radius=settings.radius, seed=settings.seed
-        )
+        matcher = PatchMatch(self.context.device, greys, cameras, reach, radius=settings.radius)
         return [
             DepthMap(
                 found.depth,
