@@ -6,11 +6,13 @@ from ..first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .feature_sweep import FeatureSweep
-    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
+    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS, MOST_PATCH_SOURCES
+    from .patch_match import PatchMatch, PlaneMap
     from .plane_sweep import ZnccSweep
     from .rectified import census_costs, feature_costs, right_costs, zncc_costs
     from .semi_global import CostVolume, Penalties, aggregate, pick
     from .sweep_geometry import seen_by_any
+    from .view_selection import source_views
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -18,9 +20,12 @@ __all__ = [
     "LARGEST_PENALTY",
     "MAX_RADIUS",
     "MAX_SWEEP_RADIUS",
+    "MOST_PATCH_SOURCES",
     "CostVolume",
     "FeatureSweep",
+    "PatchMatch",
     "Penalties",
+    "PlaneMap",
     "ZnccSweep",
     "aggregate",
     "census_costs",
@@ -28,5 +33,6 @@ __all__ = [
     "pick",
     "right_costs",
     "seen_by_any",
+    "source_views",
     "zncc_costs",
 ]

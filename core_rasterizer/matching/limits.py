@@ -8,3 +8,5 @@ MAX_RADIUS = 16
 """Of a window of rectified matching, pixels."""
 MAX_SWEEP_RADIUS = 8
 """Of a window of the plane sweep, pixels."""
+MOST_PATCH_SOURCES = 12
+"""Source views of PatchMatch."""

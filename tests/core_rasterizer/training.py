@@ -19,6 +19,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETER_GROUPS
 from tests.core_rasterizer.options import posed, smoothing_of
 from tests.core_rasterizer.scenes import random_camera
+from tests.core_rasterizer.slanted_wall import matching_digest
 from tests.core_rasterizer.test_model import parameters
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
@@ -73,11 +74,12 @@ def short_training(
 
 
 def main() -> None:
-    """Print the compute units, the raster variant and the digest of every device found."""
+    """For every device: the compute units, the raster variant, and digests of training and matching."""
     for device in list_devices():
         for variant in ("cpu", "gpu"):
             engine = device.as_variant(variant)
-            print(engine.compute_units, variant, short_training(engine), sep="\t")
+            digests = short_training(engine), matching_digest(engine)
+            print(engine.compute_units, variant, *digests, sep="\t")
 
 
 if __name__ == "__main__":

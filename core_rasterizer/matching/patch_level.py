@@ -1,0 +1,169 @@
+"""One scale of PatchMatch on a device: images, planes, and a step that improves them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..device import Device, DeviceArray, Program
+from .limits import MOST_PATCH_SOURCES
+from .sweep_geometry import plane_transfer
+
+GREY_LEVELS = 8191
+"""Grey values are kept as whole numbers up to this, and so are the steps between neighbours."""
+REFINEMENTS = 3
+"""Random changes that a pixel tries in a step: of the depth, of the normal, and of both."""
+
+
+class PatchLevel:
+    """Views at one scale, each with a plane a pixel.
+
+    Args:
+        device: where to compute.
+        images: a grey image `[H, W]` in [0, 1] for each camera, of the camera's size.
+        cameras: of any sizes and principal points.
+        nearness: (lowest, highest) inverse z-depth of a plane at its pixel, world units^-1.
+        radius: of the windows, pixels.
+        seed: of the random numbers.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        images: Sequence[Tensor],
+        cameras: Sequence[Camera],
+        nearness: tuple[float, float],
+        *,
+        radius: int,
+        seed: int,
+    ) -> None:
+        self._device, self.cameras, self._seed = device, tuple(cameras), seed
+        # Work-items of a group of many would each take their room on the stack at once.
+        self._group = (1, 1) if device.variant == "cpu" else None
+        self._range = tuple(np.float32(value) for value in nearness)
+        self._defines = {
+            "RADIUS": radius,
+            "LEVELS": GREY_LEVELS,
+            "MOST_SOURCES": MOST_PATCH_SOURCES,
+            "REFINEMENTS": REFINEMENTS,
+        }
+        pair_ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
+        ends = list(accumulate(camera.width * camera.height for camera in cameras))
+        self._pair_starts, self._starts = [0, *pair_ends[:-1]], [0, *ends[:-1]]
+        self._pairs = DeviceArray(device, (pair_ends[-1],), torch.int32)
+        self._known = DeviceArray(device, (ends[-1],))
+        self._greys = [self._load(index, image) for index, image in enumerate(images)]
+        self.planes = [DeviceArray(device, (4, c.height, c.width)) for c in cameras]
+        self._launches = 0
+
+    def draw(self, view: int) -> None:
+        """Give one view random planes, of unknown cost."""
+        camera = self.cameras[view]
+        self._program().run(
+            "draw_planes",
+            (-(-camera.width // self._device.lanes), camera.height),
+            self._group,
+            self.planes[view],
+            *(np.int32(value) for value in (camera.width, camera.height)),
+            *self._numbers(camera),
+            self._key(view),
+        )
+
+    def costs(self, view: int, sources: Sequence[int]) -> Tensor:
+        """What one view's planes cost in other views: `[S, H, W]`, 1 - NCC, 2 where they are unseen."""
+        camera = self.cameras[view]
+        costs = DeviceArray(self._device, (len(sources), camera.height, camera.width))
+        self._program().run(
+            "plane_costs",
+            (-(-camera.width // self._device.lanes), camera.height),
+            self._group,
+            *(
+                self.planes[view],
+                self._greys[view],
+                self._pairs,
+                *self._sources(view, sources),
+                costs,
+            ),
+            *(np.int32(value) for value in (len(sources), camera.width, camera.height)),
+        )
+        return costs.read().clone()
+
+    def improve(
+        self, view: int, sources: Sequence[int], *, good_cost: float, agreement: float
+    ) -> None:
+        """Let every pixel of one view take the best plane of its own, its neighbours', and some changes.
+
+        Args:
+            good_cost: a source view of lower cost counts as one that matches.
+            agreement: cost of each pixel by which the view and a source view disagree about the depth
+                that was last shared (`share_depths`); 0 asks no other depth.
+        """
+        camera = self.cameras[view]
+        places = self._sources(view, sources)
+        key = self._key(view)
+        for colour in (0, 1):
+            self._program().run(
+                "improve_planes",
+                (-(-camera.width // (2 * self._device.lanes)), camera.height),
+                self._group,
+                *(self.planes[view], self._greys[view], self._pairs, self._known, *places),
+                *(np.int32(value) for value in (len(sources), camera.width, camera.height)),
+                *self._numbers(camera),
+                *(np.float32(good_cost), np.float32(agreement), np.int32(colour), key),
+            )
+
+    def share_depths(self) -> None:
+        """Show all views each other's depths as they are now."""
+        depths = [planes.read(0, 1).flatten() for planes in self.planes]
+        self._known.write(torch.cat(depths))
+
+    def _load(self, view: int, image: Tensor) -> DeviceArray:
+        camera = self.cameras[view]
+        size = (camera.height, camera.width)
+        levels = DeviceArray(self._device, size)
+        centered = image.nan_to_num(0.5).clamp(0, 1) - 0.5
+        levels.write((2 * GREY_LEVELS * centered).round())
+        program = self._device.program("matching/sweep_images", dtype=torch.float32, RADIUS=1)
+        numbers = (camera.width, camera.height, self._pair_starts[view])
+        program.run(
+            "pack_pairs",
+            (camera.width, camera.height + 1),
+            None,
+            *(levels, self._pairs, *map(np.int32, numbers)),
+        )
+        grey = DeviceArray(self._device, size)
+        grey.write(2 * centered)
+        return grey
+
+    def _sources(self, view: int, sources: Sequence[int]) -> tuple[DeviceArray, DeviceArray]:
+        """Ways there and back `[S, 24]`, and where images and depths are `[S, 4]`; see the kernel."""
+        here, rows, places = self.cameras[view], [], []
+        for index in sources:
+            there = self.cameras[index]
+            ways = (*plane_transfer(here, there), *plane_transfer(there, here))
+            rows.append(torch.cat([part.flatten() for part in ways]))
+            size = (there.width, there.height)
+            places.append((self._pair_starts[index], *size, self._starts[index]))
+        numbers = DeviceArray(self._device, (len(sources), 24))
+        numbers.write(torch.stack(rows))
+        layout = DeviceArray(self._device, (len(sources), 4), torch.int32)
+        layout.write(torch.tensor(places))
+        return numbers, layout
+
+    def _numbers(self, camera: Camera) -> tuple[np.float32, ...]:
+        parts = (camera.fx, camera.fy, camera.cx, camera.cy)
+        return (*self._range, *(np.float32(value) for value in parts))
+
+    def _key(self, view: int) -> np.uint32:
+        """Of the random numbers of the next launch."""
+        self._launches += 1
+        mixed = 0x9E3779B1 * self._seed + 0x85EBCA77 * view + 0xC2B2AE3D * self._launches
+        return np.uint32(mixed % 2**32)
+
+    def _program(self) -> Program:
+        return self._device.program("matching/patch_match", dtype=torch.float32, **self._defines)
