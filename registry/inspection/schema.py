@@ -53,7 +53,8 @@ def pipeline_schema(offers: Iterable[Offer]) -> Schema:
     }
     by_section: dict[str, list[Offer]] = {point.section: [] for point in PIPELINE_POINTS}
     for offer in offers:
-        by_section[offer.point.section].append(offer)
+        if offer.point.in_pipeline:
+            by_section[offer.point.section].append(offer)
     for point in PIPELINE_POINTS:
         properties[point.section] = _section(point, by_section[point.section], definitions)
     properties["training"] = {"anyOf": [{"$ref": "#/$defs/training"}, {"type": "null"}]}
