@@ -14,7 +14,17 @@ from collections.abc import Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import check, compare, completion, doctor, explain, plugins, priors, schema
+from .commands import (
+    check,
+    compare,
+    completion,
+    doctor,
+    explain,
+    plugins,
+    priors,
+    schema,
+    view,
+)
 from .commands.batches import ablate, bench
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, export, render, replay, resume, train
@@ -35,6 +45,7 @@ VERBS = {
     "replay": replay,
     "eval": evaluate,
     "render": render,
+    "view": view,
     "export": export,
     "compare": compare,
     "ablate": ablate,
@@ -58,6 +69,7 @@ examples:
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
+  stereogs view runs/3dgs-fern                in the browser
   stereogs export runs/3dgs-fern --format gltf    for other programs
   stereogs ablate ablations/parts
   stereogs bench MATRIX.yaml                  several pipelines on several scenes

@@ -19,7 +19,7 @@ FLOORS = (
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),
-    ("exporting",),
+    ("exporting", "viewing"),
     ("comparing", "ablation", "session", "testing"),
     ("commands",),
     ("cli",),

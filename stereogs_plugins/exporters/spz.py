@@ -1,4 +1,4 @@
-"""`spz`: Niantic's compressed format, a tenth of the PLY's size, written by the package gsply."""
+"""`spz`: Niantic's compressed format, about a sixth of the PLY, written by the package gsply."""
 
 from __future__ import annotations
 

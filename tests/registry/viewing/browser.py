@@ -1,0 +1,92 @@
+"""A visitor without a browser: viser's messages over a real WebSocket."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import msgspec
+import numpy as np
+import viser
+import zstandard
+from numpy.typing import NDArray
+from PIL import Image
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+WINDOW = (96, 72)
+
+
+def visit(url: str) -> ClientConnection:
+    """Open the page's connection."""
+    protocol = Subprotocol(f"viser-v{viser.__version__}")
+    return connect(url.replace("http", "ws"), subprotocols=[protocol], compression=None)
+
+
+def move(
+    page: ClientConnection,
+    position: tuple[float, ...],
+    quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
+) -> None:
+    """Say where the visitor stands, in the page's units, with a field of view of a right angle."""
+    width, height = WINDOW
+    message = {
+        "type": "ViewerCameraMessage",
+        "wxyz": quaternion,
+        "position": position,
+        "fov": np.pi / 2,
+        "near": 0.01,
+        "far": 1000.0,
+        "image_height": height,
+        "image_width": width,
+        "look_at": (0.0, 0.0, 1.0),
+        "up_direction": (0.0, -1.0, 0.0),
+    }
+    page.send(msgspec.msgpack.encode(message))
+
+
+def change(page: ClientConnection, control: str, value: object) -> None:
+    """Set a control of the panel, by viser's identifier."""
+    update = {"type": "GuiUpdateMessage", "uuid": control, "updates": {"value": value}}
+    page.send(msgspec.msgpack.encode(update))
+
+
+class Received:
+    """What the server has sent so far.
+
+    Attributes:
+        controls: viser's identifier of each control, by its label.
+        nodes: names of what the browser draws itself.
+        picture: the last that it was sent, `[H, W, 3]`; None where it was told to show none.
+    """
+
+    def __init__(self, page: ClientConnection) -> None:
+        self._page = page
+        self.controls: dict[str, str] = {}
+        self.nodes: set[str] = set()
+        self.picture: NDArray[np.uint8] | None = None
+
+    def read(self, seconds: float = 0.05) -> None:
+        """Take everything that arrives until nothing does for so long."""
+        while True:
+            try:
+                frame = self._page.recv(timeout=seconds)
+            except TimeoutError:
+                return
+            assert isinstance(frame, bytes)
+            size = int.from_bytes(frame[8:16], "little")
+            content = zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size])
+            for message in msgspec.msgpack.decode(content)["messages"]:
+                self._take(message)
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind, props = message["type"], message.get("props") or {}
+        if kind == "BackgroundImageMessage":
+            data = message["rgb_data"]
+            self.picture = None if data is None else np.asarray(Image.open(io.BytesIO(data)))
+        elif kind.startswith("Gui") and "label" in props:
+            self.controls[props["label"]] = message["uuid"]
+        elif kind == "RemoveSceneNodeMessage":
+            self.nodes.discard(message["name"])
+        elif "name" in message and props:
+            self.nodes.add(message["name"])

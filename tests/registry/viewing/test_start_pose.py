@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from core_rasterizer import Device, GaussianModel, Gaussians
+from registry.testing import tiny_scene
+from registry.viewing.start_pose import start_pose
+from registry.viewing.subject import Subject
+
+
+def model(device: Device, z: float) -> GaussianModel:
+    positions = torch.rand(200, 3, generator=torch.Generator().manual_seed(3)) - 0.5
+    positions[:, 2] += z
+    ones = torch.full((200,), 0.05)
+    return GaussianModel(
+        Gaussians.from_points(positions, positions * 0 + 0.5, ones, ones, 0), device
+    )
+
+
+def test_a_visitor_stands_where_the_first_photograph_was_taken(device: Device) -> None:
+    scene = tiny_scene()
+    pose = start_pose(Subject("x", model(device, 3.0), scene))
+    first = scene.train[0].camera
+    np.testing.assert_allclose(pose.position, first.center)
+    u, v, z = first.project(torch.from_numpy(pose.look_at))
+    assert (float(u), float(v)) == pytest.approx((first.cx, first.cy))
+    assert float(z) == pytest.approx(3.0, abs=0.1)
+    assert pose.distance == pytest.approx(float(z))
+    np.testing.assert_allclose(pose.up, [0, -1, 0], atol=1e-12)
+    assert np.tan(pose.field_of_view / 2) == pytest.approx(0.5 * first.height / first.fy)
+
+
+def test_nothing_in_view_still_gives_a_place_to_turn_around(device: Device) -> None:
+    pose = start_pose(Subject("x", model(device, -30.0), tiny_scene()))
+    assert pose.distance == pytest.approx((1.5 * 5.0) ** 0.5)
+
+
+def test_without_cameras_all_is_seen(device: Device) -> None:
+    pose = start_pose(Subject("x", model(device, 3.0)))
+    np.testing.assert_allclose(pose.look_at, [0, 0, 3], atol=0.1)
+    assert pose.position[2] < 2.5
