@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -21,7 +21,10 @@ test: $(VENV)/.dev ## the test suite
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 proofs: $(VENV)/.dev ## the tests that take longest: real photographs and networks, killed runs, all methods
-	$(BIN)/python -m pytest -m proof --numprocesses 2 --dist worksteal --timeout 900
+	$(BIN)/python -m pytest -m proof --numprocesses 2 --dist worksteal --timeout 1800
+
+tutorial: $(VENV)/.dev ## the tutorial's commands as written; one of the proofs
+	$(BIN)/python -m pytest -m proof tests/test_tutorial.py --timeout 1800
 
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200

@@ -57,7 +57,7 @@ def read_heads(path: Path, sha256: str, network: str) -> list[Tensor]:
     Raises:
         PluginError: it cannot be read, has another hash, or holds other weights.
     """
-    tensors = _tensors(read_model_file(path, sha256).content, path)
+    tensors = read_tensors(read_model_file(path, sha256).content, path)
     heads = []
     for layer, channels in enumerate(CHANNELS[network]):
         weight = next((tensors[n] for n in _head_names(layer) if n in tensors), None)
@@ -123,7 +123,12 @@ def _wrong_inputs(given: int, taken: int, path: Path) -> PluginError:
     )
 
 
-def _tensors(content: bytes, path: Path) -> Mapping[str, Tensor]:
+def read_tensors(content: bytes, path: Path) -> Mapping[str, Tensor]:
+    """Plain tensors by name.
+
+    Raises:
+        PluginError: the file cannot be read.
+    """
     try:
         if path.suffix.lower() == ".safetensors":
             from safetensors.torch import load
