@@ -2,6 +2,7 @@
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
+VIEWER := stereogs_plugins/reports/html/viewer
 BIN := $(VENV)/bin
 # Linux machines without an NVIDIA card save about 3 GB with
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
@@ -9,7 +10,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results viewer-bundle browser check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +58,10 @@ bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rew
 
 results: $(VENV)/.dev ## two pipelines on every data set in STEREOGS_DATA; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
+
+viewer-bundle: ## the 3D view of reports, bundled by npm from the versions in its package-lock.json
+	cd $(VIEWER) && npm ci --no-audit --no-fund && npm run bundle && npm run licenses
+	rm -r $(VIEWER)/node_modules
 
 check: test lint types ## everything that must hold
 

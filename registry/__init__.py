@@ -47,7 +47,15 @@ if TYPE_CHECKING:
     from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
     from .contract.step import OtherField, Render, Sample, Step
     from .drawing.metric_images import ImageMetricSettings, white_outside
-    from .drawing.pictures import grey, nearness_picture, side_by_side
+    from .drawing.pictures import (
+        RAMP,
+        ViewPictures,
+        depth_ends,
+        grey,
+        nearness_picture,
+        ramp_picture,
+        side_by_side,
+    )
     from .errors import PipelineError, PluginError, RunError, SceneError
     from .priors.capabilities import (
         MatchingPrior,
@@ -65,11 +73,13 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
+    from .training.checkpoint import trained_gaussians
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",
+    "RAMP",
     "Appearance",
     "AverageErrorRole",
     "Component",
@@ -122,7 +132,9 @@ __all__ = [
     "Unavailable",
     "View",
     "ViewMetric",
+    "ViewPictures",
     "cache",
+    "depth_ends",
     "epipolar_distances",
     "first_line",
     "flow_cycle_error",
@@ -132,9 +144,11 @@ __all__ = [
     "image_fitting",
     "nearness_picture",
     "photos",
+    "ramp_picture",
     "read_model_file",
     "read_results",
     "side_by_side",
+    "trained_gaussians",
     "validate",
     "virtual_views",
     "web_page",

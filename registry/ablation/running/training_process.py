@@ -11,9 +11,8 @@ import sys
 
 from ...errors import RunError
 from ...runs.folder import METRICS, RunFolder
-from ...runs.run import CHECKPOINT
 from ...system.files import write_text
-from ...training.checkpoint import load_checkpoint
+from ...training.checkpoint import CHECKPOINT, load_checkpoint
 from ..planning.plan import PlannedRun
 
 _TAIL_BYTES = 8192
