@@ -16,7 +16,7 @@ from core_rasterizer.errors import ExplainedError
 
 from .commands import ablate, check, compare, completion, doctor, explain, plugins, priors, schema
 from .commands.output import error_console
-from .commands.runs import demo, evaluate, render, replay, resume, train
+from .commands.runs import demo, evaluate, render, replay, report, resume, train
 from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
@@ -34,6 +34,7 @@ VERBS = {
     "replay": replay,
     "eval": evaluate,
     "render": render,
+    "report": report,
     "compare": compare,
     "ablate": ablate,
     "explain": explain,
@@ -55,6 +56,7 @@ examples:
   stereogs eval runs/3dgs-fern
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs render runs/3dgs-fern --path
+  stereogs report runs/3dgs-fern              a page about a run, with the scene in 3D
   stereogs ablate ablations/parts
   stereogs explain 3dgs                       what runs when, and what it needs
   stereogs plugins                            what a pipeline can name
