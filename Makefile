@@ -59,6 +59,9 @@ bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rew
 results: $(VENV)/.dev ## two pipelines on every data set in STEREOGS_DATA; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
 
+browser: $(VENV)/.dev ## every page in Chromium, which must be on PATH; screenshots in tests/browser/screenshots
+	BROWSER=1 $(BIN)/python -m pytest tests/browser --timeout 1200
+
 viewer-bundle: ## the 3D view of reports, bundled by npm from the versions in its package-lock.json
 	cd $(VIEWER) && npm ci --no-audit --no-fund && npm run bundle && npm run licenses
 	rm -r $(VIEWER)/node_modules
@@ -76,5 +79,5 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,heic,plot,video]'
+	$(PIP) --editable '.[dev,browser,heic,plot,video]'
 	@touch $@

@@ -42,8 +42,8 @@ pre { background: #8881; padding: .8rem 1rem; overflow-x: auto; font-size: .85re
 .choice select, .scene-view select { font: inherit; max-width: 100%; margin-bottom: .6rem; }
 .scale { font-size: .8rem; padding-top: .3rem; } .scale i { display: block; height: .7rem; }
 .scale div { display: flex; justify-content: space-between; }
-.canvas { max-width: 100%; background: #8882; margin-bottom: .5rem; }
-.canvas canvas { display: block; touch-action: none; }
+.canvas { position: relative; max-width: 100%; background: #8882; margin-bottom: .5rem; }
+.canvas canvas { position: absolute; inset: 0; touch-action: none; }
 details { margin-bottom: 1rem; } summary { cursor: pointer; }
 h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
 @media (max-width: 45rem) {
