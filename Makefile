@@ -2,6 +2,7 @@
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
+VIEWER := stereogs_plugins/reports/html/viewer
 BIN := $(VENV)/bin
 # Linux machines without an NVIDIA card save about 3 GB with
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
@@ -9,7 +10,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -78,6 +79,13 @@ profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage
 results: $(VENV)/.dev ## two pipelines on every data set in STEREOGS_DATA; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
 
+browser: $(VENV)/.dev ## every page in Chromium, which must be on PATH; screenshots in tests/browser/screenshots
+	BROWSER=1 $(BIN)/python -m pytest tests/browser --timeout 1200
+
+viewer-bundle: ## the 3D view of reports, bundled by npm from the versions in its package-lock.json
+	cd $(VIEWER) && npm ci --no-audit --no-fund && npm run bundle && npm run licenses
+	rm -r $(VIEWER)/node_modules
+
 check: test lint types ## everything that must hold
 
 clean: ## remove the environment and what was built
@@ -91,7 +99,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,heic,plot,video]'
+	$(PIP) --editable '.[dev,browser,heic,plot,video]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev

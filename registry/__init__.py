@@ -55,7 +55,16 @@ if TYPE_CHECKING:
     from .drawing.logged_pictures import LoggerSettings
     from .drawing.metric_images import ImageMetricSettings, white_outside
     from .drawing.orientation import upright_rotation
-    from .drawing.pictures import grey, nearness_picture, save_png, side_by_side
+    from .drawing.pictures import (
+        RAMP,
+        ViewPictures,
+        depth_ends,
+        grey,
+        nearness_picture,
+        ramp_picture,
+        save_png,
+        side_by_side,
+    )
     from .drawing.video import write_video
     from .errors import PipelineError, PluginError, RunError, SceneError
     from .plugins.optional import optional_module
@@ -75,12 +84,14 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
+    from .training.checkpoint import trained_gaussians
     from .view_parameters import ViewParameters
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",
+    "RAMP",
     "Appearance",
     "AverageErrorRole",
     "Component",
@@ -142,8 +153,10 @@ __all__ = [
     "View",
     "ViewMetric",
     "ViewParameters",
+    "ViewPictures",
     "ViewsScored",
     "cache",
+    "depth_ends",
     "epipolar_distances",
     "first_line",
     "flow_cycle_error",
@@ -154,11 +167,13 @@ __all__ = [
     "nearness_picture",
     "optional_module",
     "photos",
+    "ramp_picture",
     "read_model_file",
     "read_results",
     "save_png",
     "side_by_side",
     "smooth_path",
+    "trained_gaussians",
     "upright_rotation",
     "validate",
     "virtual_views",

@@ -27,7 +27,7 @@ from .commands import (
 )
 from .commands.batches import ablate, bench
 from .commands.output import error_console
-from .commands.runs import demo, evaluate, export, render, replay, resume, train
+from .commands.runs import demo, evaluate, export, render, replay, report, resume, train
 from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
@@ -47,6 +47,7 @@ VERBS = {
     "render": render,
     "view": view,
     "export": export,
+    "report": report,
     "compare": compare,
     "ablate": ablate,
     "bench": bench,
@@ -71,6 +72,7 @@ examples:
   stereogs render runs/3dgs-fern --path
   stereogs view runs/3dgs-fern                in the browser
   stereogs export runs/3dgs-fern --format gltf    for other programs
+  stereogs report runs/3dgs-fern              a page about a run, with the scene in 3D
   stereogs ablate ablations/parts
   stereogs bench MATRIX.yaml                  several pipelines on several scenes
   stereogs explain 3dgs                       what runs when, and what it needs

@@ -43,8 +43,8 @@ def add(verbs: Verbs) -> None:
         "--out",
         type=Path,
         default=Path("check.png"),
-        metavar="FILE",
-        help="the picture to write (default: check.png)",
+        metavar="PATH",
+        help="the picture to write, or a folder for it (default: check.png)",
     )
     add_device(parser)
     parser.set_defaults(run=run)
@@ -52,7 +52,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Load, print, and draw."""
-    _check_picture(arguments.out)
+    picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
+    _check_picture(picture)
     from ..inspection.scene_source import find_loader, load
     from ..plugins.discovery import Plugins
 
@@ -76,8 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
     _print_columns(output, [(fact.name, str(fact)) for fact in scene.facts])
     for text in warnings(scene):
         output.print(f"warning: {text}")
-    save_png(scene_picture(scene), arguments.out)
-    output.print(f"picture  {arguments.out}")
+    save_png(scene_picture(scene), picture)
+    output.print(f"picture  {picture}")
     return 0
 
 

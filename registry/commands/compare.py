@@ -22,6 +22,7 @@ examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs compare runs/* --paper stereogs
   stereogs compare runs/* --format latex
+  stereogs compare runs/* --format html > comparison.html
   stereogs compare --paper stereogs --protocol dtu-3
 
 Runs of different protocols, of one scene prepared in two ways, or with metrics measured
@@ -30,7 +31,7 @@ settings that differ. Where the runs cover several scenes, each method's mean fo
 were run on the same scenes. --paper adds what a paper reports for the protocol that the runs follow.
 """
 
-FORMATS = ("table", "csv", "markdown", "latex")
+FORMATS = ("table", "csv", "markdown", "latex", "html")
 WIDEST = 500
 """Columns of text that a table may take."""
 
@@ -49,7 +50,8 @@ def add(verbs: Verbs) -> None:
         "--format",
         choices=FORMATS,
         default=FORMATS[0],
-        help="csv: the runs alone, every digit; markdown, latex: as the table (default: table)",
+        help="csv: the runs alone, every digit; markdown, latex: as the table; html: a page with the "
+        "renders beside the photographs (default: table)",
     )
     parser.set_defaults(run=run)
 
@@ -71,12 +73,20 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.paper is not None:
         check_comparable(runs)
         published = _published(arguments.paper, arguments.protocol, runs)
-        _print(comparison_table(runs, published), arguments.format)
+        tables = [comparison_table(runs, published)]
     elif arguments.format == "csv":
         print(as_csv(runs), end="")
+        return 0
     else:
-        for members, reason in comparable_groups(runs):
-            _print(comparison_table(members, None, reason), arguments.format)
+        groups = comparable_groups(runs)
+        tables = [comparison_table(members, None, reason) for members, reason in groups]
+    if arguments.format == "html":
+        from ..comparing.page import as_page
+
+        print(as_page(runs, tables), end="")
+        return 0
+    for table in tables:
+        _print(table, arguments.format)
     return 0
 
 
@@ -87,7 +97,7 @@ def _print(table: Table, format_name: str) -> None:
         raise RunError(
             "CSV is written of runs alone",
             where="--format csv",
-            fix="leave --paper out, or choose markdown or latex",
+            fix="leave --paper out, or choose another format",
         )
     if format_name != "table":
         print(as_markdown(table) if format_name == "markdown" else as_latex(table))

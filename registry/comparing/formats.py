@@ -28,7 +28,7 @@ def as_csv(runs: Sequence[FinishedRun]) -> str:
 
 def as_markdown(table: Table) -> str:
     """The title, the rows, and the remarks below."""
-    header, *rows = _cells(table)
+    header, *rows = cells(table)
     marks = ["---:" if column.justify == "right" else "---" for column in table.columns]
     lines = [_row(line) for line in (header, marks, *rows)]
     parts = (str(table.title), "\n".join(lines), str(table.caption or ""))
@@ -42,7 +42,7 @@ def _row(cells: Sequence[str]) -> str:
 
 def as_latex(table: Table) -> str:
     """A `tabular` with the rules of the package booktabs; title and remarks as comments."""
-    header, *rows = ([_escaped(cell) for cell in row] for row in _cells(table))
+    header, *rows = ([_escaped(cell) for cell in row] for row in cells(table))
     columns = "".join("r" if column.justify == "right" else "l" for column in table.columns)
     comments = [
         f"% {line}" for line in f"{table.title}\n{table.caption or ''}".strip().splitlines()
@@ -60,7 +60,7 @@ def as_latex(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cells(table: Table) -> list[list[str]]:
+def cells(table: Table) -> list[list[str]]:
     """The header and the rows."""
     headers = [str(column.header) for column in table.columns]
     return [headers, *map(list, zip(*([*map(str, c.cells)] for c in table.columns), strict=True))]

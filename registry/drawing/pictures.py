@@ -10,19 +10,24 @@ from ..contract.scene import View
 from ..system.files import replacing
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from torch import Tensor
 
     from core_rasterizer import Rendering
 
-_RAMP = (
+RAMP = (
     (0.10, 0.07, 0.25),
     (0.18, 0.30, 0.62),
     (0.13, 0.57, 0.55),
     (0.55, 0.78, 0.32),
     (1.00, 0.92, 0.45),
 )
-"""Colours from far to near, equally spaced; lightness grows steadily."""
+"""Colours from low to high, from far to near, equally spaced; lightness grows steadily."""
+NEAREST, FARTHEST = "nearest depth", "farthest depth"
+"""What a picture of depth says of itself, as texts in its PNG file: the z-depths, in world units, of its
+lightest and its darkest colour."""
 DEPTHS, COMPARISONS = "depth", "comparison"
 """Folders within the one of the renders."""
 PNG_EFFORT = 2
@@ -33,12 +38,17 @@ _LUMA = (0.299, 0.587, 0.114)
 """Shares of red, green and blue in grey (ITU-R BT.601), as image libraries convert."""
 
 
-def save_png(image: Tensor, path: Path) -> None:
-    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG."""
-    from PIL import Image
+def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) -> None:
+    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG, with texts by keyword in it (PNG's tEXt)."""
+    from PIL import Image, PngImagePlugin
 
+    info = PngImagePlugin.PngInfo()
+    for keyword, text in (texts or {}).items():
+        info.add_text(keyword, text)
     with replacing(path) as temporary:
-        Image.fromarray(to_bytes(image)).save(temporary, "PNG", compress_level=PNG_EFFORT)
+        Image.fromarray(to_bytes(image)).save(
+            temporary, "PNG", compress_level=PNG_EFFORT, pnginfo=info
+        )
 
 
 def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -81,7 +91,7 @@ def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPi
     for file in (files.depth, files.comparison):
         file.parent.mkdir(exist_ok=True)
     save_png(rendering.rgb, files.render)
-    save_png(depth, files.depth)
+    save_png(depth, files.depth, _depth_texts(rendering))
     save_png(side_by_side(view.image, rendering.rgb, depth), files.comparison)
     return files
 
@@ -91,9 +101,45 @@ def depth_picture(rendering: Rendering) -> Tensor:
 
     Colours are linear in inverse depth between its 2nd and 98th percentile in this picture.
     """
+    return nearness_picture(*_nearness(rendering))
+
+
+def _nearness(rendering: Rendering) -> tuple[Tensor, Tensor]:
+    """Inverse depth, and where something was hit."""
     alpha = rendering.alpha.detach()
-    inverse = alpha / rendering.depth.detach().clamp(min=1e-9)
-    return nearness_picture(inverse, alpha > 0.5)
+    return alpha / rendering.depth.detach().clamp(min=1e-9), alpha > 0.5
+
+
+def _depth_texts(rendering: Rendering) -> dict[str, str]:
+    """The ends of the colours of `depth_picture`; empty if nothing was hit."""
+    nearness, known = _nearness(rendering)
+    if not known.any():
+        return {}
+    low, high = _ends(nearness, known)
+    return {NEAREST: f"{1 / high:.6g}", FARTHEST: f"{1 / low:.6g}"}
+
+
+def depth_ends(picture: Path) -> tuple[float, float] | None:
+    """The z-depths of the lightest and the darkest colour of a saved picture of depth, world units.
+
+    None of one that shows nothing, or was written by an older version.
+    """
+    from PIL import Image
+
+    with Image.open(picture) as opened:
+        texts: Mapping[str, str] = getattr(opened, "text", {})
+    try:
+        return float(texts[NEAREST]), float(texts[FARTHEST])
+    except (KeyError, ValueError):
+        return None
+
+
+def _ends(values: Tensor, known: Tensor) -> tuple[float, float]:
+    """The 2nd and 98th percentile of what is known."""
+    import numpy as np
+
+    low, high = np.quantile(values[known].numpy(), (0.02, 0.98))
+    return float(low), float(high)
 
 
 def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
@@ -105,19 +151,24 @@ def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
         nearness: `[H, W]`; values that are not known do not matter.
         known: `[H, W]` bool.
     """
-    import numpy as np
     import torch
 
     if not known.any():
         return torch.zeros(*known.shape, 3)
-    low, high = np.quantile(nearness[known].numpy(), (0.02, 0.98))
-    relative = torch.where(known, (nearness - low) / max(high - low, 1e-12), 0.0).clamp(0, 1)
-    position = relative * (len(_RAMP) - 1)
-    index = position.long().clamp(max=len(_RAMP) - 2)
-    ramp = torch.tensor(_RAMP)
+    low, high = _ends(nearness, known)
+    relative = torch.where(known, (nearness - low) / max(high - low, 1e-12), 0.0)
+    return torch.where(known[..., None], ramp_picture(relative), 0.0)
+
+
+def ramp_picture(values: Tensor) -> Tensor:
+    """`[H, W]` in colours, `[H, W, 3]`: from `RAMP`'s first at 0 to its last at 1, clamped."""
+    import torch
+
+    position = values.clamp(0, 1) * (len(RAMP) - 1)
+    index = position.long().clamp(max=len(RAMP) - 2)
+    ramp = torch.tensor(RAMP)
     fraction = (position - index)[..., None]
-    colors = ramp[index] * (1 - fraction) + ramp[index + 1] * fraction
-    return torch.where(known[..., None], colors, 0.0)
+    return ramp[index] * (1 - fraction) + ramp[index + 1] * fraction
 
 
 def side_by_side(*images: Tensor) -> Tensor:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..contract.scene import Scene, View
+from .labels import Color, Label, draw_labels
 
-Color = tuple[int, int, int]
 Array = NDArray[np.float64]
 
 _AXES, _TEXT = (200, 200, 200), (32, 32, 32)
@@ -23,6 +23,10 @@ _REACH = 0.07
 _PERCENTILES = (2.0, 98.0)
 """Points beyond are drawn only if they happen to fit."""
 _LARGEST_DRAWN = 20000
+_OUTLINE = 12
+"""Pixels along each edge of a drawn field of view that no name covers."""
+_ROOM = 3.0
+"""Far points are held as far as so many times the cameras' own spread."""
 _TICK_COUNT = 6
 
 
@@ -64,22 +68,28 @@ def draw_top_view(picture: Image.Image, scene: Scene, train: Color, test: Color)
     _draw_axes(pen, plan)
     _draw_points(picture, plan, scene)
     reach = _REACH * min(picture.size) / plan.scale
-    for views, color in ((scene.test, test), (scene.train, train)):
+    labels, drawn = [], []
+    for views, color in ((scene.train, train), (scene.test, test)):
         for view in views:
-            _draw_camera(pen, plan, view, reach, color)
+            outline = _draw_camera(pen, plan, view, reach, color)
+            labels.append(Label(outline[0], view.name, color))
+            drawn += outline
+    left_out = draw_labels(pen, labels, drawn, picture.size, _FONT_SIZE)
+    if left_out:
+        text = f"there is no room for {left_out} more names"
+        pen.text((_BORDER, 4 + _FONT_SIZE), text, _TEXT, ImageFont.load_default(_FONT_SIZE))
 
 
 def make_plan(scene: Scene, size: tuple[int, int]) -> Plan:
-    """A plan that holds all cameras and all but the outermost points."""
+    """A plan that holds all cameras, the nearer half of the points, and of the others those that leave
+    the cameras room.
+    """
     right, forward = _ground(scene)
     views = (*scene.train, *scene.test)
     content = np.stack([view.camera.center.numpy() for view in views])
     if scene.points is not None and len(scene.points):
-        positions = scene.points.positions.double().numpy()
-        low, high = np.percentile(positions, _PERCENTILES, axis=0)
-        content = np.concatenate(
-            [content, positions[((positions >= low) & (positions <= high)).all(1)]]
-        )
+        near = _near_points(scene.points.positions.double().numpy(), content)
+        content = np.concatenate([content, near])
     else:
         far = [_seen_at(view, scene.bounds[0]) for view in scene.train]
         content = np.concatenate([content, np.stack(far)])
@@ -88,6 +98,16 @@ def make_plan(scene: Scene, size: tuple[int, int]) -> Plan:
     room = np.array(size) - 2 * _BORDER
     scale = float((room / np.maximum(high - low, 1e-9 * scene.bounds[1])).min())
     return Plan(right, forward, (low + high) / 2, scale, size)
+
+
+def _near_points(positions: Array, centers: Array) -> Array:
+    """Those `[M, 3]` of the points that the plan makes room for."""
+    low, high = np.percentile(positions, _PERCENTILES, axis=0)
+    kept = positions[((positions >= low) & (positions <= high)).all(axis=1)]
+    spread = float(np.ptp(centers, axis=0).max())
+    distance = np.linalg.norm(kept - centers.mean(axis=0), axis=1)
+    limit = max(_ROOM * spread, float(np.median(distance))) if len(kept) else 0.0
+    return np.asarray(kept[distance <= limit])
 
 
 def _seen_at(view: View, depth: float) -> Array:
@@ -156,8 +176,12 @@ def _draw_points(picture: Image.Image, plan: Plan, scene: Scene) -> None:
 
 def _draw_camera(
     pen: ImageDraw.ImageDraw, plan: Plan, view: View, reach: float, color: Color
-) -> None:
-    """A triangle from the camera's centre to the left and right ends of its middle row."""
+) -> list[tuple[float, float]]:
+    """A triangle from the camera's centre to the left and right ends of its middle row.
+
+    Returns:
+        Pixels along it, the centre's first.
+    """
     camera = view.camera
     rotation = camera.world_to_camera[:3, :3].numpy()
     ends = np.array([[(u - camera.cx) / camera.fx, 0.0, 1.0] for u in (0.0, float(camera.width))])
@@ -166,5 +190,7 @@ def _draw_camera(
     corner_pixels = plan.pixels(plan.coordinates(corners))
     apex, left, right = ((float(x), float(y)) for x, y in corner_pixels)
     pen.line((apex, left, right, apex), color, width=2)
-    font = ImageFont.load_default(_FONT_SIZE)
-    pen.text((apex[0] + 4, apex[1] + 2), view.name, color, font)
+    shares = np.linspace(0, 1, _OUTLINE, endpoint=False)[:, None]
+    edges = zip(corner_pixels, np.roll(corner_pixels, -1, axis=0), strict=True)
+    along = np.concatenate([start + shares * (end - start) for start, end in edges])
+    return [(float(x), float(y)) for x, y in along]

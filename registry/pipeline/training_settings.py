@@ -69,5 +69,6 @@ class TrainingSettings(Settings):
     checkpoint_every: Count = 0
     """Iterations between checkpoints, beside those at the beginning, now and then by the clock, and at
     the end; 0 for none."""
-    evaluate_every: Count = 0
-    """Iterations between evaluations of the test views; 0 evaluates at the end only."""
+    evaluate_every: Count | None = None
+    """Iterations between evaluations of the test views, which are no training time; 0 evaluates at the
+    end only; null after each quarter, if a quarter has 50 iterations or more."""

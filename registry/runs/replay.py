@@ -20,6 +20,7 @@ from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins.discovery import Plugins
 from ..training.checkpoint import (
+    CHECKPOINT,
     Checkpoint,
     explain_misfit,
     load_checkpoint,
@@ -30,7 +31,7 @@ from ..training.initial_model import new_model
 from ..training.trainer import Trainer, resumed
 from .folder import PIPELINE
 from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
-from .run import CHECKPOINT, Run
+from .run import Run
 
 FAILURES = "failures"
 _FIX = f"give a folder in RUN/{FAILURES}; a run goes on with `stereogs resume RUN`"

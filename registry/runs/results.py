@@ -127,12 +127,36 @@ def _write_with_outputs(run: Run, results: dict[str, Any]) -> None:
         export = partial(part.component.export, run.model.reader(), run.scene, place)
         results["exports"] += _written(part, lent, folder, results["failures"], export)
     folder.write_results(results)  # reports read it
-    for part in run.parts["reports"]:
-        report = partial(part.component.write, folder.path, run.scene)
-        results["reports"] += _written(
-            part, of_scene(run.scene), folder, results["failures"], report
-        )
+    results["reports"] += _report(run, run.parts["reports"], results["failures"])
     folder.write_results(results)
+
+
+def report(run: Run, reports: Sequence[Part]) -> tuple[list[str], list[dict[str, str]]]:
+    """Let reports write about a finished run, whether or not its pipeline names them.
+
+    Returns:
+        The files, relative to the run's folder, which results.json then names too; and what failed.
+
+    Raises:
+        RunError: another process works on the run.
+    """
+    folder = run.folder_or_refuse()
+    failures: list[dict[str, str]] = []
+    with folder.to_itself():
+        files = _report(run, reports, failures)
+        results = folder.results()
+        results["reports"] = list(dict.fromkeys([*results.get("reports", []), *files]))
+        folder.write_results(results)
+    return files, failures
+
+
+def _report(run: Run, reports: Sequence[Part], failures: list[dict[str, str]]) -> list[str]:
+    folder = run.folder_or_refuse()
+    files: list[str] = []
+    for part in reports:
+        write = partial(part.component.write, folder.path, run.scene)
+        files += _written(part, of_scene(run.scene), folder, failures, write)
+    return files
 
 
 def _written(

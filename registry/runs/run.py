@@ -21,15 +21,13 @@ from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
-from ..training.checkpoint import Checkpoint, save_checkpoint
+from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.threads import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate
 from .folder import RunFolder
 from .origin.inputs import input_digests
 from .origin.provenance import provenance
 from .results import finish
-
-CHECKPOINT = "checkpoint"
 
 Floats = NDArray[np.float32]
 

@@ -18,14 +18,15 @@ from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
+from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
-from ..training.checkpoint import Checkpoint, explain_misfit, load_checkpoint
+from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit, load_checkpoint
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, resumed
 from .evaluation import evaluate
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
-from .observing.metrics_log import MetricsLog
+from .observing.metrics_log import EVERY, MetricsLog
 from .observing.observers import Observers, observed
 from .observing.progress import TrainingProgress
 from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
@@ -33,7 +34,7 @@ from .origin.provenance import circumstances
 from .origin.unedited import check_unedited
 from .replay import keep_failure
 from .results import check_recorded_hash, finish
-from .run import CHECKPOINT, Run, Stages
+from .run import Run, Stages
 
 _log = logging.getLogger(__name__)
 
@@ -268,7 +269,8 @@ def _train_to_end(
             progress.update(done.number, done.loss, done.gaussians)
             metrics.add(done, run.seconds.training, last=done.number == settings.iterations)
             observers.iterated(done)
-            if _due(done.number, settings.evaluate_every):
+            # What is finished is scored in any case, with its pictures.
+            if not run.finished and _due(done.number, _evaluation_interval(settings)):
                 scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
                 metrics.write({"iteration": done.number, "test": scores.mean})
                 observers.evaluated({"test": scores})
@@ -319,6 +321,14 @@ def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
     )
+
+
+def _evaluation_interval(settings: TrainingSettings) -> int:
+    """Iterations between two evaluations: a quarter of the run, if that is worth a line of metrics."""
+    if settings.evaluate_every is not None:
+        return settings.evaluate_every
+    quarter = settings.iterations // 4
+    return quarter if quarter >= EVERY else 0
 
 
 def _due(iteration: int, every: int) -> bool:

@@ -27,11 +27,13 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from core_rasterizer import ExplainedError
+from core_rasterizer import ExplainedError, Gaussians
 
 from ..errors import RunError
 from ..system.files import flush, flush_folder, new_folder, write_json, write_text
 
+CHECKPOINT = "checkpoint"
+"""The folder within a run's."""
 FORMAT = 2
 """Raised when older checkpoints can no longer be read."""
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
@@ -112,6 +114,17 @@ def load_checkpoint(folder: Path) -> Checkpoint:
         where=str(folder),
         fix="train it anew into another folder",
     )
+
+
+def trained_gaussians(run: Path) -> Gaussians:
+    """The Gaussians of a run folder's newest checkpoint that is whole.
+
+    Raises:
+        RunError: there is none, or it holds no Gaussians that fit together.
+    """
+    folder = run / CHECKPOINT
+    with explain_misfit(folder):
+        return Gaussians(**load_checkpoint(folder).part("model"))
 
 
 def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:

@@ -4,12 +4,13 @@
 
     text = web_page.page("Title", [web_page.section("Scores", web_page.score_table(head, rows))])
 
-A page has no script and loads nothing, so that it can be mailed. All functions take plain text, escape it
-and return HTML; only what is called *content* is HTML already.
+A page loads nothing, so that it can be mailed; all that moves in it is told in its own elements. All
+functions take plain text, escape it and return HTML; only what is called *content* is HTML already.
 """
 
-from .document import note, page, section, verbatim
+from .document import folded, note, page, section, subsection, verbatim
 from .line_plot import Axis, Line, Point, line_plot
+from .looking import choice, color_scale, pinned, wipe
 from .pictures import figure, grid, image
 from .tables import Cell, facts_table, score_table
 
@@ -18,14 +19,20 @@ __all__ = [
     "Cell",
     "Line",
     "Point",
+    "choice",
+    "color_scale",
     "facts_table",
     "figure",
+    "folded",
     "grid",
     "image",
     "line_plot",
     "note",
     "page",
+    "pinned",
     "score_table",
     "section",
+    "subsection",
     "verbatim",
+    "wipe",
 ]

@@ -19,7 +19,7 @@ th, td { padding: .2rem .8rem .2rem 0; border-bottom: 1px solid #8884; text-alig
 .facts { margin-bottom: 1rem; }
 .facts th { font-weight: 400; opacity: .7; white-space: nowrap; }
 .facts td { overflow-wrap: anywhere; }
-.grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(21rem, 1fr)); gap: 1.4rem; }
+.grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(21rem, 100%), 1fr)); gap: 1.4rem; }
 figure { margin: 0 0 1.2rem; } figcaption { font-size: .9rem; padding: .25rem 0; }
 img { max-width: 100%; height: auto; display: block; } .grid img { width: 100%; margin-bottom: 2px; }
 .plot figcaption { font-weight: 600; }
@@ -31,6 +31,27 @@ svg polyline { fill: none; stroke-width: 1.6; stroke-linejoin: round; }
 .plot li span { display: inline-block; width: .8em; height: .8em; margin-right: .4em; }
 pre { background: #8881; padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; }
 .note { font-size: .9rem; opacity: .8; }
+.wipe { position: relative; max-width: 48rem; --cut: 50%; } .wipe img { width: 100%; }
+.wipe .over { position: absolute; inset: 0 0 auto; clip-path: inset(0 calc(100% - var(--cut)) 0 0); }
+.wipe input { width: 100%; margin: .4rem 0 0; }
+.corners { position: absolute; inset: .4rem .4rem auto; display: flex; justify-content: space-between; }
+.corners span { background: #000a; color: #fff; font-size: .8rem; padding: 0 .4rem; }
+.pinned { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 3fr); gap: 1.4rem; }
+.pinned > :first-child { position: sticky; top: .5rem; align-self: start; }
+.pinned .grid { grid-template-columns: repeat(auto-fill, minmax(min(17rem, 100%), 1fr)); }
+.choice select, .scene-view select { font: inherit; max-width: 100%; margin-bottom: .6rem; }
+.scale { font-size: .8rem; padding-top: .3rem; } .scale i { display: block; height: .7rem; }
+.scale div { display: flex; justify-content: space-between; }
+.canvas { position: relative; max-width: 100%; background: #8882; margin-bottom: .5rem; }
+.canvas canvas { position: absolute; inset: 0; touch-action: none; }
+details { margin-bottom: 1rem; } summary { cursor: pointer; }
+h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
+@media (max-width: 45rem) {
+  body { margin: 1rem auto; } .facts th { white-space: normal; }
+  .pinned { grid-template-columns: minmax(0, 1fr); }
+  .pinned > :first-child { z-index: 1; background: Canvas; padding-bottom: .3rem; }
+  .pinned > :first-child img { max-height: 30vh; width: auto; }
+}
 """
 
 
@@ -49,6 +70,16 @@ def page(title: str, contents: Iterable[str]) -> str:
 def section(title: str, content: str) -> str:
     """A heading and what follows; nothing if nothing follows."""
     return f"<h2>{escape(title)}</h2>\n{content}" if content else ""
+
+
+def subsection(title: str, content: str) -> str:
+    """A smaller heading and what follows; nothing if nothing follows."""
+    return f"<h3>{escape(title)}</h3>\n{content}" if content else ""
+
+
+def folded(title: str, content: str) -> str:
+    """What is shown once its title is clicked; nothing if there is nothing."""
+    return f"<details><summary>{escape(title)}</summary>{content}</details>" if content else ""
 
 
 def note(text: str) -> str:

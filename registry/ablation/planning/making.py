@@ -174,10 +174,11 @@ def _same(plan: Plan, first: PlannedRun, second: Combination, scene: str) -> Pip
 
 
 def _folder_name(plan: Plan, combination: Combination, scene: str, seed: int, digest: str) -> str:
-    """For people: what is on, the values, scene and seed; then the digest."""
-    parts = [name for name, on in zip(plan.toggles, combination.on, strict=True) if on]
+    """For people: scene and seed, what is on, the values, as far as there is room; then the digest."""
+    parts = [scene, f"seed-{seed}"]
+    parts += [name for name, on in zip(plan.toggles, combination.on, strict=True) if on]
+    parts += ["all-off"] if plan.toggles and not any(combination.on) else []
     for variation, choice in zip(plan.variations, combination.choices, strict=True):
         parts += [f"{variation.name.split('.')[-1]}-{choice.label}"] if choice else []
-    parts += [scene, f"seed-{seed}"]
     words = [re.sub(r"[^A-Za-z0-9.-]+", "-", part).strip("-.") for part in parts]
-    return f"{'_'.join(words)[:_NAME_LENGTH]}_{digest}"
+    return f"{'_'.join(words)[:_NAME_LENGTH].rstrip('_-.')}_{digest}"

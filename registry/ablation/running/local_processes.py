@@ -15,9 +15,8 @@ from ...contract.component import Context, Settings
 from ...contract.components import Runner, RunningTask, TrainingTask
 from ...errors import RunError
 from ...runs.folder import METRICS, RunFolder
-from ...runs.run import CHECKPOINT
 from ...system.files import write_text
-from ...training.checkpoint import load_checkpoint
+from ...training.checkpoint import CHECKPOINT, load_checkpoint
 from .jobs import default_jobs
 
 _TAIL_BYTES = 8192

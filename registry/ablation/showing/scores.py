@@ -106,17 +106,29 @@ def figure(
     return Figure(mean, spread)
 
 
-def finished(results: Results, combination: Combination) -> tuple[int, int]:
-    """How many runs of a combination are finished, and how many there are."""
-    own = [found for run, found in results.items() if run.combination == combination]
+def finished(
+    results: Results, combination: Combination, scene: str | None = None
+) -> tuple[int, int]:
+    """How many runs of a combination, of all scenes or of one, are finished, and how many there are."""
+    own = [
+        found
+        for run, found in results.items()
+        if run.combination == combination and scene in (None, run.scene)
+    ]
     return sum(bool(found) for found in own), len(own)
 
 
-def without_effect(plan: Plan, results: Results) -> list[list[Combination]]:
-    """Combinations whose finished runs have equal hashes, scene by scene and seed by seed."""
+def without_effect(
+    plan: Plan, results: Results, scene: str | None = None
+) -> list[list[Combination]]:
+    """Combinations whose finished runs have equal hashes seed by seed, in all scenes or in one."""
     groups: dict[tuple[str, ...], list[Combination]] = {}
     for combination in plan.combinations:
-        own = [found for run, found in results.items() if run.combination == combination]
+        own = [
+            found
+            for run, found in results.items()
+            if run.combination == combination and scene in (None, run.scene)
+        ]
         hashes = tuple(str(found.get("hash", "")) for found in own)
         if all(hashes):
             groups.setdefault(hashes, []).append(combination)

@@ -29,7 +29,7 @@ class Row:
         values: the value of each variation; a dash where what it varies is off.
         numbers: of each column; a dash where a run is missing.
         best: for each column whether no other row is better.
-        progress: "1/3" runs while some are missing, else empty.
+        progress: "1/3" of the table's runs while some are missing, else empty.
     """
 
     toggles: tuple[str, ...]
@@ -52,7 +52,7 @@ def rows(plan: Plan, results: Results, scene: str | None = None) -> list[Row]:
             *labels(combination),
             tuple(text[index] for text in texts),
             tuple(mark[index] for mark in best),
-            _progress(results, combination),
+            _progress(results, combination, scene),
         )
         for index, combination in enumerate(plan.combinations)
     ]
@@ -97,10 +97,17 @@ def notes(plan: Plan, results: Results) -> list[str]:
     lines = [f"{NONE} {name}: {reason}" for name, reason in scores.unavailable(results).items()]
     if len(plan.seeds) > 1:
         lines.append(f"± standard deviation over {len(plan.seeds)} seeds")
-    for same in scores.without_effect(plan, results):
-        descriptions = " = ".join(plan.describe(combination) for combination in same)
-        lines.append(f"no effect, the same Gaussians to the bit: {descriptions}")
+    everywhere = scores.without_effect(plan, results)
+    lines += [_same(plan, group, "") for group in everywhere]
+    for scene in plan.scenes if len(plan.scenes) > 1 else ():
+        here = scores.without_effect(plan, results, scene)
+        lines += [_same(plan, group, f" in {scene}") for group in here if group not in everywhere]
     return lines
+
+
+def _same(plan: Plan, group: list[Combination], where: str) -> str:
+    descriptions = " = ".join(plan.describe(combination) for combination in group)
+    return f"no effect{where}, the same Gaussians to the bit: {descriptions}"
 
 
 def as_csv(plan: Plan, results: Results, folder: AblationFolder) -> str:
@@ -168,6 +175,6 @@ def _best(column: Column, means: list[float | None]) -> list[bool]:
     return [mean == best for mean in means]
 
 
-def _progress(results: Results, combination: Combination) -> str:
-    done, total = scores.finished(results, combination)
+def _progress(results: Results, combination: Combination, scene: str | None) -> str:
+    done, total = scores.finished(results, combination, scene)
     return "" if done == total else f"{done}/{total}"

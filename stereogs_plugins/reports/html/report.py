@@ -1,121 +1,142 @@
-"""`html`: a run as one page, report.html: scores, pictures, how training went, and what was run.
+"""`html`: a run as one page, report.html: the scene in 3D, scores, pictures, and how training went.
 
-The page holds its pictures itself (as JPEG), so that it can be mailed or moved away from its run. It has
-no script and asks the network for nothing.
+The page holds its pictures and, unless `beside` is set, its Gaussians and the viewer itself, so that it can
+be mailed or moved away from its run. It asks the network for nothing.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import shlex
+from typing import TYPE_CHECKING, Annotated, Any
 
-from registry import Register, Report, Scene, Settings, hookimpl, write_text
+import pydantic
+
+from registry import Register, Report, Scene, Settings, hookimpl, trained_gaussians, write_text
 from registry.web_page import (
     Cell,
     facts_table,
     figure,
+    folded,
     grid,
     image,
-    note,
     page,
     score_table,
     section,
+    subsection,
     verbatim,
 )
 
-from .run_files import RunFiles, read_run
+from .run_files import CHECKPOINT, RunFiles, read_run
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from .scene_view import SceneView
+
 FILE = "report.html"
 
-_ABSENT, _INFINITE = "\u2013", "\u221e"
+
+class HtmlReportSettings(Settings):
+    beside: bool = False
+    """Put the Gaussians and the viewer into files beside the page, not into it."""
+    largest_mb: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 20.0
+    """Megabytes of Gaussians that the page may hold; without `beside`, a larger scene has no 3D view."""
 
 
-class HtmlReport(Report[Settings]):
+class HtmlReport(Report[HtmlReportSettings]):
     """Writes report.html into the run folder."""
 
     def write(self, folder: Path, scene: Scene) -> list[Path]:
-        """Return report.html.
+        """Return report.html, and the files beside it if there are any.
 
         Raises:
             RunError: a file of the run is missing or damaged.
         """
+        from .scores import scores
         from .training_plots import training_plots
+        from .unseen_views import unseen_views
 
         run = read_run(folder)
         title = f"{scene.name}: {run.results['pipeline']}"
+        view = self._scene_view(folder, scene, run)
         contents = [
-            _summary(run.results),
-            section("Scores", _scores(run.results)),
-            section("Test views: photograph, render, depth", _views(run, scene)),
-            section("Training", grid(training_plots(run.metrics))),
+            _summary(run),
+            section("The scene in 3D", view.content),
+            section("Test views", unseen_views(run.results, scene, folder)),
+            section("Scores", scores(run.results)),
+            section("Training", grid(training_plots(run.metrics, run.results))),
             section("Initialization", _initialization(run)),
-            section("Pipeline", verbatim(run.pipeline)),
+            section("Pipeline", folded("every setting", verbatim(run.pipeline))),
             section("Scene", facts_table(run.results["scene"])),
-            section("Provenance", facts_table(run.provenance)),
+            section("Provenance", folded("every version", facts_table(run.provenance))),
         ]
         write_text(folder / FILE, page(title, contents))
-        return [folder / FILE]
+        return [folder / FILE, *view.files]
+
+    def _scene_view(self, folder: Path, scene: Scene, run: RunFiles) -> SceneView:
+        from .scene_view import SceneView, scene_view
+
+        if not (folder / CHECKPOINT).is_dir():
+            return SceneView("")
+        return scene_view(
+            trained_gaussians(folder),
+            scene,
+            run.training,
+            folder,
+            beside=self.settings.beside,
+            largest_mb=self.settings.largest_mb,
+        )
 
 
-def _summary(results: Mapping[str, Any]) -> str:
-    """What was trained, and what it took; a run that was scored half-way has no time yet."""
+def _summary(run: RunFiles) -> str:
+    """What was trained, where and how, and what it took; what is not known is left out."""
+    results, origin = run.results, run.provenance
     labels = {
         "gaussians": "Gaussians",
         "iterations": "iterations",
         "seconds": "training time, s",
         "iterations_per_second": "iterations per second",
         "peak_memory_mb": "peak memory, MB",
-        "hash": "SHA-256 of the Gaussians",
     }
-    return facts_table({label: results[key] for key, label in labels.items() if key in results})
-
-
-def _scores(results: Mapping[str, Any]) -> str:
-    """Each view of both splits, the means below them, and why a metric is missing."""
-    missing: Mapping[str, str] = results.get("unavailable", {})
-    metrics = list(dict.fromkeys([*results["test"], *results["train"]]))
-    rows = []
-    for split in ("test", "train"):
-        for view, row in results["views"][split].items():
-            scores = (_score(row, metric, missing) for metric in metrics)
-            rows.append([Cell(f"{split} {view}"), *(Cell(score) for score in scores)])
-        if results[split]:
-            means = (_score(results[split], metric, missing) for metric in metrics)
-            rows.append([Cell(text, strong=True) for text in (f"{split} mean", *means)])
-    notes = "".join(note(f"{name} is not available: {reason}") for name, reason in missing.items())
-    return score_table(["view", *metrics], rows) + notes if rows else ""
-
-
-def _score(row: Mapping[str, float | None], metric: str, missing: Mapping[str, str]) -> str:
-    """Four digits. JSON has no infinity: what is None although it was measured is infinite."""
-    value = row.get(metric)
-    if value is None:
-        return _INFINITE if metric in row and metric not in missing else _ABSENT
-    return f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"
-
-
-def _views(run: RunFiles, scene: Scene) -> str:
-    missing: Mapping[str, str] = run.results.get("unavailable", {})
-    figures = []
-    for view in scene.test:
-        path = run.renders.get(view.name)
-        if path is not None:
-            row = run.results["views"]["test"].get(view.name, {})
-            scores = [f"{metric} {_score(row, metric, missing)}" for metric in row]
-            figures.append(_picture(path, ", ".join([view.name, *scores])))
-    return "\n".join(figures)
+    source = origin.get("source") or {}
+    changed = " with changes" if source.get("dirty") else ""
+    facts = {
+        "date": origin.get("started"),
+        "device": origin.get("device", {}).get("name"),
+        "command": shlex.join(origin.get("command", [])) or None,
+        "commit": f"{source['commit']}{changed}" if "commit" in source else None,
+        "SHA-256 of the Gaussians": results.get("hash"),
+    }
+    known = {label: text for label, text in facts.items() if text is not None}
+    return facts_table(
+        {label: results[key] for key, label in labels.items() if key in results} | known
+    )
 
 
 def _initialization(run: RunFiles) -> str:
-    pictures = [_picture(path, path.stem) for path in run.initial_pictures]
-    return facts_table(run.initialization) + "".join(pictures)
+    """Points by kind, the initializer's pictures, and what else it reports."""
+    facts = {name: value for name, value in run.initialization.items() if name != _BY_KIND}
+    pictures = "".join(figure(path.stem, image(path, path.stem)) for path in run.initial_pictures)
+    by_kind: Mapping[str, int] = run.initialization.get(_BY_KIND, {})
+    return (
+        subsection("Initial points by kind", _kinds(by_kind))
+        + subsection("Pictures", pictures)
+        + subsection("Facts", facts_table(facts))
+    )
 
 
-def _picture(path: Path, caption: str) -> str:
-    return figure(caption, image(path, caption))
+_BY_KIND = "points_by_kind"
+
+
+def _kinds(by_kind: Mapping[str, int]) -> str:
+    total = sum(by_kind.values())
+    rows: list[list[Any]] = [
+        [Cell(kind.replace("_", " ")), Cell(f"{count:,}"), Cell(f"{count / total:.1%}")]
+        for kind, count in by_kind.items()
+        if total
+    ]
+    return score_table(["kind", "points", "share"], rows) if rows else ""
 
 
 @hookimpl

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-TRUTH_RENDER_DEPTH = "comparison"
-"""The folder in renders/ whose pictures show truth, render and depth side by side."""
+CHECKPOINT = "checkpoint"
+"""The folder of a run's Gaussians; a folder of results alone has none."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class RunFiles:
         metrics: the lines of metrics.jsonl, in order.
         initialization: what the initializer reported.
         initial_pictures: its pictures, by name.
-        renders: truth | render | depth of test views, by the view's name.
     """
 
     results: dict[str, Any]
@@ -36,7 +35,15 @@ class RunFiles:
     metrics: Sequence[dict[str, Any]]
     initialization: dict[str, Any]
     initial_pictures: tuple[Path, ...]
-    renders: dict[str, Path]
+
+    @property
+    def training(self) -> dict[str, Any]:
+        """The pipeline's training settings; empty if it has none."""
+        import yaml
+
+        content = yaml.safe_load(self.pipeline)
+        settings = content.get("training", {}) if isinstance(content, dict) else {}
+        return dict(settings)
 
 
 def read_run(folder: Path) -> RunFiles:
@@ -60,10 +67,6 @@ def read_run(folder: Path) -> RunFiles:
         metrics=[_object(line, f"{metrics}:{number}") for number, line in enumerate(lines, 1)],
         initialization=_json_file(folder / "initialization" / "facts.json"),
         initial_pictures=tuple(sorted((folder / "initialization").glob("*.png"))),
-        renders={
-            path.stem: path
-            for path in sorted((folder / "renders" / TRUTH_RENDER_DEPTH).glob("*.png"))
-        },
     )
 
 

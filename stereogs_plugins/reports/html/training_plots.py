@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from registry.web_page import Axis, Line, Point, line_plot
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 _GROUPS = (
     ("Loss", re.compile(r"loss|photometric")),
@@ -25,30 +25,49 @@ _GROUPS = (
 _NO_PLOT = ("iteration", "seconds")
 
 
-def training_plots(metrics: Sequence[dict[str, Any]]) -> list[str]:
-    """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each."""
+def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, Any]) -> list[str]:
+    """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each.
+
+    Args:
+        metrics: the lines.
+        results: of the run; its test scores end the curves of test scores.
+    """
+    end = {"iteration": results.get("iterations", 0), "test": results["test"]}
+    lines = [*metrics, end] if metrics else []
     plots: dict[tuple[int, str], list[Line]] = {}
-    for name, points in _by_name(metrics).items():
+    for name, points in _by_name(lines).items():
         place, label = _place(name)
         plots.setdefault(place, []).append(Line(label, points))
     ordered = sorted(plots.items(), key=lambda plot: plot[0])
-    return [line_plot(title, lines, _axis(lines)) for (_, title), lines in ordered]
+    axis = _axis(lines)
+    return [line_plot(title, own, axis) for (_, title), own in ordered]
 
 
-def _axis(lines: Sequence[Line]) -> Axis:
-    """Iterations from 0 to the last that was logged."""
-    last = max(point.across for line in lines for point in line.points)
-    return Axis([(place, f"{place:,.0f}") for place in (0, last / 2, last)])
+def _axis(lines: Sequence[Mapping[str, Any]]) -> Axis:
+    """Iterations from 0 to the last, with the seconds of training that they took."""
+    seconds = {0: 0.0} | {
+        line["iteration"]: line["seconds"] for line in lines if {"iteration", "seconds"} <= {*line}
+    }
+    last = max((line.get("iteration", 0) for line in lines), default=0)
+    middle = min(seconds, key=lambda iteration: abs(iteration - last / 2))
+    places = sorted({0, middle, last})
+    ticks = [
+        (place, f"{place:,}" + (f" ({seconds[place]:.3g} s)" if seconds.get(place) else ""))
+        for place in places
+    ]
+    return Axis(ticks, "iterations (seconds of training)")
 
 
-def _by_name(metrics: Sequence[dict[str, Any]]) -> dict[str, list[Point]]:
+def _by_name(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Point]]:
     found: dict[str, list[Point]] = {}
     for line in metrics:
         scores = line.get("test", {})
         for name, value in {**line, **{f"test {k}": v for k, v in scores.items()}}.items():
             number = isinstance(value, int | float) and math.isfinite(value)
             if number and name not in _NO_PLOT and "iteration" in line:
-                found.setdefault(name, []).append(Point(line["iteration"], float(value)))
+                points = found.setdefault(name, [])
+                if not points or points[-1].across < line["iteration"]:
+                    points.append(Point(line["iteration"], float(value)))
     return found
 
 

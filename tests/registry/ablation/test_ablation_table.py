@@ -87,7 +87,10 @@ def test_a_row_with_a_missing_run_has_no_numbers(made: Plan) -> None:
     assert set(found[0].numbers) == {"-"}
     assert [row.progress for row in found] == ["3/4", "", ""]
     assert "3/4" in as_text(made, results)
-    assert as_text(made, {run: {} for run in made.runs}).count("0/4") == 9
+    text = as_text(made, {run: {} for run in made.runs})
+    assert (text.count("0/4"), text.count("0/2")) == (3, 6), "a scene's table counts its own runs"
+    assert [row.progress for row in rows(made, results, "a")] == ["1/2", "", ""]
+    assert [row.progress for row in rows(made, results, "<b>")] == ["", "", ""]
 
 
 def test_what_changed_nothing_is_told(made: Plan) -> None:
@@ -100,7 +103,10 @@ def test_what_changed_nothing_is_told(made: Plan) -> None:
     told = "no effect, the same Gaussians to the bit: opacity off = opacity on, opacity.factor 0.5"
     assert told in as_text(made, results).splitlines()
     results[pairs[1][-1]] = {}
-    assert "no effect" not in as_text(made, results)
+    text = as_text(made, results)
+    assert told not in text, "a run is missing"
+    assert told.replace("no effect", "no effect in a") in text.splitlines()
+    assert "in <b>" not in text
 
 
 def test_infinite_and_unavailable_scores(made: Plan) -> None:
@@ -232,3 +238,6 @@ def test_a_folder_is_found_by_its_digest(made: Plan, tmp_path: Path) -> None:
     renamed.mkdir(parents=True)
     assert folder.run(run).path == renamed
     assert folder.run(made.runs[1]).path.name == made.runs[1].name
+    names = [run.name.removesuffix(f"_{run.digest}") for run in made.runs]
+    assert names[0] == "a_seed-7_all-off"
+    assert names[-1] == "b_seed-8_opacity_factor-0.6"

@@ -64,6 +64,21 @@ def test_train_eval_render(pipeline: Path, capsys: Capture) -> None:
     assert Path("runs/toy-tiny-2/results.json").is_file()
 
 
+def test_a_report_is_written_later(pipeline: Path, capsys: Capture) -> None:
+    assert main(["train", "toy.yaml"]) == 0
+    run = Path("runs/toy-tiny")
+    before = json.loads((run / "results.json").read_text())
+    assert before["reports"] == []
+    capsys.readouterr()
+    assert main(["report", str(run)]) == 0
+    assert "page  runs/toy-tiny/report.txt" in capsys.readouterr().out
+    assert (run / "report.txt").is_file()
+    assert "report.txt" in json.loads((run / "results.json").read_text())["reports"]
+    (run / "results.json").unlink()
+    assert main(["report", str(run)]) == 2
+    assert "the run has not ended" in capsys.readouterr().err
+
+
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     assert main(["train", "toy.yaml", "--out", "here"]) == 0
     assert main(["resume", "here"]) == 0
@@ -266,7 +281,18 @@ def test_doctor_tells_of_a_device_that_fails_and_goes_on(
 
 @pytest.mark.parametrize(
     "verb",
-    ["train", "resume", "replay", "eval", "render", "plugins", "doctor", "demo", "completion"],
+    [
+        "train",
+        "resume",
+        "replay",
+        "eval",
+        "render",
+        "report",
+        "plugins",
+        "doctor",
+        "demo",
+        "completion",
+    ],
 )
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from registry import RunError
 from registry.cli import build_parser, main
@@ -18,11 +19,13 @@ from registry.comparing.comparability import check_comparable, comparable_groups
 from registry.comparing.comparison import FinishedRun, method_means, read_run
 from registry.comparing.differences import labels
 from registry.comparing.paper_tables import GROUP
+from registry.drawing.pictures import ViewPictures, save_png, side_by_side
 from registry.pipeline.protocol_rules import AppliedProtocol
 from registry.pipeline.protocols import load_protocol
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 
+from ...html_page import Page
 from ..conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
@@ -296,6 +299,35 @@ def test_markdown_and_latex_hold_the_table(make: Make, capsys: Capture) -> None:
     output = capsys.readouterr().out
     assert r"\begin{tabular}{lllrrrrrr}" in output
     assert r"b\_2 & plain & flower & 26.00 & 0.700 & -- & 1,000 & 60 & 500 \\" in output
+
+
+def test_the_page_holds_the_tables_and_the_renders_of_each_view(
+    make: Make, capsys: Capture
+) -> None:
+    changes = {
+        "scene/test": ["one", "two"],
+        "scene/train": [],
+        "test": {"psnr": 21.0},
+        "views": {"test": {"one": {"psnr": 20.0}, "two": {"psnr": 22.0}}},
+    }
+    folders = [make(name, changes) for name in ("a", "<b>")]
+    for folder, view in ((folders[0], "one"), (folders[0], "two"), (folders[1], "two")):
+        files = ViewPictures.of(view, folder / "renders")
+        for file in (files.depth, files.comparison):
+            file.parent.mkdir(parents=True, exist_ok=True)
+        grey = torch.full((6, 8, 3), 0.5)
+        save_png(grey, files.render)
+        save_png(grey, files.depth)
+        save_png(side_by_side(grey, grey, grey), files.comparison)
+    assert main(["compare", *map(str, folders), "--format", "html"]) == 0
+    text = capsys.readouterr().out
+    page = Page(text)
+    assert page.tags.count("option") == 2, "two views to choose from"
+    alts = [image["alt"] for image in page.images]
+    assert alts == ["photograph", "render", "depth", "photograph", *["render", "depth"] * 2]
+    assert all(source.startswith("data:") for source in page.loads)
+    assert "<b>: " in page.text
+    assert "<b>: " not in text
 
 
 def test_no_means_where_methods_saw_different_scenes(make: Make, capsys: Capture) -> None:

@@ -294,3 +294,24 @@ def test_odd_scenes_can_be_drawn(rotation: str) -> None:
 @pytest.mark.parametrize(("wanted", "step"), [(0.9, 1), (1, 1), (1.1, 2), (2.1, 5), (0.06, 0.1)])
 def test_steps_are_round(wanted: float, step: float) -> None:
     assert round_step(wanted) == pytest.approx(step)
+
+
+def test_far_points_leave_the_cameras_room() -> None:
+    cameras = [camera(x) for x in (-1.0, 0.0, 1.0)]
+    near, far = wall(100, depth=3.0).positions, wall(60, depth=500.0).positions
+    points = PointCloud(torch.cat([near, far]), torch.zeros(160, 3))
+    plan = make_plan(scene_of(*cameras, points=points), (400, 300))
+    centers = np.stack([c.center.numpy() for c in cameras])
+    across = plan.pixels(plan.coordinates(centers))[:, 0]
+    assert np.ptp(across) > 400 / 5
+    inside = plan.pixels(plan.coordinates(near.double().numpy()))
+    assert ((inside >= 0) & (inside <= [400, 300])).all()
+
+
+def test_the_picture_goes_into_a_folder_that_is_named(install: Install, tmp_path: Path) -> None:
+    install("toys", "1.5", TOY_ENTRIES)
+    pipeline, folder = tmp_path / "toy.yaml", tmp_path / "pictures"
+    pipeline.write_text("name: toy\nscene: toy_scene\ninitializer: toy_points\n")
+    folder.mkdir()
+    assert main(["check", str(pipeline), "--out", str(folder)]) == 0
+    assert (folder / "check.png").is_file()

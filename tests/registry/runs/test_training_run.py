@@ -138,6 +138,38 @@ def test_one_seed_one_hash(toys: Plugins, device: Device, tmp_path: Path) -> Non
     assert first == second != other
 
 
+def test_evaluations_on_the_way_leave_the_bits_as_they_are(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    hashes = {}
+    for iterations, every, expected in ((30, 0, []), (30, 7, [7, 14, 21, 28])):
+        folder = run(
+            toys,
+            device,
+            tmp_path / f"{iterations}-{every}",
+            f"training.evaluate_every={every}",
+            f"training.iterations={iterations}",
+        )[0]
+        assert _evaluated(folder) == expected
+        hashes[every] = folder.results()["hash"]
+    assert hashes[0] == hashes[7]
+
+
+def test_a_run_is_evaluated_at_each_quarter_unless_it_is_short(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    for iterations, expected in ((203, [50, 100, 150, 200]), (199, [])):
+        changes = ("training.evaluate_every=null", f"training.iterations={iterations}")
+        folder = run(toys, device, tmp_path / str(iterations), *changes)[0]
+        assert _evaluated(folder) == expected
+
+
+def _evaluated(folder: RunFolder) -> list[int]:
+    """The iterations after which test views were scored."""
+    lines = map(json.loads, (folder.path / "metrics.jsonl").read_text().splitlines())
+    return [line["iteration"] for line in lines if "test" in line]
+
+
 @pytest.mark.parametrize(
     ("iteration", "number"), [(1, signal.SIGINT), (10, signal.SIGTERM), (17, signal.SIGINT)]
 )

@@ -38,6 +38,11 @@ def test_a_section_without_content_is_left_out() -> None:
         web_page.score_table(["name"], [[web_page.Cell("<i> & more")]]),
         web_page.score_table(["name"], [], caption="<i> & more"),
         web_page.figure("<i> & more", ""),
+        web_page.subsection("<i> & more", "-"),
+        web_page.folded("<i> & more", "-"),
+        web_page.wipe("", "", ("<i> & more", "b")),
+        web_page.choice("<i> & more", {"a": "", "b": ""}),
+        web_page.choice("", {"<i> & more": "", "b": ""}),
     ],
 )
 def test_plain_text_is_escaped(text: str) -> None:
@@ -78,3 +83,17 @@ def test_a_picture_is_inside_the_page_and_not_larger_than_asked(tmp_path: Path) 
     assert [picture.size for picture in page.pictures()] == [(40, 20), (10, 5), (1560, 4)]
     assert page.pictures()[0].getpixel((20, 10)) == pytest.approx((255, 0, 0), abs=3)
     assert red.size == (40, 20), "the picture that was given is as it was"
+
+
+def test_of_several_parts_the_first_is_shown_and_one_alone_needs_no_choice() -> None:
+    text = web_page.choice("view", {"a": "<p>one</p>", "b": "<p>two</p>"})
+    assert "<div><p>one</p></div><div hidden><p>two</p></div>" in text
+    assert Page(text).tags.count("option") == 2
+    assert web_page.choice("view", {"a": "<p>one</p>"}) == "<p>one</p>"
+    assert web_page.choice("view", {}) == ""
+
+
+def test_a_scale_goes_through_its_colors() -> None:
+    text = web_page.color_scale([(0, 0, 0), (1, 0.5, 0)], ["near", "far"])
+    assert "linear-gradient(to right, rgb(0, 0, 0), rgb(255, 128, 0))" in text
+    assert "<span>near</span><span>far</span>" in text

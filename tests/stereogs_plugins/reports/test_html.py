@@ -1,25 +1,32 @@
 from __future__ import annotations
 
+import gzip
 import json
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
-from core_rasterizer import Rendering
+from core_rasterizer import Gaussians, Rendering
 from registry import RunError
 from registry.drawing.pictures import save_png, save_view_pictures
 from registry.runs.folder import RunFolder
 from registry.testing import tiny_scene
+from registry.training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
+from stereogs_plugins.reports.html.spz import spz
 from tests.html_page import Page
 from tests.stereogs_plugins.building import build, offered
 
 RESULTS: dict[str, Any] = {
     "pipeline": "3dgs <fast>",
     "scene": {"name": "tiny", "train": ["view0"], "extent": 0.22},
+    "iterations": 120,
     "gaussians": 12345,
     "seconds": 7.5,
     "peak_memory_mb": None,
@@ -31,6 +38,22 @@ RESULTS: dict[str, Any] = {
     },
     "unavailable": {"lpips": "there is no model & no file"},
 }
+COUNT = 50
+
+
+def some_gaussians() -> Gaussians:
+    random = torch.Generator().manual_seed(0)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=random)
+
+    return Gaussians(
+        3 * numbers(COUNT, 3),
+        numbers(COUNT, 3) - 3,
+        numbers(COUNT, 4),
+        numbers(COUNT),
+        0.3 * numbers(COUNT, 4, 3),
+    )
 
 
 def texts(page: str, tag: str) -> list[str]:
@@ -41,16 +64,24 @@ def texts(page: str, tag: str) -> list[str]:
 def run(tmp_path: Path) -> RunFolder:
     """A run's folder, written by the host itself."""
     run = RunFolder(tmp_path / "run")
+    origin = {
+        "command": ["stereogs", "train", "a b"],
+        "seed": 3,
+        "started": "2026-05-04T03:02:01+00:00",
+        "device": {"name": "a processor"},
+        "source": {"commit": "c0ffee", "dirty": True},
+    }
     run.create(
-        "name: 3dgs  # <b>\n",
-        {"command": ["stereogs", "train"], "seed": 3},
+        "name: 3dgs  # <b>\ntraining: {dilation: 0.25}\n",
+        origin,
         {},
         lambda folder: None,
     )
     scene = tiny_scene()
     picture = torch.full((24, 32, 3), 0.5)
-    run.write_initialization({"points": 60, "views": {"view0": 0.5}}, {"depth of view0": picture})
-    rendering = Rendering(picture, torch.ones(24, 32), torch.ones(24, 32))
+    facts = {"points": 60, "points_by_kind": {"back_layer": 15, "filled": 45}, "x": {"y": 0.5}}
+    run.write_initialization(facts, {"depth of view0": picture})
+    rendering = Rendering(picture, torch.linspace(2, 4, 768).view(24, 32), torch.ones(24, 32))
     save_view_pictures(rendering, scene.test[0], run.folder("renders"))
     for iteration in (50, 100):
         run.append_metrics({"iteration": iteration, "seconds": 1.0, "loss": 9 / iteration})
@@ -59,8 +90,13 @@ def run(tmp_path: Path) -> RunFolder:
     return run
 
 
-def written(run: RunFolder) -> str:
-    (file,) = build(HtmlReport).write(run.path, tiny_scene())
+def add_checkpoint(run: RunFolder) -> None:
+    model = {f"model/{name}": value for name, value in vars(some_gaussians()).items()}
+    save_checkpoint(Checkpoint(120, 7.5, model, "name: 3dgs\n"), run.folder(CHECKPOINT))
+
+
+def written(run: RunFolder, **settings: object) -> str:
+    file = build(HtmlReport, **settings).write(run.path, tiny_scene())[0]
     assert file == run.path / "report.html"
     assert not list(run.path.glob("*.partial"))
     return file.read_text("utf-8")
@@ -71,29 +107,46 @@ def test_is_offered_as_html() -> None:
 
 
 def test_the_page_holds_everything_and_loads_nothing(run: RunFolder) -> None:
+    add_checkpoint(run)
     page = written(run)
     tags = Page(page)
-    assert "script" not in tags.tags
-    assert len(tags.loads) == 2
+    assert len(tags.loads) == 5, "photograph, render, error, depth, initial depth"
     assert all(source.startswith("data:image/jpeg;base64,") for source in tags.loads)
     assert texts(page, "h2") == [
+        "The scene in 3D",
+        "Test views",
         "Scores",
-        "Test views: photograph, render, depth",
         "Training",
         "Initialization",
         "Pipeline",
         "Scene",
         "Provenance",
     ]
-    for text in ("12,345", "7.5", "view1, psnr 20.00, lpips \u2013", "stereogs, train", "depth of"):
+    for text in ("12,345", "7.5", "view1, psnr 20.00, lpips \u2013", "depth of", "a processor"):
+        assert text in page
+    for text in ("2026-05-04T03:02:01", "c0ffee with changes", "stereogs train &#x27;a b&#x27;"):
         assert text in page
 
 
-def test_pictures_are_those_of_the_run(run: RunFolder) -> None:
-    view, initial = Page(written(run)).pictures()
-    assert view.size == (3 * 32 + 2 * 4, 24)  # photograph, render and depth, with gaps
-    assert initial.size == (32, 24)
-    assert initial.getpixel((5, 5)) == pytest.approx((128, 128, 128), abs=2)
+def test_pictures_of_a_view_are_its_photograph_render_error_and_depth(run: RunFolder) -> None:
+    page = written(run)
+    render, photograph, error, depth, initial = Page(page).pictures()
+    assert {picture.size for picture in (photograph, render, error, depth, initial)} == {(32, 24)}
+    assert render.getpixel((5, 5)) == pytest.approx((128, 128, 128), abs=2)
+    view = tiny_scene().test[0]
+    mean = float((view.image - 0.5).abs().mean())
+    assert np.asarray(photograph).mean() / 255 == pytest.approx(float(view.image.mean()), abs=0.02)
+    assert mean > 0.05
+    assert np.asarray(error).std() > 5, "the error differs from place to place"
+    assert "3.9" in page, "the depth of the farthest colour"
+    with Image.open(run.path / "renders" / "depth" / f"{view.name}.png") as picture:
+        assert picture.info["nearest depth"] == "2.04", "the 98th percentile of the inverse"
+
+
+def test_initial_points_are_told_by_kind(run: RunFolder) -> None:
+    page = written(run)
+    assert "Initial points by kind" in texts(page, "h3")
+    assert '<td class="name">back layer</td><td>15</td><td>25.0%</td>' in page
 
 
 def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
@@ -124,6 +177,9 @@ def test_what_training_logged_is_plotted(run: RunFolder) -> None:
         "Stereo: share of pixels",
         "own",
     ]
+    scores = page[page.index('aria-label="Test: psnr"') :].split("</svg>")[0]
+    assert scores.count("<circle") == 3, "two evaluations, and the end"
+    assert ">50 (1 s)<" in scores
 
 
 def test_text_from_files_cannot_become_markup(run: RunFolder) -> None:
@@ -136,13 +192,69 @@ def test_text_from_files_cannot_become_markup(run: RunFolder) -> None:
 def test_a_large_picture_is_reduced(run: RunFolder) -> None:
     save_png(torch.rand(40, 4000, 3), run.path / "initialization" / "wide.png")
     widths = [picture.width for picture in Page(written(run)).pictures()]
-    assert sorted(widths) == [32, 104, 1560]
+    assert sorted(widths) == [32, 32, 32, 32, 32, 1560]
 
 
 def test_a_scored_run_without_anything_else_has_a_page(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(RESULTS), "utf-8")
     page = written(RunFolder(tmp_path))
     assert texts(page, "h2") == ["Scores", "Scene"]
+
+
+def test_the_gaussians_lie_in_the_page_or_beside_it_or_are_too_large(run: RunFolder) -> None:
+    add_checkpoint(run)
+    inside = written(run)
+    assert 'id="scene-data"' in inside
+    assert 'id="viewer-data"' in inside
+    setup = json.loads(inside.split('id="scene-setup">')[1].split("</script>")[0])
+    assert setup["dilation"] == 0.25
+    assert len(setup["views"]) == len((*tiny_scene().test, *tiny_scene().train))
+    report = build(HtmlReport, beside=True)
+    page, viewer, data = report.write(run.path, tiny_scene())
+    assert page.stat().st_size < 100_000 < viewer.stat().st_size
+    assert data.read_text().startswith('globalThis["scene-data"]="')
+    assert Page(page.read_text("utf-8")).loads[:2] == [
+        "report_files/viewer.js",
+        "report_files/scene.js",
+    ]
+    small = written(run, largest_mb=1e-4)
+    assert "stereogs report run --beside" in small
+    assert "scene-data" not in small
+
+
+def test_an_spz_file_holds_the_gaussians_as_its_format_says() -> None:
+    gaussians = some_gaussians()
+    content = gzip.decompress(spz(gaussians))
+    magic, version, count, degree, bits = struct.unpack("<4sIIBB", content[:14])
+    assert (magic, version, count, degree) == (b"NGSP", 2, COUNT, 1)
+    assert len(content) == 16 + COUNT * (9 + 1 + 3 + 3 + 3 + 9)
+    first = [
+        int.from_bytes(content[16 + 3 * k : 19 + 3 * k], "little", signed=True) for k in (0, 1, 2)
+    ]
+    found = torch.tensor(first) / 2.0**bits
+    torch.testing.assert_close(found, gaussians.means[0], atol=2.0**-bits, rtol=0)
+    assert float(gaussians.means.abs().max()) * 2**bits < 2**23, "24 bits hold the farthest"
+
+
+def test_gsply_reads_the_spz_file(tmp_path: Path) -> None:
+    gsply = pytest.importorskip("gsply", reason="pip install 'gsply[spz]'")
+    gaussians = some_gaussians()
+    (tmp_path / "scene.spz").write_bytes(spz(gaussians))
+    read = gsply.read_spz(tmp_path / "scene.spz")
+    unit = torch.nn.functional.normalize(gaussians.quaternions, dim=1)
+    expected = {
+        "means": (gaussians.means, 1e-5),
+        "scales": (gaussians.log_scales, 1 / 32),
+        "sh0": (gaussians.sh[:, 0], 0.014),
+        "shN": (gaussians.sh[:, 1:], 1 / 256),
+    }
+    for name, (values, tolerance) in expected.items():
+        found = torch.from_numpy(np.asarray(getattr(read, name)))
+        torch.testing.assert_close(found, values, atol=tolerance + 1e-5, rtol=0, msg=name)
+    turned = (torch.from_numpy(np.asarray(read.quats)) * unit).sum(dim=1).abs()
+    assert float(turned.min()) > 0.995, "w is what 8 bits of x, y and z leave of 1"
+    opacities = torch.from_numpy(np.asarray(read.opacities)).sigmoid()
+    torch.testing.assert_close(opacities, gaussians.opacity_logits.sigmoid(), atol=3e-3, rtol=0)
 
 
 def test_an_unfinished_run_and_damaged_files_are_explained(run: RunFolder) -> None:

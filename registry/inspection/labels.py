@@ -1,0 +1,99 @@
+"""Names beside places of a picture, none over another."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from PIL import ImageDraw, ImageFont
+
+Color = tuple[int, int, int]
+Box = tuple[float, float, float, float]
+
+_DIRECTIONS = 16
+_DISTANCES = (6.0, 14.0, 26.0, 42.0, 62.0, 90.0, 130.0, 180.0)
+"""Pixels from the place to the name's nearest point, tried in this order."""
+_LED_FROM = 14.0
+"""From this distance on a line leads from the place to its name."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A name for a place.
+
+    Args:
+        place: column and row, in pixels.
+        text: what is written.
+        color: of the text and the line that leads to it.
+    """
+
+    place: tuple[float, float]
+    text: str
+    color: Color
+
+
+def draw_labels(
+    pen: ImageDraw.ImageDraw,
+    labels: Sequence[Label],
+    kept_free: Sequence[tuple[float, float]],
+    size: tuple[int, int],
+    font_size: int,
+) -> int:
+    """Write each name as near to its place as there is room; those without any are left out.
+
+    Args:
+        kept_free: pixels (column, row) that no name may cover.
+        size: width and height of the picture.
+
+    Returns:
+        How many were left out.
+    """
+    font = ImageFont.load_default(font_size)
+    taken: list[Box] = [(x - 2, y - 2, x + 2, y + 2) for x, y in kept_free]
+    left_out = 0
+    for label in labels:
+        width, height = pen.textlength(label.text, font), font_size + 2.0
+        free = (
+            (distance, box)
+            for distance, box in _candidates(label.place, width, height)
+            if _inside(box, size) and not any(_overlap(box, other) for other in taken)
+        )
+        found = next(free, None)
+        if found is None:
+            left_out += 1
+            continue
+        distance, box = found
+        taken.append(box)
+        if distance >= _LED_FROM:
+            pen.line((label.place, _nearest(box, label.place)), label.color)
+        pen.text(box[:2], label.text, label.color, font)
+    return left_out
+
+
+def _candidates(
+    place: tuple[float, float], width: float, height: float
+) -> Iterator[tuple[float, Box]]:
+    """Boxes around a place, the nearest first, to the right and below before others."""
+    for distance, step in itertools.product(_DISTANCES, range(_DIRECTIONS)):
+        angle = 2 * math.pi * (step / _DIRECTIONS + 1 / 16)
+        across, down = math.cos(angle), math.sin(angle)
+        left = place[0] + distance * across - width * (1 - across) / 2
+        top = place[1] + distance * down - height * (1 - down) / 2
+        yield distance, (left, top, left + width, top + height)
+
+
+def _inside(box: Box, size: tuple[int, int]) -> bool:
+    return box[0] >= 0 and box[1] >= 0 and box[2] <= size[0] and box[3] <= size[1]
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _nearest(box: Box, place: tuple[float, float]) -> tuple[float, float]:
+    return (
+        min(max(place[0], box[0]), box[2]),
+        min(max(place[1], box[1]), box[3]),
+    )

@@ -1,0 +1,85 @@
+"""Test views: the render wiped over the photograph, where it errs, and how far away it sees things."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from registry import RAMP, ViewPictures, depth_ends, ramp_picture
+from registry.web_page import choice, color_scale, figure, grid, image, note, wipe
+
+from .scores import score
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from torch import Tensor
+
+    from registry import Scene, View
+
+MOST_VIEWS = 24
+"""More than these are shown in part: a page of hundreds of pictures cannot be mailed."""
+RENDERS = "renders"
+_LARGEST_ERROR = 0.3
+"""The error of the scale's last colour: of colours between 0 and 1, averaged over the channels."""
+_LONGEST_SIDE = 1000
+
+
+def unseen_views(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
+    """A part for each test view that has a render, of which one is shown at a time."""
+    parts = {}
+    for view in _some(scene.test):
+        files = ViewPictures.of(view.name, folder / RENDERS)
+        if files.render.is_file() and files.depth.is_file():
+            parts[view.name] = _part(view, files, results)
+    text = f"{len(parts)} of {len(scene.test)} test views; the others lie in the folder {RENDERS}."
+    remark = note(text) if 0 < len(parts) < len(scene.test) else ""
+    return choice("view", parts) + remark
+
+
+def _some(views: tuple[View, ...]) -> list[View]:
+    """All, or as many as are shown, evenly spaced."""
+    count = min(len(views), MOST_VIEWS)
+    return [views[index * len(views) // count] for index in range(count)]
+
+
+def _part(view: View, files: ViewPictures, results: Mapping[str, Any]) -> str:
+    row = results["views"]["test"].get(view.name, {})
+    missing = results.get("unavailable", {})
+    caption = ", ".join([view.name, *(f"{name} {score(row, name, missing)}" for name in row)])
+    photograph = image(_picture(view.image), "photograph", _LONGEST_SIDE)
+    render = image(files.render, "render", _LONGEST_SIDE)
+    compared = wipe(photograph, render, ("photograph", "render"))
+    return figure(caption, compared) + grid([_error(view, files), _depth(files)])
+
+
+def _error(view: View, files: ViewPictures) -> str:
+    with Image.open(files.render) as opened:
+        rendered = torch.from_numpy(np.array(opened.convert("RGB"))).float() / 255
+    if rendered.shape != view.image.shape:
+        return ""
+    error = (rendered - view.image).abs().mean(dim=2)
+    picture = image(_picture(ramp_picture(error / _LARGEST_ERROR)), "error", _LONGEST_SIDE)
+    scale = color_scale(RAMP, ["0", f"{_LARGEST_ERROR / 2:g}", f"{_LARGEST_ERROR:g} and more"])
+    return figure("Error: mean difference of the colours, which go from 0 to 1", picture + scale)
+
+
+def _depth(files: ViewPictures) -> str:
+    ends = depth_ends(files.depth)
+    scale = ""
+    if ends is not None:
+        near, far = ends
+        middle = 2 / (1 / near + 1 / far)  # colours are linear in inverse depth
+        scale = color_scale(RAMP, [f"{far:.4g} and more", f"{middle:.4g}", f"{near:.4g}"])
+    picture = image(files.depth, "depth", _LONGEST_SIDE)
+    return figure(
+        "Depth along the camera's axis, in world units; black: nothing there", picture + scale
+    )
+
+
+def _picture(values: Tensor) -> Image.Image:
+    return Image.fromarray((values.clamp(0, 1) * 255).round().to(torch.uint8).numpy())

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from registry.inspection.labels import Label, draw_labels
+
+COLORS = ((255, 0, 0), (0, 0, 255))
+SIZE = (200, 120)
+
+
+def boxes(places: list[tuple[float, float]]) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Where each name was written alone, in a color of its own, and how many were left out."""
+    picture = Image.new("RGB", SIZE, (255, 255, 255))
+    labels = [Label(place, "a name", COLORS[k % 2]) for k, place in enumerate(places)]
+    left_out = draw_labels(ImageDraw.Draw(picture), labels, places, SIZE, 12)
+    pixels = np.array(picture).astype(int)
+    found = []
+    for color in COLORS[: len(places)]:
+        other = COLORS[1 - COLORS.index(color)]
+        near = (np.abs(pixels - color).sum(2) < np.abs(pixels - other).sum(2)) & (
+            pixels.sum(2) < 600
+        )
+        rows, columns = np.nonzero(near)
+        found.append((columns.min(), rows.min(), columns.max(), rows.max()))
+    return found, left_out
+
+
+def test_names_of_one_place_do_not_overlap() -> None:
+    (one, two), left_out = boxes([(100.0, 60.0), (101.0, 60.0)])
+    assert left_out == 0
+    assert one[2] < two[0] or two[2] < one[0] or one[3] < two[1] or two[3] < one[1]
+
+
+def test_a_name_stays_in_the_picture() -> None:
+    ((left, top, right, bottom),), left_out = boxes([(199.0, 119.0)])
+    assert left_out == 0
+    assert left < right < SIZE[0] - 1
+    assert top < bottom < SIZE[1] - 1
+
+
+def test_names_without_room_are_left_out_and_counted() -> None:
+    picture = Image.new("RGB", (60, 30))
+    labels = [Label((30.0, 15.0), "a name", (255, 255, 255)) for _ in range(20)]
+    left_out = draw_labels(ImageDraw.Draw(picture), labels, [], (60, 30), 12)
+    assert 10 < left_out < 20
