@@ -22,7 +22,7 @@ examples:
   stereogs compare runs/3dgs-fern runs/stereogs-fern
   stereogs compare runs/* --paper stereogs
   stereogs compare runs/* --format latex
-  stereogs compare runs/* --format html > comparison.html
+  stereogs compare runs/* --format page > comparison.html
   stereogs compare --paper stereogs --protocol dtu-3
 
 Runs of different protocols, of one scene prepared in two ways, or with metrics measured
@@ -31,7 +31,7 @@ settings that differ. Where the runs cover several scenes, each method's mean fo
 were run on the same scenes. --paper adds what a paper reports for the protocol that the runs follow.
 """
 
-FORMATS = ("table", "csv", "markdown", "latex", "html")
+FORMATS = ("table", "csv", "markdown", "latex", "page")
 WIDEST = 500
 """Columns of text that a table may take."""
 
@@ -50,7 +50,7 @@ def add(verbs: Verbs) -> None:
         "--format",
         choices=FORMATS,
         default=FORMATS[0],
-        help="csv: the runs alone, every digit; markdown, latex: as the table; html: a page with the "
+        help="csv: the runs alone, every digit; markdown, latex: as the table; page: HTML with the "
         "renders beside the photographs (default: table)",
     )
     parser.set_defaults(run=run)
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         groups = comparable_groups(runs)
         tables = [comparison_table(members, None, reason) for members, reason in groups]
-    if arguments.format == "html":
+    if arguments.format == "page":
         from ..comparing.page import as_page
 
         print(as_page(runs, tables), end="")

@@ -38,6 +38,7 @@ pre { background: #8881; padding: .8rem 1rem; overflow-x: auto; font-size: .85re
 .corners span { background: #000a; color: #fff; font-size: .8rem; padding: 0 .4rem; }
 .pinned { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 3fr); gap: 1.4rem; }
 .pinned > :first-child { position: sticky; top: .5rem; align-self: start; }
+.pinned > :first-child img { width: 100%; }
 .pinned .grid { grid-template-columns: repeat(auto-fill, minmax(min(17rem, 100%), 1fr)); }
 .choice select, .scene-view select { font: inherit; max-width: 100%; margin-bottom: .6rem; }
 .scale { font-size: .8rem; padding-top: .3rem; } .scale i { display: block; height: .7rem; }

@@ -45,7 +45,7 @@ def run(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def comparison(run: Path) -> Path:
     text = io.StringIO()
     with redirect_stdout(text):
-        assert main(["compare", str(run), str(run), "--format", "html"]) == 0
+        assert main(["compare", str(run), str(run), "--format", "page"]) == 0
     (run.parent / "comparison.html").write_text(text.getvalue(), "utf-8")
     return run.parent / "comparison.html"
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import pydantic
 
-from registry import Register, Report, Scene, Settings, hookimpl, trained_gaussians, write_text
+from registry import Register, Report, Scene, Settings, hookimpl, write_text
 from registry.web_page import (
     Cell,
     facts_table,
@@ -75,6 +75,8 @@ class HtmlReport(Report[HtmlReportSettings]):
         return [folder / FILE, *view.files]
 
     def _scene_view(self, folder: Path, scene: Scene, run: RunFiles) -> SceneView:
+        from registry import trained_gaussians
+
         from .scene_view import SceneView, scene_view
 
         if not (folder / CHECKPOINT).is_dir():

@@ -319,7 +319,7 @@ def test_the_page_holds_the_tables_and_the_renders_of_each_view(
         save_png(grey, files.render)
         save_png(grey, files.depth)
         save_png(side_by_side(grey, grey, grey), files.comparison)
-    assert main(["compare", *map(str, folders), "--format", "html"]) == 0
+    assert main(["compare", *map(str, folders), "--format", "page"]) == 0
     text = capsys.readouterr().out
     page = Page(text)
     assert page.tags.count("option") == 2, "two views to choose from"
