@@ -71,5 +71,5 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,heic,plot,video]'
+	$(PIP) --editable '.[dev,heic,plot,spz,video,viewer]'
 	@touch $@
