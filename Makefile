@@ -104,4 +104,6 @@ $(VENV)/.dev: $(VENV)/.runtime
 
 $(VENV)/.docs: $(VENV)/.dev
 	$(PIP) --editable '.[docs]'
+
+	$(PIP) --editable '.[dev,heic,plot,spz,video,viewer]'
 	@touch $@

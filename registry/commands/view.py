@@ -43,6 +43,9 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
+    from ..viewing.package import import_viser
+
+    import_viser()  # told before anything is loaded
     from ..training.threads import one_torch_thread
 
     with one_torch_thread():

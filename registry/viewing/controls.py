@@ -35,12 +35,12 @@ class Controls:
         self.status = gui.add_markdown("")
         self._channel = gui.add_dropdown("Show", CHANNELS, initial_value=CHANNELS[0])
         self._on_change(self._channel, on_look)
-        for label, initial, told in (
-            ("Cameras", True, on_cameras),
-            ("Ellipsoids", False, on_ellipsoids),
-        ):
-            switch = gui.add_checkbox(label, initial)
-            self._on_change(switch, lambda switch=switch, told=told: told(switch.value))
+        cameras, ellipsoids = (
+            gui.add_checkbox("Cameras", True),
+            gui.add_checkbox("Ellipsoids", False),
+        )
+        self._on_change(cameras, lambda: on_cameras(cameras.value))
+        self._on_change(ellipsoids, lambda: on_ellipsoids(ellipsoids.value))
         self._kinds = {}
         kinds = tuple(kinds)
         if kinds:

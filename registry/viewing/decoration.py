@@ -105,11 +105,12 @@ def _octasphere() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         (3, 1, 5),
         (0, 3, 5),
     ]
-    vertices, faces = [], []
+    vertices: list[np.ndarray[Any, Any]] = []
+    faces: list[list[int]] = []
     for triangle in coarse:
         a, b, c = corners[list(triangle)].astype(float)
         ab, bc, ca = ((p + q) / np.linalg.norm(p + q) for p, q in ((a, b), (b, c), (c, a)))
         for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)):
-            faces.append(range(len(vertices), len(vertices) + 3))
+            faces.append([len(vertices), len(vertices) + 1, len(vertices) + 2])
             vertices += piece
-    return np.array(vertices, np.float32), np.array([list(face) for face in faces], np.uint32)
+    return np.array(vertices, np.float32), np.array(faces, np.uint32)

@@ -15,6 +15,8 @@ from .subject import Subject
 
 _UP_WITHOUT_CAMERAS = (0.0, -1.0, 0.0)
 """Scenes of COLMAP and 3DGS have their y axis downwards more often than not."""
+_BEHIND, _ABOVE = 0.5, 0.25
+"""The first camera, in units of the scene's extent: its photograph must not stand in front of the scene."""
 _DISTANCE = 2.5
 """From the middle of Gaussians without cameras, in units of their spread."""
 
@@ -39,20 +41,21 @@ class StartPose:
 
 
 def start_pose(subject: Subject) -> StartPose:
-    """The first training camera's view, turning about what it sees; without cameras, a look at all."""
+    """Over the first training camera's shoulder, turning about what it sees; without cameras, all is seen."""
     means = subject.model.read("means").double()
     if subject.scene is None:
         middle = means.median(dim=0).values
         spread = float((means - middle).norm(dim=1).median())
         offset = torch.tensor([0.0, 0.0, -_DISTANCE * spread], dtype=torch.float64)
-        up = np.asarray(_UP_WITHOUT_CAMERAS)
-        return StartPose((middle + offset).numpy(), middle.numpy(), up, np.pi / 3)
+        vertical = np.asarray(_UP_WITHOUT_CAMERAS)
+        return StartPose((middle + offset).numpy(), middle.numpy(), vertical, np.pi / 3)
     cameras = [view.camera for view in subject.scene.train]
     first, depth = cameras[0], _depth_in_front(cameras[0], means, subject.scene)
-    position = first.center
-    look_at = position + depth * first.world_to_camera[2, :3]
+    center, forward = first.center.numpy(), first.world_to_camera[2, :3].numpy()
+    up, extent = upwards(cameras), subject.scene.extent
+    position = center + extent * (_ABOVE * up - _BEHIND * forward)
     height = 2 * np.arctan(0.5 * first.height / first.fy)
-    return StartPose(position.numpy(), look_at.numpy(), upwards(cameras), float(height))
+    return StartPose(position, center + depth * forward, up, float(height))
 
 
 def _depth_in_front(camera: Camera, means: torch.Tensor, scene: Scene) -> float:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import RunError
 from .controls import Bounds, Controls
 from .decoration import add_cameras, add_ellipsoids
 from .pace import QUICK_SECONDS, SHARP_SECONDS, Pace
+from .package import import_viser
 from .picture import Look, camera_of, kept, pictured
 from .start_pose import StartPose, start_pose
 from .subject import Subject
@@ -40,7 +40,7 @@ class Viewer:
         port: of this machine that is tried first; the next free one is taken.
 
     Raises:
-        RunError: viser is not installed.
+        RunError: viser is not installed (`import_viser`).
     """
 
     def __init__(self, subject: Subject, port: int) -> None:
@@ -180,13 +180,7 @@ def _bounds(subject: Subject) -> Bounds:
 
 
 def _server(port: int, title: str) -> Any:
-    try:
-        import viser
-    except ImportError as error:
-        raise RunError(
-            "looking at a scene in the browser needs the package viser",
-            fix="pip install 'stereogs-plugins[viewer]'",
-        ) from error
+    viser = import_viser()
     with redirect_stdout(io.StringIO()):  # it draws a box with addresses
         server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
     # Its button for sharing would hand the page to a server on the internet.

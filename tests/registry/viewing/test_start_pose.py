@@ -19,22 +19,26 @@ def model(device: Device, z: float) -> GaussianModel:
     )
 
 
-def test_a_visitor_stands_where_the_first_photograph_was_taken(device: Device) -> None:
+def test_a_visitor_looks_over_the_first_cameras_shoulder(device: Device) -> None:
     scene = tiny_scene()
     pose = start_pose(Subject("x", model(device, 3.0), scene))
     first = scene.train[0].camera
-    np.testing.assert_allclose(pose.position, first.center)
+    behind = first.world_to_camera.numpy() @ [*pose.position, 1]
+    assert behind[2] == pytest.approx(-0.5 * scene.extent)
+    assert behind[1] == pytest.approx(-0.25 * scene.extent)  # y points down
     u, v, z = first.project(torch.from_numpy(pose.look_at))
     assert (float(u), float(v)) == pytest.approx((first.cx, first.cy))
     assert float(z) == pytest.approx(3.0, abs=0.1)
-    assert pose.distance == pytest.approx(float(z))
+    assert pose.distance == pytest.approx(np.hypot(float(z) - behind[2], behind[1]))
     np.testing.assert_allclose(pose.up, [0, -1, 0], atol=1e-12)
     assert np.tan(pose.field_of_view / 2) == pytest.approx(0.5 * first.height / first.fy)
 
 
 def test_nothing_in_view_still_gives_a_place_to_turn_around(device: Device) -> None:
     pose = start_pose(Subject("x", model(device, -30.0), tiny_scene()))
-    assert pose.distance == pytest.approx((1.5 * 5.0) ** 0.5)
+    first = tiny_scene().train[0].camera
+    _, _, z = first.project(torch.from_numpy(pose.look_at))
+    assert float(z) == pytest.approx((1.5 * 5.0) ** 0.5)
 
 
 def test_without_cameras_all_is_seen(device: Device) -> None:
