@@ -17,6 +17,7 @@ from core_rasterizer.errors import ExplainedError
 from .commands import ablate, check, compare, completion, doctor, explain, plugins, priors, schema
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, render, replay, resume, train
+from .messages.help_text import HelpFormatter
 from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
@@ -116,7 +117,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="stereogs",
         description="Three to twenty-four photographs become a 3D Gaussian scene.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)

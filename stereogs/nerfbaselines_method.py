@@ -25,7 +25,7 @@ GAUSSIANS, SETTINGS = "scene.ply", "stereogs.json"
 BLACK = (0.0, 0.0, 0.0)
 
 
-class StereoGS(Method):
+class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is installed
     """A pipeline, trained on a dataset of NerfBaselines or read from a checkpoint.
 
     Args:
@@ -148,7 +148,8 @@ def _opaque(image: np.ndarray[Any, Any], background: tuple[float, float, float])
         return image
     scaled = image.astype(np.float32) / (255 if image.dtype == np.uint8 else 1)
     alpha = scaled[..., 3:]
-    return scaled[..., :3] * alpha + np.float32(background) * (1 - alpha)
+    behind = np.asarray(background, np.float32)
+    return scaled[..., :3] * alpha + behind * (1 - alpha)
 
 
 def _camera_of(camera: Cameras) -> stereogs.Camera:
