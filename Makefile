@@ -10,7 +10,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser notebook nerfbaselines flight
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,17 @@ proofs: $(VENV)/.dev ## the tests that take longest: real photographs and networ
 
 tutorial: $(VENV)/.dev ## the tutorial's commands as written; one of the proofs
 	$(BIN)/python -m pytest -m proof tests/test_tutorial.py --timeout 1800
+
+notebook: $(VENV)/.dev ## the notebook in docs/examples, cell by cell; one of the proofs
+	$(BIN)/python -m pytest -m proof tests/test_notebook.py
+
+# Without what it depends on: it asks for numpy 1, and works with numpy 2.
+nerfbaselines: $(VENV)/.dev ## the method wrapper for NerfBaselines against the real package
+	$(PIP) --no-deps --upgrade --target $(VENV)/nerfbaselines nerfbaselines tqdm click
+	PYTHONPATH=$(VENV)/nerfbaselines $(BIN)/python -m pytest tests/stereogs
+
+flight: $(VENV)/.runtime ## the README's moving picture, made anew
+	$(BIN)/python docs/images/make_flight.py
 
 stress: $(VENV)/.dev ## 10,000 poisoned scenes through the engine, new ones each time
 	STRESS_SCENES=10000 $(BIN)/python -m pytest tests/core_rasterizer/test_poison.py --timeout 7200
@@ -100,6 +111,8 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.runtime
 	$(PIP) --editable '.[dev,browser,heic,plot,video]'
+
+	$(PIP) --editable '.[dev,heic,notebook,plot,video]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev

@@ -48,8 +48,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     """Let links lead to where the site has what they name in the repository."""
     here = page.file.src_uri
-    if here.startswith("source/"):
-        return markdown
+    if here.startswith("source/") and not here.endswith(".ipynb.md"):
+        return markdown  # code
 
     def moved(link: re.Match[str]) -> str:
         before, target, anchor = link.groups()
@@ -63,6 +63,8 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 def _origin(name: str) -> str:
     """The path in the repository of a page of the site."""
+    if name.startswith("source/"):
+        return name.removeprefix("source/").removesuffix(".md")
     return next((source for source, there in PAGES.items() if there == name), f"docs/{name}")
 
 

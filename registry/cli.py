@@ -28,6 +28,7 @@ from .commands import (
 from .commands.batches import ablate, bench
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, export, render, replay, report, resume, train
+from .messages.help_text import HelpFormatter
 from .messages.suggestions import did_you_mean, listing
 
 USAGE_ERROR = 2
@@ -135,7 +136,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="stereogs",
         description="Three to twenty-four photographs become a 3D Gaussian scene.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)

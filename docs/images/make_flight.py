@@ -14,7 +14,7 @@ from registry.drawing.camera_path import smooth_path
 from registry.drawing.pictures import depth_picture, side_by_side, to_bytes
 
 ROOT = Path(__file__).parents[2]
-FRAMES, MILLISECONDS = 60, 60
+FRAMES, MILLISECONDS = 48, 70
 
 
 def main() -> None:
@@ -31,7 +31,7 @@ def main() -> None:
         duration=MILLISECONDS,
         loop=0,
         quality=70,
-        method=6,
+        method=4,
     )
 
 
