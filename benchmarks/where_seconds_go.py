@@ -77,21 +77,15 @@ def table(first: Taken, warm: Taken) -> str:
 
 
 def draw(warm: Taken, path: Path) -> None:
-    """Bars of wall and CPU seconds, a pair a stage."""
+    """A bar of CPU seconds for each stage; the wall clock would show the neighbours too."""
     from matplotlib.figure import Figure
 
-    names = list(warm)
-    figure = Figure(figsize=(9, 0.36 * len(names) + 1.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(9, 0.32 * len(warm) + 0.9), dpi=110, layout="constrained")
     axes = figure.subplots()
-    for index, (label, color) in enumerate((("wall", "0.6"), ("CPU, all threads", "tab:blue"))):
-        places = [place + 0.4 * index - 0.2 for place in range(len(names))]
-        values = [warm[name][index] for name in names]
-        axes.barh(places, values, height=0.38, label=label, color=color)
-    axes.set_yticks(range(len(names)), names)
+    axes.barh([*warm], [cpu for _, cpu in warm.values()], height=0.7)
     axes.invert_yaxis()
-    axes.set_xlabel("seconds")
+    axes.set_xlabel("CPU seconds, all threads together")
     axes.grid(axis="x", alpha=0.25)
-    axes.legend()
     figure.savefig(path)
 
 
