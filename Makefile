@@ -78,7 +78,7 @@ bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
 	$(BIN)/python -m benchmarks.error --write-docs
 
-bench-priors: $(VENV)/.dev ## sgm and plane_sweep against the truth; rewrites its page in docs
+bench-priors: $(VENV)/.dev ## sgm, plane_sweep and patch_match against the truth; rewrites its page in docs
 	$(BIN)/python -m benchmarks.priors --write-docs
 
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable

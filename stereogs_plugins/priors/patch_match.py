@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
+_NO_MATCH = 0.9
+"""Cost from which on the windows are as good as uncorrelated: nothing was found there."""
+
+
 class PatchMatchSettings(Settings):
     near_margin: float = Field(0.9, gt=0, le=1)
     """Nothing is nearer than so many times the scene's near bound."""
@@ -51,9 +55,9 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
     ) -> list[DepthMap]:
         """Return one depth map for each view.
 
-        A depth is valid where the point projects into another view that it was compared with. The
-        confidence is 1 less the cost: of windows that do not match, and of views that disagree. Random
-        planes are the same for every run, so that the pipeline's seed changes nothing.
+        A depth is valid where its window matches at all and the point projects into another view that it
+        was compared with. The confidence is 1 less the cost: of windows that do not match, and of views
+        that disagree. Random planes are the same for every run: the pipeline's seed changes nothing.
 
         Raises:
             PluginError: all cameras stand in one place.
@@ -73,14 +77,12 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
             )
         greys = [grey(view.image) for view in views]
         matcher = PatchMatch(self.context.device, greys, cameras, reach, radius=settings.radius)
-        return [
-            DepthMap(
-                found.depth,
-                seen_by_any(found.depth.double(), camera, [cameras[k] for k in others]),
-                (1 - found.cost).clamp(0, 1),
-            )
-            for found, camera, others in zip(matcher.maps(sources), cameras, sources, strict=True)
-        ]
+        maps = []
+        for found, camera, others in zip(matcher.maps(sources), cameras, sources, strict=True):
+            seen = seen_by_any(found.depth.double(), camera, [cameras[k] for k in others])
+            valid = seen & (found.cost < _NO_MATCH)
+            maps.append(DepthMap(found.depth, valid, (1 - found.cost).clamp(0, 1)))
+        return maps
 
 
 @hookimpl
