@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz methods new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,6 +42,9 @@ types: $(VENV)/.dev ## mypy, strict
 docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, written from the code
 	$(BIN)/python docs/make_reference.py
 	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
+
+methods: $(VENV)/.dev ## every published method on two scenes; rewrites the table in docs/methods.md; resumable
+	$(BIN)/python -m benchmarks.methods --write-docs
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine
