@@ -25,6 +25,7 @@ from benchmarks import methods_records as records
 from benchmarks.marked_page import rewrite
 from benchmarks.methods_page import BEGIN, END, page_text
 from benchmarks.methods_plan import METHODS, SCENES, SEEDS, MethodRun, planned_runs
+from benchmarks.methods_run import FAILED
 from benchmarks.results_plan import check_data
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
@@ -76,12 +77,13 @@ class Training:
             )
 
     def outcome(self) -> dict[str, object] | str:
-        """What an ended training measured, or the last thing that a failed one said."""
+        """What an ended training measured, or what a failed one said."""
         if self._answer.is_file():
             measured: dict[str, object] = json.loads(self._answer.read_text("utf-8"))
             return measured
-        said = self._log.read_text("utf-8", errors="replace").strip().splitlines()
-        return said[-1] if said else f"exit status {self.process.returncode}"
+        said = self._log.read_text("utf-8", errors="replace").strip()
+        _, explained, error = said.rpartition(FAILED)
+        return error if explained else f"exit status {self.process.returncode}\n{said[-1000:]}"
 
 
 def train(
@@ -168,7 +170,7 @@ def main() -> int:
             rewrite(PAGE, BEGIN, END, text)
         if failures:
             name, said = next(iter(failures.items()))
-            raise RunError(f"{len(failures)} runs failed; the first: {said}", where=name)
+            raise RunError(f"{len(failures)} runs failed; the first one said:\n{said}", where=name)
         if len(found) < len(runs):
             console.print(f"{len(runs) - len(found)} are missing; the same command goes on")
             return INTERRUPTED

@@ -22,12 +22,12 @@ CONFIDENCE = 0.95
 NONE = "\u2013"
 TITLES: dict[Points, str] = {"own": "Own points", "same": "Same points"}
 NOTES = """\
-PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several; **both**
-and what follows are means over the two scenes, for rows that have both. *to 3DGS* is the mean difference in PSNR
-to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval (Student's t) from
-three pairs on. *CPU s* is the processor time of loading, initialization and training, over all threads, without
-scoring; nothing came from the cache of prior answers. *MB* is the most memory that the process took until
-scoring. *paper* are averages over all eight LLFF scenes from {source}. {notes}
+PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several;
+**both** and what follows are means over the two scenes, for rows that have both. *to 3DGS* is the mean
+difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
+(Student's t) from three pairs on. *CPU s* is the processor time of loading, initialization and training, over
+all threads, without scoring; nothing came from the cache of prior answers. *MB* is the most memory that the
+process took until scoring. *paper* are averages over all eight LLFF scenes from {source}. {notes}
 """
 
 

@@ -54,7 +54,7 @@ def read(runs: Iterable[MethodRun], folder: Path) -> list[Record]:
             try:
                 found = json.loads(file.read_text("utf-8"))
                 current = found.pop("pipeline") == run.digest
-            except (OSError, ValueError, KeyError, AttributeError) as error:
+            except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
                 raise RunError(
                     f"the record cannot be read: {error}", where=str(file), fix="remove the file"
                 ) from error

@@ -10,6 +10,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.runs.evaluation import evaluate
 from registry.runs.origin.provenance import circumstances
@@ -17,6 +18,9 @@ from registry.session import build_pipeline, train
 from registry.system.files import write_json
 from registry.system.memory import peak_memory_mb
 from registry.training.threads import one_torch_thread
+
+FAILED = "methods_run: "
+"""What stands before the error that ended a training."""
 
 
 def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str, Any]:
@@ -36,6 +40,7 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
     cpu_seconds, memory = process_time() - begin, peak_memory_mb()
     if not run.finished:
         raise RunError("the training was stopped", where=str(pipeline_file))
+    pictures.mkdir(parents=True, exist_ok=True)
     with one_torch_thread():
         scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"], pictures)
     missing = [*scores.unavailable.values(), *(error.what for error in scores.failures.values())]
@@ -61,7 +66,10 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
 
 def main() -> None:
     pipeline, pictures, answer, *device = sys.argv[1:]
-    measured = measure(Path(pipeline), Path(pictures), device[0] if device else None)
+    try:
+        measured = measure(Path(pipeline), Path(pictures), device[0] if device else None)
+    except ExplainedError as error:
+        sys.exit(f"{FAILED}{error}")
     measured.pop("command")  # of this process: it says nothing that the pipeline does not say
     write_json(Path(answer), measured)
 
