@@ -39,6 +39,8 @@ PAGE = Path(__file__).parent.parent / "docs" / "methods.md"
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 INTERRUPTED = 130
 _SECONDS_BETWEEN_LOOKS = 0.2
+_TAIL = 1000
+"""Characters of a log that are shown of an error that nobody explained."""
 
 
 class Training:
@@ -81,9 +83,14 @@ class Training:
         if self._answer.is_file():
             measured: dict[str, object] = json.loads(self._answer.read_text("utf-8"))
             return measured
-        said = self._log.read_text("utf-8", errors="replace").strip()
-        _, explained, error = said.rpartition(FAILED)
-        return error if explained else f"exit status {self.process.returncode}\n{said[-1000:]}"
+        log = self._log.read_text("utf-8", errors="replace")
+        return failure(log) or f"exit status {self.process.returncode}"
+
+
+def failure(log: str) -> str:
+    """The error that ended a training, or else the end of what it printed."""
+    _, explained, error = log.strip().rpartition(FAILED)
+    return error if explained else log.strip()[-_TAIL:]
 
 
 def train(

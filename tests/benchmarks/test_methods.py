@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from benchmarks import methods, methods_page, methods_records
+from benchmarks import methods, methods_page, methods_records, methods_run
 from benchmarks.methods_plan import (
     BASELINE,
     METHODS,
@@ -23,7 +24,6 @@ from benchmarks.methods_plan import (
     planned_runs,
 )
 from benchmarks.methods_records import Record
-from benchmarks.methods_run import measure
 from registry import RunError
 from registry.plugins.discovery import Plugins
 from registry.session import build_pipeline
@@ -32,7 +32,7 @@ PLUGINS = Plugins()
 TINY = """\
 name: tiny
 scene: {{use: procedural, width: 48, height: 36, test_views: 2, points: 100}}
-initializer: {initializer}
+initializer: sfm
 metrics: {metrics}
 training: {{iterations: 4, sh_degree: 0}}
 """
@@ -44,9 +44,9 @@ def _folders(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_MODELS", "models")
 
 
-def tiny(place: Path, initializer: str = "sfm", metrics: str = "[psnr, ssim]") -> Path:
+def tiny(place: Path, metrics: str = "[psnr, ssim]") -> Path:
     file = place / "tiny.yaml"
-    file.write_text(TINY.format(initializer=initializer, metrics=metrics), "utf-8")
+    file.write_text(TINY.format(metrics=metrics), "utf-8")
     return file
 
 
@@ -101,58 +101,54 @@ def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.Mon
     assert planned_run(BASELINE, "own", SCENES[0], 1, PLUGINS).digest != here.digest
 
 
+def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str]:
+    return methods.train(
+        [run],
+        jobs=1,
+        seconds=seconds,
+        device=None,
+        out=place / "out",
+        kept=place / "records",
+        console=Console(file=io.StringIO()),
+    )
+
+
 def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
-    found = measure(tiny(tmp_path), tmp_path / "renders", None)
-    assert set(found["scores"]) == {"psnr", "ssim"}
+    run = run_of(tiny(tmp_path))
+    assert trained(run, tmp_path, None) == {}
+    (record,) = methods_records.read([run], tmp_path / "records")
+    found = record.measured
+    assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
     assert found["gaussians"] == found["points"] == 100
     assert found["iterations"] == 4
     assert found["cpu_seconds"] > 0
     assert len(found["hash"]) == 64
     assert {"torch", "stereogs-plugins"} <= set(found["packages"])
-    assert len(list((tmp_path / "renders").rglob("*.png"))) >= 2
-    again = measure(tiny(tmp_path), tmp_path / "renders", None)
-    assert again["hash"] == found["hash"]
+    assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
 
 
 def test_a_score_that_is_not_there_is_no_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_MODELS")
-    with pytest.raises(RunError, match="a score is missing"):
-        measure(tiny(tmp_path, metrics="[lpips]"), tmp_path / "renders", None)
-
-
-def trained(runs: list[MethodRun], place: Path, seconds: float | None) -> tuple[Any, str]:
-    printed = io.StringIO()
-    failures = methods.train(
-        runs,
-        jobs=1,
-        seconds=seconds,
-        device=None,
-        out=place / "out",
-        kept=place / "records",
-        console=Console(file=printed),
+    monkeypatch.setattr(
+        sys, "argv", ["", str(tiny(tmp_path, "[lpips]")), str(tmp_path), str(tmp_path / "a.json")]
     )
-    return failures, printed.getvalue()
+    with pytest.raises(SystemExit) as ended:
+        methods_run.main()
+    said = methods.failure(f"0.01 it/s\n{ended.value}\n")
+    assert said.startswith("a score is missing")
+    assert "set STEREOGS_MODELS" in said
+    assert not (tmp_path / "a.json").exists()
 
 
-def test_a_failed_training_says_why_and_the_next_one_is_recorded(tmp_path: Path) -> None:
-    (tmp_path / "bad").mkdir()
-    broken = run_of(tiny(tmp_path / "bad", "{use: ply, path: missing.ply}"), seed=1)
-    good = run_of(tiny(tmp_path))
-    failures, printed = trained([broken, good], tmp_path, None)
-    assert list(failures) == [broken.name]
-    assert "missing.ply" in failures[broken.name]
-    assert f"{broken.name} failed" in printed
-    (kept,) = methods_records.read([broken, good], tmp_path / "records")
-    assert kept.run is good
-    assert kept.scores["psnr"] > 0
+def test_an_error_that_nobody_explained_is_shown_too() -> None:
+    assert methods.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
 
 
 def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
-    failures, _ = trained([run_of(tiny(tmp_path))], tmp_path, 0)
-    assert not failures
+    assert trained(run_of(tiny(tmp_path)), tmp_path, 0) == {}
     assert not (tmp_path / "out").exists()
 
 
