@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from scipy import stats
+from scipy.stats import t as student
 
 from benchmarks.methods_plan import BASELINE, METHODS, PROTOCOL, SCENES, SEEDS, Method, Points
 from benchmarks.methods_records import Record
@@ -60,7 +60,7 @@ def difference(records: Sequence[Record], baseline: Sequence[Record]) -> Differe
     mean, count = statistics.mean(pairs), len(pairs)
     if count < ENOUGH_PAIRS:
         return Difference(mean, None)
-    quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, count - 1))
+    quantile = float(student.ppf((1 + CONFIDENCE) / 2, count - 1))
     return Difference(mean, quantile * statistics.stdev(pairs) / math.sqrt(count))
 
 
