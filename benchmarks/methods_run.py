@@ -50,17 +50,20 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
             where=str(pipeline_file),
             fix="set STEREOGS_MODELS to the folder with the networks for LPIPS (docs/prior_models.md)",
         )
+    around = circumstances(pipeline, run.model.device)
+    # The moment is the end of the run; the command is this process's and says nothing of the pipeline.
+    around["ended"], _ = around.pop("started"), around.pop("command")
     return {
         "scores": scores.mean,
         "views": scores.views,
-        "points": run.initialization["points"],
+        "initial_points": run.initialization["points"],
         "gaussians": run.model.count,
         "iterations": run.iteration,
         "seconds": round(run.seconds.initialization + run.seconds.training, 1),
         "cpu_seconds": round(cpu_seconds, 1),
         "peak_memory_mb": None if memory is None else round(memory),
         "hash": run.hash,
-        **circumstances(pipeline, run.model.device),
+        **around,
     }
 
 
@@ -70,7 +73,6 @@ def main() -> None:
         measured = measure(Path(pipeline), Path(pictures), device[0] if device else None)
     except ExplainedError as error:
         sys.exit(f"{FAILED}{error}")
-    measured.pop("command")  # of this process: it says nothing that the pipeline does not say
     write_json(Path(answer), measured)
 
 

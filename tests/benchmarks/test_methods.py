@@ -120,7 +120,8 @@ def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> No
     found = record.measured
     assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
-    assert found["gaussians"] == found["points"] == 100
+    assert found["gaussians"] == found["initial_points"] == 100
+    assert found["points"] == "own"
     assert found["iterations"] == 4
     assert found["cpu_seconds"] > 0
     assert len(found["hash"]) == 64
