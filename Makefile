@@ -10,7 +10,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser notebook nerfbaselines flight
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser notebook nerfbaselines flight methods
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -71,6 +71,9 @@ docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, wri
 
 site: $(VENV)/.docs ## the documentation as a site in build/site; opens without a network
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+methods: $(VENV)/.dev ## every published method on two scenes; rewrites the table in docs/methods.md; resumable
+	$(BIN)/python -m benchmarks.methods --write-docs
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine

@@ -80,7 +80,7 @@ def main() -> int:
         parser.error("a trial is no result: leave out --iterations or --write-docs")
     console = Console(markup=False, highlight=False, soft_wrap=True)
     try:
-        check_data(CASES)
+        check_data(case.data for case in CASES)
         measurements = make_measurements(CASES, METHODS, Plugins(), arguments.iterations)
         folder = AblationFolder(arguments.out)
         records = measure(measurements, folder, arguments.device, console)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from benchmarks.marked_page import rewrite
 from benchmarks.results_picture import draw
 from benchmarks.results_plan import Case, Measurement, Method
-from registry import RunError
 from registry.ablation.running.folder import AblationFolder
 from registry.comparing.comparability import check_comparable
 from registry.comparing.comparison import FinishedRun, read_run
@@ -85,21 +85,14 @@ def draw_first_views(records: Sequence[Record], path: Path) -> None:
 
 
 def write_page(records: Sequence[Record], page: Path) -> None:
-    """Write the page's measured part.
+    """Write the page's measured part; a page that is not there is begun.
 
     Raises:
         RunError: the page that is there lacks the marks.
     """
-    text = page.read_text("utf-8") if page.is_file() else NEW_PAGE
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise RunError(
-            "the page has lost the marks around its measured part",
-            where=str(page),
-            fix=f"put the lines back, or remove the page:\n{BEGIN}\n{END}",
-        )
-    write_text(page, f"{before}{BEGIN}\n\n{page_text(records)}\n{END}{after}")
+    if not page.is_file():
+        write_text(page, NEW_PAGE)
+    rewrite(page, BEGIN, END, page_text(records))
 
 
 def page_text(records: Sequence[Record]) -> str:

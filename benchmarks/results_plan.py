@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,13 +102,13 @@ CASES = (
 )
 
 
-def check_data(cases: Sequence[Case]) -> None:
+def check_data(wanted: Iterable[str]) -> None:
     """Refuse to begin without the data sets.
 
     Raises:
         RunError: STEREOGS_DATA is not set, or has no folder of that name for some.
     """
-    names = list(dict.fromkeys(case.data for case in cases))
+    names = list(dict.fromkeys(wanted))
     root = os.environ.get(DATA)
     if not root:
         raise RunError(

@@ -14,7 +14,7 @@ PAGE = (ROOT / "docs" / "methods.md").read_text("utf-8")
 SECTIONS = {
     title.lower().replace("²", "2"): text
     for title, text in re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE)
-    if title != "Add yours"
+    if title not in ("Measured", "Add yours")
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -73,3 +74,20 @@ def test_icogs_looks_photographs_up_in_the_last_sixth() -> None:
     assert (
         len(calls(published("ico-gs"), "regularizers", "cycle_filtered_warping")) == 10_000 // 6 + 1
     )
+
+
+RECOVERY = 500
+"""Iterations that the optimizer needs to bring opacities back from a reset, however long the run."""
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*-short.yaml")), ids=lambda file: file.stem)
+def test_resets_of_a_short_run_leave_opacities_time_to_come_back(file: Path) -> None:
+    pipeline = load_pipeline(file, Plugins())
+    end = pipeline.training.iterations
+    for item in pipeline.items["opacity"]:
+        settings = item.settings.model_dump()
+        if item.host.use == "opacity_reset" and settings["ceiling"] < 0.1:
+            due = calls(pipeline, "opacity", item.name)
+            resets = [i for i in due if end - i >= settings["recovery"]]
+            gaps = [b - a for a, b in itertools.pairwise([*resets, end])]
+            assert min(gaps, default=end) >= RECOVERY, item.name

@@ -54,6 +54,21 @@ def test_patches_are_normalized_as_written(form: str, side: int) -> None:
     torch.testing.assert_close(found.normalized(form), wanted)
 
 
+def test_small_arrays_differ_by_what_the_authors_code_answers() -> None:
+    """1.27997 and 0.84404 came from utils/loss_utils.py of the authors' repository, with sides of 2.
+
+    Its global form divides by 1.01 of the spread; the paper and this one by the spread.
+    """
+    rendered = torch.arange(24.0, dtype=torch.float64).reshape(4, 6) ** 2
+    wanted = torch.arange(24.0, dtype=torch.float64).reshape(4, 6) * 3 % 7
+    known = torch.ones(4, 6, dtype=torch.bool)
+    ours, target = Patches(rendered, known, 2), Patches(wanted, known, 2)
+    local = (ours.normalized("local") - target.normalized("local")).square()
+    shared = (ours.normalized("global") - target.normalized("global")).square()
+    assert float(local.mean()) == pytest.approx(1.2799738, rel=1e-6)
+    assert float(shared.mean()) / 1.01**2 == pytest.approx(0.8440429, rel=1e-6)
+
+
 def test_unknown_pixels_take_no_part() -> None:
     image, known = RAMP.clone(), KNOWN.clone()
     known[0, 0] = False

@@ -1,0 +1,208 @@
+"""What `benchmarks.methods` trains: every method from its own points and from the same ones."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
+
+from benchmarks.results_plan import DATA, PIPELINES
+from registry.pipeline.edits import apply_override, set_value
+from registry.pipeline.pipeline import Pipeline, build_pipeline
+from registry.pipeline.yaml_source import Node, Place, read
+from registry.plugins.discovery import Plugins
+
+Points = Literal["own", "same"]
+"""Whether a method starts from the points that it asks for, or from those that all are given."""
+
+PROTOCOL = "llff-3"
+SCENES = ("llff_fern", "llff_flower")
+SEEDS = (0, 1, 2)
+POINTS: tuple[Points, ...] = ("own", "same")
+SAME_POINTS = PIPELINES / "weightfree.yaml"
+"""The pipeline whose initializer and prior the methods get in the column *same*."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row of the table.
+
+    Args:
+        title: the table's word for it.
+        file: its pipeline.
+        paper: the row of the StereoGS paper's tables, or None.
+        overrides: what `--set` would say.
+        points: the columns it has.
+    """
+
+    title: str
+    file: Path
+    paper: str | None = None
+    overrides: tuple[str, ...] = ()
+    points: tuple[Points, ...] = POINTS
+
+
+@dataclass(frozen=True, eq=False)
+class MethodRun:
+    """One training.
+
+    Args:
+        digest: of the pipeline as it is written, the same wherever the data lie.
+    """
+
+    method: Method
+    points: Points
+    data: str
+    seed: int
+    pipeline: Pipeline
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.method.file.stem}_{self.points}_{self.data}_{self.seed}"
+
+
+def _short(title: str, name: str, paper: str | None = None) -> Method:
+    return Method(title, PIPELINES / "methods" / f"{name}-short.yaml", paper)
+
+
+def _stereogs(title: str, name: str, paper: str) -> Method:
+    """StereoGS in 2,000 iterations, scaled by 1/15, with IterMVS and HITNet.
+
+    Two stereo passes in each iteration would take an hour of a processor: the network is asked again
+    when the render it has seen has changed, as in pipelines/stereogs_weightfree.yaml.
+    """
+    models = "${STEREOGS_MODELS}"
+    overrides = (
+        f"priors.multi_view.model='{models}/itermvs/itermvs_blendedmvs.onnx'",
+        "priors.multi_view.min_confidence=0.3",
+        f"priors.stereo.model='{models}/hitnet_eth3d/hitnet_eth3d.onnx'",
+        "priors.stereo.family=generic",
+        "priors.stereo.max_disparity=128",
+        "regularizers.stereo_depth.start=66.7%",
+        "regularizers.stereo_depth.refresh_threshold=0.01",
+        "densification.start=100",
+        "opacity.start=3.35%",
+        "training.iterations=2000",
+        "training.sh_every=67",
+    )
+    return Method(title, PIPELINES / f"{name}.yaml", paper, overrides)
+
+
+BASELINE = _short("3DGS", "3dgs", "3dgs")
+NETWORKED = (
+    _stereogs("StereoGS", "stereogs", "stereogs"),
+    _stereogs("StereoGS, dropout", "stereogs_dropout", "stereogs_drop"),
+)
+"""Methods whose networks take most of the time."""
+METHODS = (
+    BASELINE,
+    _short("DropGaussian", "dropgaussian", "dropgaussian"),
+    Method("weightfree.yaml", SAME_POINTS, points=("same",)),
+    _short("Binocular3DGS", "binocular3dgs", "binocular3dgs"),
+    _short("Co-Adaptation", "co-adaptation"),
+    _short("D²GS", "d2gs", "d2gs"),
+    _short("MCMC", "mcmc"),
+    _short("AbsGS", "absgs"),
+    _short("RegNeRF", "regnerf", "regnerf"),
+    _short("FreeNeRF", "freenerf", "freenerf"),
+    _short("SparseNeRF", "sparsenerf", "sparsenerf"),
+    _short("ICO-GS", "ico-gs"),
+    _short("MVPGS", "mvpgs", "mvpgs"),
+    _short("FSGS", "fsgs", "fsgs"),
+    _short("NexusGS", "nexusgs", "nexusgs"),
+    _short("DNGaussian", "dngaussian", "dngaussian"),
+    _short("CoR-GS", "cor-gs", "cor_gs"),
+    *NETWORKED,
+)
+"""In the order in which they train: what the others are compared with first, the dearest last."""
+
+
+def planned_runs(
+    methods: Sequence[Method], scenes: Sequence[str], seeds: Sequence[int], plugins: Plugins
+) -> list[MethodRun]:
+    """All runs, the first seed of everything before the second; in each, `NETWORKED` last.
+
+    Raises:
+        PipelineError: a pipeline cannot be read or contradicts the protocol.
+    """
+    return [
+        planned_run(method, points, data, seed, plugins)
+        for seed, stereo in product(seeds, (False, True))
+        for data, method in product(scenes, methods)
+        if stereo == (method in NETWORKED)
+        for points in method.points
+    ]
+
+
+def planned_run(
+    method: Method, points: Points, data: str, seed: int, plugins: Plugins
+) -> MethodRun:
+    """A method on a scene, checked.
+
+    Raises:
+        PipelineError: see `planned_runs`.
+    """
+    tree = read(method.file)
+    for override in method.overrides:
+        apply_override(tree, override)
+    if points == "same":
+        _start_from_the_same(tree)
+    scene = f"scene={{use: llff, path: '${{{DATA}}}/{data}'}}"
+    metrics = "metrics=[psnr, ssim, lpips]"
+    for override in (f"protocol={PROTOCOL}", scene, metrics, f"training.seed={seed}"):
+        apply_override(tree, override)
+    written = json.dumps(_written(tree), sort_keys=True)
+    digest = hashlib.sha256(written.encode()).hexdigest()[:10]
+    return MethodRun(method, points, data, seed, build_pipeline(tree, plugins), digest)
+
+
+def _start_from_the_same(tree: Node) -> None:
+    """Put the initializer of `SAME_POINTS` in, asking the plane sweep that is there or one added."""
+    place = Place(SAME_POINTS.name)
+    given = deepcopy(read(SAME_POINTS))
+    initializer, own = _parts(given, "initializer"), _parts(tree, "initializer")
+    if "hand_on_depth" in own:  # a loss of the method needs it, the points do not change
+        initializer["hand_on_depth"] = own["hand_on_depth"]
+    initializer["prior"] = Node(_plane_sweep(tree, place), place)
+    set_value(tree, "initializer", Node(initializer, place), place)
+
+
+def _plane_sweep(tree: Node, place: Place) -> str:
+    """The name of the pipeline's plane sweep; one is added where there is none."""
+    priors = list(_items(tree, "priors"))
+    for prior in priors:
+        written = _written(prior)
+        names = written if isinstance(written, dict) else {"use": written}
+        if names["use"] == "plane_sweep":
+            return str(names.get("name", "plane_sweep"))
+    priors.append(Node("plane_sweep", place))
+    set_value(tree, "priors", Node(priors, place), place)
+    return "plane_sweep"
+
+
+def _written(node: Node) -> Any:
+    """A node as plain values, environment variables as they are written."""
+    if isinstance(node.content, dict):
+        return {key: _written(child) for key, child in node.content.items()}
+    if isinstance(node.content, list):
+        return [_written(child) for child in node.content]
+    return node.content
+
+
+def _parts(tree: Node, section: str) -> dict[str, Node]:
+    """A component's settings; of one that is only named, none."""
+    node = tree.content[section] if isinstance(tree.content, dict) else tree
+    return node.content if isinstance(node.content, dict) else {}
+
+
+def _items(tree: Node, section: str) -> Iterator[Node]:
+    node = tree.content.get(section) if isinstance(tree.content, dict) else None
+    if node is not None:
+        yield from node.content if isinstance(node.content, list) else [node]

@@ -1,0 +1,201 @@
+"""The table of methods: what is planned, what one training records, and how records become a page."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from benchmarks import methods, methods_page, methods_records, methods_run
+from benchmarks.methods_plan import (
+    BASELINE,
+    METHODS,
+    NETWORKED,
+    SCENES,
+    SEEDS,
+    Method,
+    MethodRun,
+    Points,
+    planned_run,
+    planned_runs,
+)
+from benchmarks.methods_records import Record
+from registry import RunError
+from registry.plugins.discovery import Plugins
+from registry.session import build_pipeline
+
+PLUGINS = Plugins()
+TINY = """\
+name: tiny
+scene: {{use: procedural, width: 48, height: 36, test_views: 2, points: 100}}
+initializer: sfm
+metrics: {metrics}
+training: {{iterations: 4, sh_degree: 0}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _folders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOGS_DATA", "data")
+    monkeypatch.setenv("STEREOGS_MODELS", "models")
+
+
+def tiny(place: Path, metrics: str = "[psnr, ssim]") -> Path:
+    file = place / "tiny.yaml"
+    file.write_text(TINY.format(metrics=metrics), "utf-8")
+    return file
+
+
+def run_of(file: Path, seed: int = 0) -> MethodRun:
+    return MethodRun(Method("Tiny", file), "own", "room", seed, build_pipeline(file), "0123456789")
+
+
+def record(method: Method, data: str, seed: int, psnr: float, points: Points = "own") -> Record:
+    run = MethodRun(method, points, data, seed, None, "")  # type: ignore[arg-type]
+    measured: dict[str, Any] = {
+        "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25},
+        "gaussians": 12_345,
+        "cpu_seconds": 67.8,
+        "peak_memory_mb": 910,
+        "device": {"name": "a processor"},
+    }
+    return Record(run, measured)
+
+
+def test_one_seed_of_everything_comes_before_the_next_and_networks_last_in_it() -> None:
+    some = (*NETWORKED, BASELINE)
+    runs = planned_runs(some, SCENES, (0, 1), PLUGINS)
+    assert [run.seed for run in runs] == sorted(run.seed for run in runs)
+    first = [run.method in NETWORKED for run in runs if run.seed == 0]
+    assert first == sorted(first)
+    columns = sum(len(method.points) for method in some)
+    assert len({run.name for run in runs}) == len(runs) == columns * len(SCENES) * 2
+    assert {(run.pipeline.training.seed, run.data) for run in runs} == {
+        (seed, data) for seed in (0, 1) for data in SCENES
+    }
+
+
+def test_the_same_points_are_the_same_for_all() -> None:
+    starts = set()
+    for method in METHODS:
+        run = planned_run(method, "same", SCENES[0], 0, PLUGINS)
+        initializer = run.pipeline.one("initializer")
+        settings = initializer.settings.model_dump(exclude={"prior", "hand_on_depth"})
+        wanted = initializer.settings.model_dump()["prior"]
+        (prior,) = [one for one in run.pipeline.items["priors"] if one.name == wanted]
+        starts.add((initializer.host.use, prior.host.use, str(settings), str(prior.settings)))
+        assert run.pipeline.protocol is not None
+    assert len(starts) == 1
+
+
+def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = planned_run(BASELINE, "own", SCENES[0], 0, PLUGINS)
+    monkeypatch.setenv("STEREOGS_DATA", "elsewhere")
+    there = planned_run(BASELINE, "own", SCENES[0], 0, PLUGINS)
+    assert here.pipeline.to_yaml() != there.pipeline.to_yaml()
+    assert here.digest == there.digest
+    assert planned_run(BASELINE, "own", SCENES[0], 1, PLUGINS).digest != here.digest
+
+
+def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str]:
+    return methods.train(
+        [run],
+        jobs=1,
+        seconds=seconds,
+        device=None,
+        out=place / "out",
+        kept=place / "records",
+        console=Console(file=io.StringIO()),
+    )
+
+
+def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
+    run = run_of(tiny(tmp_path))
+    assert trained(run, tmp_path, None) == {}
+    (record,) = methods_records.read([run], tmp_path / "records")
+    found = record.measured
+    assert set(record.scores) == {"psnr", "ssim"}
+    assert len(found["views"]) == 2  # the test views, and no others
+    assert found["gaussians"] == found["initial_points"] == 100
+    assert found["points"] == "own"
+    assert found["iterations"] == 4
+    assert found["cpu_seconds"] > 0
+    assert len(found["hash"]) == 64
+    assert {"torch", "stereogs-plugins"} <= set(found["packages"])
+    assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
+
+
+def test_a_score_that_is_not_there_is_no_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_MODELS")
+    monkeypatch.setattr(
+        sys, "argv", ["", str(tiny(tmp_path, "[lpips]")), str(tmp_path), str(tmp_path / "a.json")]
+    )
+    with pytest.raises(SystemExit) as ended:
+        methods_run.main()
+    said = methods.failure(f"0.01 it/s\n{ended.value}\n")
+    assert said.startswith("a score is missing")
+    assert "set STEREOGS_MODELS" in said
+    assert not (tmp_path / "a.json").exists()
+
+
+def test_an_error_that_nobody_explained_is_shown_too() -> None:
+    assert methods.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
+
+
+def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
+    assert trained(run_of(tiny(tmp_path)), tmp_path, 0) == {}
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
+    run = run_of(tiny(tmp_path))
+    methods_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
+    assert [one.scores["psnr"] for one in methods_records.read([run], tmp_path)] == [20.0]
+    changed = MethodRun(run.method, "own", "room", 0, run.pipeline, "another")
+    assert methods_records.read([changed], tmp_path) == []
+    next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
+    with pytest.raises(RunError, match="cannot be read"):
+        methods_records.read([run], tmp_path)
+
+
+def test_a_difference_is_over_pairs_of_scene_and_seed() -> None:
+    other = METHODS[1]
+    pairs = [("llff_fern", 0), ("llff_fern", 1), ("llff_flower", 0)]
+    baseline = [record(BASELINE, data, seed, 10.0 * seed + 5) for data, seed in pairs]
+    gains = (1.0, 2.0, 3.0)
+    ours = [
+        record(other, d, s, 10.0 * s + 5 + gain) for (d, s), gain in zip(pairs, gains, strict=True)
+    ]
+    alone = record(other, "llff_flower", 2, 99.0)
+    found = methods_page.difference([*ours, alone], baseline)
+    assert found is not None
+    assert found.half is not None
+    assert found.mean == pytest.approx(2)
+    # Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
+    assert found.half == pytest.approx(2.4841, abs=1e-3)
+    assert str(methods_page.difference(ours[:2], baseline)) == "+1.50"
+    assert methods_page.difference([alone], baseline) is None
+
+
+def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
+    dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
+    records = [record(BASELINE, data, 0, 16.0) for data in SCENES]
+    records += [record(dropgaussian, SCENES[0], seed, 20.0 + seed) for seed in SEEDS]
+    text = methods_page.page_text(records)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
+    (base,) = [row for row in rows if row and row[0] == "3DGS"]
+    (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
+    assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", methods_page.NONE, "0.500", "0.250"]
+    assert base[8:11] == ["12,345", "68", "910"]
+    assert base[11:] == ["16.02", "0.465", "0.378"]
+    assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", methods_page.NONE, methods_page.NONE, "+4.00"]
+    assert ours[11:] == ["20.76", "0.713", "0.200"]
+    assert "### Own points" in text
+    assert "### Same points" not in text
+    assert "5 of" in text
