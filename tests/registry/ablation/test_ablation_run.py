@@ -110,7 +110,8 @@ def test_the_page_shows_photographs_named_by_numbers(
     assert "2 of them finished" in capsys.readouterr().out
     page = Page((out / "index.html").read_text("utf-8"))
     assert "0: photograph" in page.text
-    assert [image["alt"] for image in page.images] == ["photograph", *["render", "depth"] * 2]
+    each_view = ["photograph", *["render", "depth"] * 2]
+    assert [image["alt"] for image in page.images] == each_view * 2
 
 
 def test_a_failure_is_told_beside_what_the_others_gave(
