@@ -1,4 +1,4 @@
-"""`python -m stereogs_plugins.metrics.lpips.convert`: torchvision's weights become the ONNX file that LPIPS reads.
+"""Torchvision's weights become the ONNX file that LPIPS reads.
 
     python -m stereogs_plugins.metrics.lpips.convert vgg vgg16-397923af.pth vgg16.onnx
 
