@@ -39,4 +39,4 @@ def test_examples_and_prose_are_wrapped_in_their_own_ways(monkeypatch: pytest.Mo
     (start,) = (n for n, line in enumerate(lines) if line.startswith("  stereogs train"))
     assert lines[start + 1].startswith("    one=other")
     (start,) = (n for n, line in enumerate(lines) if line.startswith("Prose"))
-    assert lines[start].endswith("beyond what a line")
+    assert lines[start].endswith("beyond what a line holds, is")

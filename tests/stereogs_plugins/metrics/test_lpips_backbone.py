@@ -12,7 +12,7 @@ import yaml
 from torch import Tensor, nn
 
 from stereogs_plugins.metrics.lpips import LPIPS
-from stereogs_plugins.metrics.lpips.__main__ import main
+from stereogs_plugins.metrics.lpips.convert import main
 from stereogs_plugins.metrics.lpips.known_files import KNOWN, NetworkName
 from tests.data import models_folder
 from tests.stereogs_plugins.building import build

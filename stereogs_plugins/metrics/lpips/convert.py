@@ -1,6 +1,6 @@
-"""`python -m stereogs_plugins.metrics.lpips`: torchvision's weights become the ONNX file that LPIPS reads.
+"""Torchvision's weights become the ONNX file that LPIPS reads.
 
-    python -m stereogs_plugins.metrics.lpips vgg vgg16-397923af.pth vgg16.onnx
+    python -m stereogs_plugins.metrics.lpips.convert vgg vgg16-397923af.pth vgg16.onnx
 
 It prints what to write into a pipeline. Where the weights come from: docs/protocols.md.
 """
@@ -23,7 +23,7 @@ from .files import read_tensors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Convert a file; returns the exit status, 2 for a mistake that was explained."""
     parser = argparse.ArgumentParser(
-        prog="python -m stereogs_plugins.metrics.lpips",
+        prog="python -m stereogs_plugins.metrics.lpips.convert",
         description="Make the ONNX file that the metric lpips reads from torchvision's weights.",
     )
     parser.add_argument("network", choices=sorted(LAYERS), help="whose weights they are")
