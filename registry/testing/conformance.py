@@ -18,6 +18,7 @@ from ..training.component_parameters import check_groups
 from .bench import Bench, Refusal
 from .companions import UNDER_TEST, point_of
 from .judging import require, same
+from .listening import listen
 from .questions import ASK
 from .rehearsal import rehearse
 from .scenes import EMPTY, PIXEL, REAL, Size
@@ -55,7 +56,8 @@ def check(
     images of 320 x 240 with 5,000 Gaussians, on a scene with nothing in view and on images of one pixel
     with one Gaussian; on the last two it may refuse with an error that explains itself
     (`registry.PluginError`, `registry.SceneError`). What works in the training loop is trained with,
-    stopped and resumed after each iteration, while Gaussians come and go.
+    stopped and resumed after each iteration, while Gaussians come and go. An observer hears a run that is
+    stopped and resumed, and one that fails.
 
     Args:
         priors: what `Step.priors` and `initialize` are given; where the component is trained with,
@@ -86,6 +88,8 @@ def check(
             _at_size(component, chosen, bench, size)
     if point.section in TRAINING_SECTIONS:
         rehearse(component, chosen, bench)
+    if point.observes:
+        listen(component, chosen, bench)
     return cost
 
 

@@ -40,6 +40,7 @@ from ..priors.capabilities import (
 from ..training.initial_model import initial_gaussians
 from .bench import Bench, Moment
 from .judging import require, require_files
+from .listening import ask_observer
 from .run_folder import finished_run
 from .scenes import pictured
 
@@ -221,5 +222,6 @@ ASK: dict[str, Callable[[Bench, Any], Any]] = {
     "metrics": _ask_metric,
     "exporters": _ask_exporter,
     "reports": _ask_report,
+    "observers": ask_observer,
 }
 """What the host would ask, by the section of the pipeline; each answers with what must repeat."""
