@@ -31,6 +31,7 @@ from .. import toy_plugin as toys
         toys.ToyExporter,
         toys.ToyReport,
         toys.ToyPsnr,
+        toys.ToyDiary,
         doors.ToyExposure,
     ],
 )
@@ -306,6 +307,30 @@ class Halving(r.Regularizer[HalfSettings]):
         return step.rendering.alpha.mean()
 
 
+class Deaf(r.Observer):
+    """Misspells what it wants to hear."""
+
+    def iteration(self, done: r.IterationDone) -> None:
+        pass
+
+
+class Retouching(toys.ToyDiary):
+    def iterated(self, done: r.IterationDone) -> None:
+        done.rendering.rgb.clamp_(0, 0.5)
+
+
+class Impatient(toys.ToyDiary):
+    def ended(self, run: r.RunEnded) -> None:
+        if run.error:
+            raise ValueError("no results")
+
+
+class Once(toys.ToyDiary):
+    def started(self, run: r.RunStarted) -> None:
+        super().started(run)
+        assert not run.resumed, "it was told before"
+
+
 class ListState(toys.ToyTerm):
     def state(self) -> Any:
         return {"calls": [1.0]}
@@ -346,9 +371,13 @@ class ListState(toys.ToyTerm):
         (Squeezing, {}, r"expected a tensor of shape \(1, 1\)"),
         (Halving, {"value": 1.0}, "do not survive being written as JSON"),
         (ListState, {}, "is not a tensor"),
+        (Deaf, {}, "it hears nothing: define one of started, iterated"),
+        (Retouching, {}, "changed what it was given: argument 1.rendering.rgb"),
+        (Impatient, {}, "no results"),
+        (Once, {}, "AssertionError: it was told before"),
     ],
 )
 def test_faults_are_found(component: Any, settings: dict[str, Any], message: str) -> None:
-    kinds = (AssertionError, AttributeError, IndexError, ExplainedError)
+    kinds = (AssertionError, AttributeError, IndexError, ValueError, ExplainedError)
     with pytest.raises(kinds, match=re.compile(message, re.DOTALL)):
         check(component, **settings)

@@ -1,0 +1,104 @@
+"""What an observer is told, and a run that it listens to: stopped, resumed, and the same as without it."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from rich.console import Console
+
+from core_rasterizer import Rendering
+
+from ..contract.component import Component, Settings
+from ..contract.components import Observer
+from ..contract.events import IterationDone, RunEnded, RunStarted, ViewsScored
+from ..contract.hook_points import HookPoint
+from ..pipeline.pipeline import Item
+from ..pipeline.training_settings import TrainingSettings
+from ..plugins.discovery import Offer, Plugins
+from ..runs.training_run import resume, start
+from .bench import Bench
+from .companions import UNDER_TEST, item, pipeline_of
+from .judging import require
+
+_TRAINING = TrainingSettings(iterations=4, sh_degree=0, evaluate_every=2)
+
+
+def ask_observer(bench: Bench, built: Any) -> Any:
+    """Tell it of a run: of one that ends well where there is something to see, else of one that fails."""
+    own = [name for name in _METHODS if getattr(type(built), name) is not getattr(Observer, name)]
+    require(bool(own), f"it hears nothing: define one of {', '.join(_METHODS)}")
+    moment, rich = bench.differentiated(), bench.size.rich
+    step, seen = moment.step, moment.step.rendering
+    pipeline = pipeline_of([], _TRAINING)
+    scores = {"test": {"psnr": 20.0, "lpips": None}, "train": {"psnr": None, "lpips": None}}
+    with tempfile.TemporaryDirectory() as folder:
+        bench.ask(
+            built.started,
+            RunStarted(
+                title="a run",
+                folder=Path(folder),
+                iteration=0,
+                resumed=False,
+                iterations=step.iterations,
+                pipeline=MappingProxyType(pipeline.plain()),
+                facts=MappingProxyType({"scene": {"name": bench.scene.name}, "seed": 0}),
+                scene=step.scene,
+            ),
+        )
+        bench.ask(
+            built.iterated,
+            IterationDone(
+                iteration=step.iteration,
+                seconds=1.0,
+                loss=0.5,
+                numbers=MappingProxyType({"photometric": 0.5, "regularizers.one": float("inf")}),
+                gaussians=moment.model.count,
+                learning_rates=step.learning_rates,
+                view=step.view,
+                rendering=Rendering(*(x.detach() for x in (seen.rgb, seen.depth, seen.alpha))),
+                model=step.model,
+            ),
+        )
+        views = {split: {"a view": row} for split, row in scores.items()}
+        bench.ask(built.evaluated, ViewsScored(step.iteration, scores, views))
+        results = {"hash": "0" * 64, **scores} if rich else None
+        error = None if rich else "a loss is not finite"
+        bench.ask(built.ended, RunEnded(step.iteration, rich, results, error))
+
+
+_METHODS = ("started", "iterated", "evaluated", "ended")
+
+
+def listen(component: type[Component[Any]], settings: Settings, bench: Bench) -> None:
+    """Let it hear a run that is stopped half-way and resumed.
+
+    Raises:
+        AssertionError: the run ends in other bits than one without it.
+        ExplainedError: the host refuses what it does, or it failed.
+    """
+    observer = item(component, settings, UNDER_TEST)
+    alone, heard = pipeline_of([], _TRAINING), pipeline_of([observer], _TRAINING)
+    common: dict[str, Any] = {"device": bench.device, "console": Console(quiet=True)}
+    common["scene"] = bench.scene
+    expected = start(alone, out=None, **common)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "run"
+        half = _TRAINING.iterations // 2
+        start(heard, out=folder, callback=lambda done: done.number < half, **common)
+        run = resume(folder, plugins=_These(list(heard)), **common)
+    require(run.hash == expected.hash, "the run ends in other bits than one without the observer")
+
+
+class _These(Plugins):
+    """Of plugins, those of a pipeline that was made by hand."""
+
+    def __init__(self, items: list[Item]) -> None:
+        super().__init__(())
+        self._known = {(item.point.section, item.offer.name): item.offer for item in items}
+
+    def find(self, point: HookPoint, name: str) -> Offer:
+        """The pipeline's own."""
+        return self._known[point.section, name]
