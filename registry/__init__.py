@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from .contract.prior import Prior
     from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
     from .contract.step import OtherField, Render, Sample, Step
+    from .drawing.logged_pictures import LoggerSettings
     from .drawing.metric_images import ImageMetricSettings, white_outside
     from .drawing.pictures import grey, nearness_picture, side_by_side
     from .errors import PipelineError, PluginError, RunError, SceneError
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
+    from .system.optional import optional_module
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -86,6 +88,7 @@ __all__ = [
     "Initializer",
     "IterationDone",
     "LearnedFeatures",
+    "LoggerSettings",
     "Matches",
     "MatchingPrior",
     "Metric",
@@ -138,6 +141,7 @@ __all__ = [
     "hookimpl",
     "image_fitting",
     "nearness_picture",
+    "optional_module",
     "photos",
     "read_model_file",
     "read_results",

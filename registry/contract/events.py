@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from core_rasterizer import GaussianReader, Rendering
 
     from .scene import TrainingScene, TrainingView
@@ -21,6 +23,8 @@ class RunStarted:
         title: the run folder's name; the pipeline's for a run that is kept in memory.
         folder: for this observer's files: `observers/NAME` in the run folder, which exists. None for a
             run that is kept in memory and is to leave no file.
+        identity: what tells the run from all others, 32 hexadecimal digits; a resumed run keeps it. Empty
+            for a run in memory.
         iteration: the last one that is complete; training goes on with the next.
         resumed: whether the run was stopped before; then 0 is a possible iteration too.
         iterations: how many there will be.
@@ -31,11 +35,12 @@ class RunStarted:
 
     title: str
     folder: Path | None
+    identity: str
     iteration: int
     resumed: bool
     iterations: int
-    pipeline: Mapping[str, Any]
-    facts: Mapping[str, Any]
+    pipeline: dict[str, Any]
+    facts: dict[str, Any]
     scene: TrainingScene
 
 
@@ -53,7 +58,8 @@ class IterationDone:
         gaussians: how many there are now.
         learning_rates: Adam's step size of each parameter group.
         view: the photograph that was learnt from.
-        rendering: its render before the optimizer's step, without gradients: `rgb [H, W, 3]`, not
+        target: `[H, W, 3]`, what its render was compared with: the photograph, unless a sampler changed it.
+        rendering: the render before the optimizer's step, without gradients: `rgb [H, W, 3]`, not
             clamped above, `depth [H, W]` and `alpha [H, W]`; of as many Gaussians as there were then.
         model: the Gaussians as they are now, to be read.
     """
@@ -65,8 +71,15 @@ class IterationDone:
     gaussians: int
     learning_rates: Mapping[str, float]
     view: TrainingView
+    target: Tensor
     rendering: Rendering
     model: GaussianReader
+
+    def scalars(self) -> dict[str, float]:
+        """All numbers for curves by name: `loss`, `numbers`, `gaussians`, `seconds`, `learning_rates/...`."""
+        rates = {f"learning_rates/{name}": rate for name, rate in self.learning_rates.items()}
+        counts = {"gaussians": float(self.gaussians), "seconds": self.seconds}
+        return {"loss": self.loss, **self.numbers, **counts, **rates}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +97,15 @@ class ViewsScored:
     mean: Mapping[str, Mapping[str, float | None]]
     views: Mapping[str, Mapping[str, Mapping[str, float | None]]]
 
+    def scalars(self) -> dict[str, float]:
+        """The means that there are, by `test/psnr` and the like."""
+        return {
+            f"{split}/{metric}": value
+            for split, means in self.mean.items()
+            for metric, value in means.items()
+            if value is not None
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class RunEnded:
@@ -99,5 +121,5 @@ class RunEnded:
 
     iteration: int
     finished: bool
-    results: Mapping[str, Any] | None
+    results: dict[str, Any] | None
     error: str | None

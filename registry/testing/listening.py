@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from uuid import uuid4
 
 from rich.console import Console
 
@@ -40,11 +41,12 @@ def ask_observer(bench: Bench, built: Any) -> Any:
             RunStarted(
                 title="a run",
                 folder=Path(folder),
+                identity=uuid4().hex,
                 iteration=0,
                 resumed=False,
                 iterations=step.iterations,
-                pipeline=MappingProxyType(pipeline.plain()),
-                facts=MappingProxyType({"scene": {"name": bench.scene.name}, "seed": 0}),
+                pipeline=pipeline.plain(),
+                facts={"scene": {"name": bench.scene.name}, "seed": 0},
                 scene=step.scene,
             ),
         )
@@ -58,6 +60,7 @@ def ask_observer(bench: Bench, built: Any) -> Any:
                 gaussians=moment.model.count,
                 learning_rates=step.learning_rates,
                 view=step.view,
+                target=step.sample.target,
                 rendering=Rendering(*(x.detach() for x in (seen.rgb, seen.depth, seen.alpha))),
                 model=step.model,
             ),

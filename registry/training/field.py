@@ -189,6 +189,7 @@ class Field:
             gaussians=self.model.count,
             learning_rates=self._step.learning_rates,
             view=self._step.view,
+            target=self._step.sample.target,
             rendering=_looked_at(self._rendering),
             model=self._reader,
         )

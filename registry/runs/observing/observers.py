@@ -73,6 +73,7 @@ class Observers:
             event = RunStarted(
                 title=self._run.folder.path.name if self._run.folder else pipeline.name,
                 folder=self._folder(part),
+                identity=self._run.identity,
                 iteration=self._run.iteration,
                 resumed=resumed,
                 iterations=pipeline.training.iterations,

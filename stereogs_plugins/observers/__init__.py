@@ -1,0 +1,1 @@
+"""Observers: how a run goes, told to the tools that people log with."""

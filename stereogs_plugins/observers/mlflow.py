@@ -1,0 +1,102 @@
+"""`mlflow`: a run as MLflow tracks it, in a database of its own in the run folder."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from registry import (
+    IterationDone,
+    LoggerSettings,
+    Observer,
+    Register,
+    RunEnded,
+    RunStarted,
+    ViewsScored,
+    hookimpl,
+    optional_module,
+)
+
+_IDENTITY = "stereogs.run"
+"""The tag by which a run that goes on is found."""
+
+
+class MlflowSettings(LoggerSettings):
+    experiment: str = "stereogs"
+    """The experiment that the run belongs to; made if there is none."""
+    tracking_uri: str | None = None
+    """Of a server or a database, as MLflow writes it; null for a database in the run folder."""
+
+
+class MlflowObserver(Observer[MlflowSettings]):
+    """An MLflow run, in files of the run folder unless told otherwise; needs the extra `mlflow`."""
+
+    client: Any = None
+    run_id: str = ""
+
+    def started(self, run: RunStarted) -> None:
+        """Begin a run, or go on with the one of the same identity."""
+        if run.folder is None:
+            return
+        # Else it reports its use to its makers, over the network.
+        os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+        mlflow = optional_module("mlflow", "pip install 'stereogs-plugins[mlflow]'")
+        self.mlflow, own = mlflow, f"sqlite:///{run.folder / 'mlflow.db'}"
+        self.client = mlflow.MlflowClient(self.settings.tracking_uri or own)
+        experiment = self._experiment(run.folder)
+        same = self.client.search_runs([experiment], f"tags.`{_IDENTITY}` = '{run.identity}'")
+        if same:
+            self.run_id = same[0].info.run_id
+            self.client.update_run(self.run_id, status="RUNNING")
+        else:
+            tags = {_IDENTITY: run.identity}
+            begun = self.client.create_run(experiment, tags=tags, run_name=run.title)
+            self.run_id = begun.info.run_id
+            self.client.log_dict(self.run_id, run.pipeline, "pipeline.json")
+            self.client.log_dict(self.run_id, run.facts, "facts.json")
+
+    def iterated(self, done: IterationDone) -> None:
+        """Log the numbers, and a picture where one is due."""
+        if self.client is None:
+            return
+        self._log(done.scalars(), done.iteration)
+        picture = self.settings.picture(done)
+        if picture is not None:
+            place = f"views/{done.view.name}/{done.iteration:07d}.png"
+            self.client.log_image(self.run_id, picture, place)
+
+    def evaluated(self, scored: ViewsScored) -> None:
+        """Log the scores."""
+        if self.client is not None:
+            self._log(scored.scalars(), scored.iteration)
+
+    def ended(self, run: RunEnded) -> None:
+        """Set the run's status."""
+        if self.client is None:
+            return
+        if run.error is not None:
+            self.client.set_tag(self.run_id, "error", run.error)
+        status = "FAILED" if run.error else "FINISHED" if run.finished else "KILLED"
+        self.client.set_terminated(self.run_id, status)
+
+    def _experiment(self, folder: Path) -> str:
+        """The experiment's number; the files of one that is kept in the run folder lie there too."""
+        known = self.client.get_experiment_by_name(self.settings.experiment)
+        if known is not None:
+            return str(known.experiment_id)
+        artifacts = None if self.settings.tracking_uri else (folder / "artifacts").as_uri()
+        return str(self.client.create_experiment(self.settings.experiment, artifacts))
+
+    def _log(self, scalars: Mapping[str, float], iteration: int) -> None:
+        now = int(1000 * time.time())
+        entities = self.mlflow.entities
+        metrics = [entities.Metric(name, x, now, iteration) for name, x in scalars.items()]
+        self.client.log_batch(self.run_id, metrics)
+
+
+@hookimpl
+def stereogs_register_observers(register: Register[MlflowObserver]) -> None:
+    register("mlflow", MlflowObserver)

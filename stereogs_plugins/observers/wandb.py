@@ -1,0 +1,75 @@
+"""`wandb`: a run as Weights & Biases knows it, kept in the run folder until somebody syncs it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from registry import (
+    IterationDone,
+    LoggerSettings,
+    Observer,
+    Register,
+    RunEnded,
+    RunStarted,
+    ViewsScored,
+    hookimpl,
+    optional_module,
+)
+
+
+class WandbSettings(LoggerSettings):
+    project: str = "stereogs"
+    """The project that the run belongs to."""
+    mode: Literal["offline", "online"] = "offline"
+    """"offline" writes files alone, which `wandb sync` sends later; "online" sends at once."""
+
+
+class WandbObserver(Observer[WandbSettings]):
+    """A Weights & Biases run, offline unless told otherwise; needs the extra `wandb`."""
+
+    wandb: Any = None
+    run: Any = None
+
+    def started(self, run: RunStarted) -> None:
+        """Begin a run, or go on with the one of the same identity."""
+        if run.folder is None:
+            return
+        self.wandb = optional_module("wandb", "pip install 'stereogs-plugins[wandb]'")
+        self.run = self.wandb.init(
+            project=self.settings.project,
+            name=run.title,
+            id=run.identity,
+            resume="allow",
+            config={"pipeline": run.pipeline, "facts": run.facts},
+            mode=self.settings.mode,
+            dir=str(run.folder),
+            settings=self.wandb.Settings(silent=True, console="off", save_code=False),
+        )
+
+    def iterated(self, done: IterationDone) -> None:
+        """Log the numbers, and a picture where one is due."""
+        if self.run is None:
+            return
+        values: dict[str, Any] = {**done.scalars()}
+        picture = self.settings.picture(done)
+        if picture is not None:
+            values[f"views/{done.view.name}"] = self.wandb.Image(picture)
+        self.run.log(values, step=done.iteration)
+
+    def evaluated(self, scored: ViewsScored) -> None:
+        """Log the scores."""
+        if self.run is not None:
+            self.run.log(scored.scalars(), step=scored.iteration)
+
+    def ended(self, run: RunEnded) -> None:
+        """Finish the run, as failed if it has."""
+        if self.run is None:
+            return
+        if run.error is not None:
+            self.run.summary["error"] = run.error
+        self.run.finish(exit_code=0 if run.error is None else 1)
+
+
+@hookimpl
+def stereogs_register_observers(register: Register[WandbObserver]) -> None:
+    register("wandb", WandbObserver)
