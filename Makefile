@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,6 +31,10 @@ fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, a
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
 	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/plugins/test_scaffolding.py
+
+loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
+	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
+	$(BIN)/python -m pytest tests/stereogs_plugins/observers
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .

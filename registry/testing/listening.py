@@ -34,7 +34,7 @@ def ask_observer(bench: Bench, built: Any) -> Any:
     moment, rich = bench.differentiated(), bench.size.rich
     step, seen = moment.step, moment.step.rendering
     pipeline = pipeline_of([], _TRAINING)
-    scores = {"test": {"psnr": 20.0, "lpips": None}, "train": {"psnr": None, "lpips": None}}
+    scores = {"test": {"one": 20.0, "other": None}, "train": {"one": None, "other": None}}
     with tempfile.TemporaryDirectory() as folder:
         bench.ask(
             built.started,

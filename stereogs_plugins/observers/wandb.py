@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Literal
 
 from registry import (
@@ -34,6 +35,9 @@ class WandbObserver(Observer[WandbSettings]):
         """Begin a run, or go on with the one of the same identity."""
         if run.folder is None:
             return
+        if self.settings.mode == "offline":
+            # Else it reports errors of its own to its makers, over the network.
+            os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
         self.wandb = optional_module("wandb", "pip install 'stereogs-plugins[wandb]'")
         self.run = self.wandb.init(
             project=self.settings.project,

@@ -15,6 +15,10 @@ HEAVY = (
     "skimage",
     "scipy.ndimage",
     "scipy.sparse.csgraph",
+    "torch.utils.tensorboard",
+    "wandb",
+    "mlflow",
+    "rerun",
 )
 
 

@@ -45,7 +45,9 @@ def failed(name: str, out: Path) -> Path:
     """The folder in which the logger wrote while a run fails in its third iteration."""
     growth = {"use": "gradient_threshold", "every": 1}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stereogs_plugins.densification.gradient_threshold.GradientThreshold.refine", _fail)
+        patch.setattr(
+            "stereogs_plugins.densification.gradient_threshold.GradientThreshold.refine", _fail
+        )
         with pytest.raises(PluginError, match="no such luck"):
             stereogs.train(
                 pipeline(name, densification=growth), scene=tiny_scene(), out=out, progress=False

@@ -1,16 +1,13 @@
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-import stereogs
-from registry import PluginError
-from registry.testing import check, tiny_scene
+from registry.testing import check
 from stereogs_plugins.observers.tensorboard import TensorBoardObserver
 
-from .heard import CURVES, failed, pipeline, stopped_and_resumed
+from .heard import CURVES, failed, stopped_and_resumed
 
 
 def accumulated(folder: Path):  # type: ignore[no-untyped-def]
@@ -46,16 +43,3 @@ def test_the_error_is_in_the_file(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
     (event,) = accumulated(failed("tensorboard", tmp_path / "run")).Tensors("error/text_summary")
     assert b"no such luck" in event.tensor_proto.string_val[0]
-
-
-@pytest.mark.parametrize("name", ["tensorboard", "wandb", "mlflow", "rerun"])
-def test_without_its_package_it_says_how_to_install_it(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in ("torch.utils.tensorboard", "wandb", "mlflow", "rerun"):
-        monkeypatch.setitem(sys.modules, module, None)
-    assert stereogs.train(pipeline(name), scene=tiny_scene(), progress=False).finished, "no files"
-    with pytest.raises(PluginError, match="cannot be imported") as caught:
-        stereogs.train(pipeline(name), scene=tiny_scene(), out=tmp_path / "run", progress=False)
-    assert f"pip install 'stereogs-plugins[{name}]'" in caught.value.fix
-    assert f"observer '{name}'" in caught.value.where
