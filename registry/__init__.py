@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from .drawing.metric_images import ImageMetricSettings, white_outside
     from .drawing.pictures import grey, nearness_picture, side_by_side
     from .errors import PipelineError, PluginError, RunError, SceneError
+    from .plugins.optional import optional_module
     from .priors.capabilities import (
         MatchingPrior,
         MonocularDepthPrior,
@@ -68,7 +69,6 @@ if TYPE_CHECKING:
     from .priors.onnx_settings import OnnxModelSettings
     from .runs.results_file import read_results
     from .system.files import write_text
-    from .system.optional import optional_module
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -54,6 +54,7 @@ def make_room(root: Path, newest: Path) -> None:
         if root in _sizes:
             _sizes[root] += _size(newest)
         else:
+            _remove_abandoned(root)
             _sizes[root] = sum(entry.size for entry in _entries(root))
         if _sizes[root] > limit:
             _sizes[root] = _evict(root, newest, SHARE_KEPT * limit)
@@ -84,6 +85,7 @@ def _remove(path: Path) -> bool:
 
 
 def _remove_abandoned(root: Path) -> None:
+    """What killed processes had begun to write; by its age, because other machines may write here too."""
     for path in root.glob("*/.*.partial"):
         if _UNFINISHED.fullmatch(path.name) and time.time() - _used(path) > ABANDONED:
             shutil.rmtree(path, ignore_errors=True)

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import RunError
 from ..system.files import new_folder, remove_leftovers, write_json, write_text
 from .lock import locked
+from .results_file import read_results
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -180,9 +181,10 @@ class RunFolder:
         """What results.json holds; empty before the run has ended.
 
         Raises:
-            RunError: it is not JSON.
+            RunError: it cannot be believed; see `read_results`.
         """
-        return _read_json(self.path / RESULTS)
+        path = self.path / RESULTS
+        return read_results(path) if path.exists() else {}
 
     def write_initialization(self, facts: dict[str, Any], pictures: Mapping[str, Tensor]) -> None:
         """Keep what the initializer reports.
@@ -232,7 +234,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     """The content of a JSON file; empty if there is none."""
     if not path.is_file():
         return {}
-    fix = "bring it back from a copy; a results.json may be removed, `stereogs eval` writes it anew"
+    fix = "bring it back from a copy"
     try:
         content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:

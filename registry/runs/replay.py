@@ -106,7 +106,7 @@ def replay(
     """Repeat an iteration that failed.
 
     Args:
-        place: what `keep_failure` wrote.
+        place: the folder that `keep_failure` wrote, or a file in it.
         accept_changed_inputs: repeat it although photographs, cameras or model files have changed.
 
     Returns:
@@ -115,6 +115,8 @@ def replay(
     Raises:
         ExplainedError: it fails again; or the place holds no such iteration, or it is damaged.
     """
+    if place.is_file():
+        place = place.parent
     if not place.is_dir():
         raise RunError("there is no such folder", where=str(place), fix=_FIX)
     checkpoint = read_checkpoint(place)

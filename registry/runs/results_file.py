@@ -126,7 +126,7 @@ def _refused(what: str, path: Path) -> RunError:
     return RunError(
         f"{path.name} cannot be believed: {what}",
         where=str(path),
-        fix=f"score the run anew: stereogs eval {path.parent}",
+        fix=f"remove it, and score the run anew: stereogs eval {path.parent}",
     )
 
 

@@ -83,9 +83,11 @@ def start(
         run.keep_in(out if isinstance(out, Path) else out(pipeline, run.scene))
     writing = f"; writing {run.folder.path}" if run.folder else ""
     console.print(f"{run.initialization['points']:,} points; {device.name}{writing}")
-    with run.folder.to_itself() if run.folder else nullcontext():
-        with observed(run, trainer, resumed=False) as observers:
-            _train_to_end(run, trainer, observers, console, callback)
+    with (
+        run.folder.to_itself() if run.folder else nullcontext(),
+        observed(run, trainer, resumed=False) as observers,
+    ):
+        _train_to_end(run, trainer, observers, console, callback)
     return run
 
 

@@ -34,7 +34,10 @@ def ask_observer(bench: Bench, built: Any) -> Any:
     moment, rich = bench.differentiated(), bench.size.rich
     step, seen = moment.step, moment.step.rendering
     pipeline = pipeline_of([], _TRAINING)
-    scores = {"test": {"one": 20.0, "other": None}, "train": {"one": None, "other": None}}
+    scores: dict[str, dict[str, float | None]] = {
+        "test": {"one": 20.0, "other": None},
+        "train": {"one": None, "other": None},
+    }
     with tempfile.TemporaryDirectory() as folder:
         bench.ask(
             built.started,
@@ -61,7 +64,7 @@ def ask_observer(bench: Bench, built: Any) -> Any:
                 learning_rates=step.learning_rates,
                 view=step.view,
                 target=step.sample.target,
-                rendering=Rendering(*(x.detach() for x in (seen.rgb, seen.depth, seen.alpha))),
+                rendering=Rendering(seen.rgb.detach(), seen.depth.detach(), seen.alpha.detach()),
                 model=step.model,
             ),
         )

@@ -122,8 +122,7 @@ def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
     """
     try:
         with new_folder(place) as inside:
-            tensors = {name: value.contiguous() for name, value in checkpoint.tensors.items()}
-            save_file(tensors, inside / _TENSORS)
+            save_file(_apart(checkpoint.tensors), inside / _TENSORS)
             flush(inside / _TENSORS)
             write_text(inside / _PIPELINE, checkpoint.pipeline)
             manifest = {
@@ -144,6 +143,20 @@ def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
             where=str(place),
             fix=f"free some disk space, or see who may write there{before}",
         ) from error
+
+
+def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The same values, no two in one piece of memory, which safetensors would refuse.
+
+    Sharing is no mistake: an initializer may know one depth of two views.
+    """
+    apart: dict[str, Tensor] = {}
+    taken: dict[int, str] = {}
+    for name, value in tensors.items():
+        whole = value.contiguous()
+        shared = taken.setdefault(whole.untyped_storage().data_ptr(), name) != name
+        apart[name] = whole.clone() if shared else whole
+    return apart
 
 
 def read_checkpoint(place: Path) -> Checkpoint:

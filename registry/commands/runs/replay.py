@@ -20,7 +20,9 @@ same error, or, once what was wrong is mended, says so.
 def add(verbs: Verbs) -> None:
     """Add the verb."""
     parser = add_verb(verbs, "replay", "repeat an iteration that failed", _EPILOG)
-    parser.add_argument("failure", type=Path, metavar="FAILURE", help="a folder in RUN/failures")
+    parser.add_argument(
+        "failure", type=Path, metavar="FAILURE", help="a folder in RUN/failures, or a file in it"
+    )
     add_accept_changed_inputs(parser)
     add_device(parser)
     parser.set_defaults(run=run)

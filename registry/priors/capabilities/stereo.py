@@ -44,6 +44,7 @@ class StereoPrior(Prior[SettingsType]):
         flip(I_l))). StereoGS prints the two the other way round, which finds no match.
         """
         mirrored = self.estimate(right.flip(1).contiguous(), left.flip(1).contiguous())
+        check_map("disparity", mirrored, right)
         return self.estimate(left, right), mirrored.flip(1)
 
     def disparity(self, left: Tensor, right: Tensor) -> Disparity:

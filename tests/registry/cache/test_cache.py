@@ -167,6 +167,14 @@ def test_what_a_killed_process_left_is_cleared(root: Path) -> None:
     assert recent.exists()
 
 
+def test_it_is_cleared_although_there_is_room(root: Path) -> None:
+    left = root / "kind" / f".{KEYS[1]}.abc.partial"
+    left.mkdir(parents=True)
+    os.utime(left, (1000, 1000))
+    save(Cache("kind"), KEYS[0])
+    assert not left.exists()
+
+
 def test_threads_that_write_one_entry_do_not_disturb_each_other(
     root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

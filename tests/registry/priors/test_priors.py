@@ -114,6 +114,16 @@ def test_the_pair_must_fit_together() -> None:
         built(BestShift).disparity(textured(32), textured(33))
 
 
+@pytest.mark.parametrize("answer", [torch.tensor(1.0), torch.ones(24), 1.0, None])
+def test_an_answer_of_another_shape_is_refused(
+    answer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BestShift, "estimate", lambda self, left, right: answer)
+    for ask in (built(BestShift).disparity, built(BestShift).both):
+        with pytest.raises(PluginError, match=r"expected a tensor of shape \(24, 40\)"):
+            ask(textured(), textured())
+
+
 def test_depths_that_are_not_finite_are_not_valid() -> None:
     scene = tiny_scene()
     maps = built(Middle).depths(scene.train, scene.bounds)

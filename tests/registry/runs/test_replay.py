@@ -61,7 +61,7 @@ def test_the_moment_before_is_kept_and_the_same_error_comes_again(
     assert "toy_term" in lines[number - 1]
     assert "iteration 11" in caught.value.where
     monkeypatch.setattr(ToyTerm, "loss", lambda self, step: step.rendering.alpha.mean())
-    mended = replay(place, plugins=toys, device=device)
+    mended = replay(place / "manifest.json", plugins=toys, device=device)
     assert (mended.iteration, mended.what) == (11, first.what)
 
 

@@ -46,6 +46,16 @@ def test_what_was_saved_is_loaded_and_two_are_kept(tmp_path: Path) -> None:
     assert torch.equal(loaded.part("views")["left"], torch.arange(3))
 
 
+def test_tensors_that_share_memory_are_saved_apart(tmp_path: Path) -> None:
+    rows = torch.arange(6.0).reshape(2, 3)
+    shared = {"all": rows, "same": rows, "second": rows[1], "turned": rows.T, "none": rows[:0]}
+    tensors = {f"maps/{name}": value for name, value in shared.items()}
+    save_checkpoint(Checkpoint(1, 0.0, tensors, "name: x\n"), tmp_path)
+    loaded = load_checkpoint(tmp_path).part("maps")
+    assert loaded.keys() == shared.keys()
+    assert all(torch.equal(loaded[name], value) for name, value in shared.items())
+
+
 @contextmanager
 def full_disk(free: int) -> Iterator[None]:
     """No file can grow beyond so many bytes: the system itself refuses the write."""
