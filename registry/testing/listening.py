@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,10 +21,11 @@ from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Offer, Plugins
 from ..runs.training_run import resume, start
-from .bench import Bench
+from .bench import Bench, Moment
 from .companions import UNDER_TEST, item, pipeline_of
 from .judging import require
 
+_METHODS = ("started", "iterated", "evaluated", "ended")
 _TRAINING = TrainingSettings(iterations=4, sh_degree=0, evaluate_every=2)
 
 
@@ -31,51 +33,51 @@ def ask_observer(bench: Bench, built: Any) -> Any:
     """Tell it of a run: of one that ends well where there is something to see, else of one that fails."""
     own = [name for name in _METHODS if getattr(type(built), name) is not getattr(Observer, name)]
     require(bool(own), f"it hears nothing: define one of {', '.join(_METHODS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        for method, event in zip(_METHODS, _events(bench, Path(folder)), strict=True):
+            bench.ask(getattr(built, method), event)
+
+
+def _events(bench: Bench, folder: Path) -> Iterator[Any]:
+    """What it is told, in the order of the methods."""
     moment, rich = bench.differentiated(), bench.size.rich
-    step, seen = moment.step, moment.step.rendering
-    pipeline = pipeline_of([], _TRAINING)
+    step = moment.step
+    yield RunStarted(
+        title="a run",
+        folder=folder,
+        identity=uuid4().hex,
+        iteration=0,
+        resumed=False,
+        iterations=step.iterations,
+        pipeline=pipeline_of([], _TRAINING).plain(),
+        facts={"scene": {"name": bench.scene.name}, "seed": 0},
+        scene=step.scene,
+    )
+    yield _iteration(moment)
     scores: dict[str, dict[str, float | None]] = {
         "test": {"one": 20.0, "other": None},
         "train": {"one": None, "other": None},
     }
-    with tempfile.TemporaryDirectory() as folder:
-        bench.ask(
-            built.started,
-            RunStarted(
-                title="a run",
-                folder=Path(folder),
-                identity=uuid4().hex,
-                iteration=0,
-                resumed=False,
-                iterations=step.iterations,
-                pipeline=pipeline.plain(),
-                facts={"scene": {"name": bench.scene.name}, "seed": 0},
-                scene=step.scene,
-            ),
-        )
-        bench.ask(
-            built.iterated,
-            IterationDone(
-                iteration=step.iteration,
-                seconds=1.0,
-                loss=0.5,
-                numbers=MappingProxyType({"photometric": 0.5, "regularizers.one": float("inf")}),
-                gaussians=moment.model.count,
-                learning_rates=step.learning_rates,
-                view=step.view,
-                target=step.sample.target,
-                rendering=Rendering(seen.rgb.detach(), seen.depth.detach(), seen.alpha.detach()),
-                model=step.model,
-            ),
-        )
-        views = {split: {"a view": row} for split, row in scores.items()}
-        bench.ask(built.evaluated, ViewsScored(step.iteration, scores, views))
-        results = {"hash": "0" * 64, **scores} if rich else None
-        error = None if rich else "a loss is not finite"
-        bench.ask(built.ended, RunEnded(step.iteration, rich, results, error))
+    views = {split: {"a view": row} for split, row in scores.items()}
+    yield ViewsScored(step.iteration, scores, views)
+    results = {"hash": "0" * 64, **scores} if rich else None
+    yield RunEnded(step.iteration, rich, results, None if rich else "a loss is not finite")
 
 
-_METHODS = ("started", "iterated", "evaluated", "ended")
+def _iteration(moment: Moment) -> IterationDone:
+    step, seen = moment.step, moment.step.rendering
+    return IterationDone(
+        iteration=step.iteration,
+        seconds=1.0,
+        loss=0.5,
+        numbers=MappingProxyType({"photometric": 0.5, "regularizers.one": float("inf")}),
+        gaussians=moment.model.count,
+        learning_rates=step.learning_rates,
+        view=step.view,
+        target=step.sample.target,
+        rendering=Rendering(seen.rgb.detach(), seen.depth.detach(), seen.alpha.detach()),
+        model=step.model,
+    )
 
 
 def listen(component: type[Component[Any]], settings: Settings, bench: Bench) -> None:
