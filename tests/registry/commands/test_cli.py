@@ -172,7 +172,7 @@ def test_an_iteration_that_failed_is_repeated(
 
 def test_plugins_are_listed(pipeline: Path, capsys: Capture) -> None:
     assert main(["plugins", "--check"]) == 0
-    assert "10 components, no fault" in capsys.readouterr().out
+    assert "11 components, no fault" in capsys.readouterr().out
     assert main(["plugins", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     term = next(p for p in listed["plugins"] if p["name"] == "toy_term")

@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from rich.console import Console
 
 import registry as r
 from core_rasterizer import Device, ExplainedError
-from registry import PluginError, Scene
+from registry import PluginError
+from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer, Plugins
 from registry.runs.run import Run
 from registry.runs.training_run import open_run, resume, start
-from registry.testing import tiny_scene
+from tests.registry.conftest import TOYS
 from tests.registry.toy_plugin import ToyDiary
 
 TEXT = """\
@@ -51,8 +51,19 @@ def failing(when: str) -> str:
     return WATCHED.replace("every: 3", f"every: 3, fault: {when}")
 
 
-def test_what_it_hears(toys: Plugins, device: Device, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def alone(device: Device) -> Run:
+    """The run that nobody observes."""
+    return trained(TEXT, Plugins(TOYS), device, None)
+
+
+def test_what_it_hears_and_that_no_bit_depends_on_it(
+    toys: Plugins, device: Device, tmp_path: Path, alone: Run
+) -> None:
     run = trained(WATCHED, toys, device, tmp_path / "run")
+    assert run.hash == alone.hash
+    assert run.scores["test"].views == alone.scores["test"].views
+    assert "observers" not in alone.pipeline_text
     told = diary(tmp_path / "run")
     assert [line.partition(" ")[0] for line in told] == [
         *("started", "iterated", "evaluated", "iterated", "evaluated", "ended")
@@ -66,13 +77,6 @@ def test_what_it_hears(toys: Plugins, device: Device, tmp_path: Path) -> None:
     assert told[5] == "ended 6 True True None"
 
 
-def test_no_bit_depends_on_it(toys: Plugins, device: Device, tmp_path: Path) -> None:
-    runs = [trained(text, toys, device, tmp_path / text[-9:-2]) for text in (TEXT, WATCHED)]
-    assert runs[0].hash == runs[1].hash
-    assert runs[0].scores["test"].views == runs[1].scores["test"].views
-    assert "observers" not in runs[0].pipeline_text
-
-
 class Recorder(r.Observer):
     """Keeps all that it is told."""
 
@@ -83,7 +87,7 @@ class Recorder(r.Observer):
 
 
 def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run, list[Any]]:
-    point = parse_pipeline(WATCHED, _toys()).items["observers"][0].point
+    point = next(point for point in HOOK_POINTS if point.base is r.Observer)
     offer = Offer(point, "recorder", Recorder, "recorder", "tests", "0")
     item = Item(
         "recorder", r.Settings(), HostSettings(use="recorder", every=4), offer, Place("here")
@@ -91,12 +95,6 @@ def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run,
     pipeline.items["observers"] = (item,)
     run = start(pipeline, device=device, out=out, console=Console(quiet=True))
     return run, run.parts["observers"][0].component.told
-
-
-def _toys() -> Plugins:
-    from tests.registry.conftest import TOYS
-
-    return Plugins(TOYS)
 
 
 def test_what_the_events_hold(toys: Plugins, device: Device, tmp_path: Path) -> None:
@@ -109,6 +107,8 @@ def test_what_the_events_hold(toys: Plugins, device: Device, tmp_path: Path) -> 
     assert [view.name for view in begun.scene.train] == ["view0", "view2"]
     with pytest.raises(PluginError, match="test"):
         _ = begun.scene.test
+    with pytest.raises(PluginError, match="depth"):
+        _ = begun.scene.train[0].depth
     assert iteration.iteration == 4
     assert 0 < iteration.seconds <= run.seconds.training
     assert iteration.loss > iteration.numbers["photometric"] > 0
@@ -122,11 +122,11 @@ def test_what_the_events_hold(toys: Plugins, device: Device, tmp_path: Path) -> 
     assert ended.results["hash"] == run.hash
 
 
-def test_a_run_in_memory_leaves_no_file(toys: Plugins, device: Device) -> None:
+def test_a_run_in_memory_leaves_no_file(toys: Plugins, device: Device, alone: Run) -> None:
     run, told = recorded(parse_pipeline(TEXT, toys), device, None)
     assert (told[0].folder, told[0].title) == (None, "toy")
     assert (told[-1].finished, told[-1].results) == (True, None)
-    assert run.hash == trained(TEXT, toys, device, None).hash
+    assert run.hash == alone.hash
 
 
 def test_of_several_fields_it_hears_of_the_first(toys: Plugins, device: Device) -> None:
@@ -158,33 +158,26 @@ def test_one_that_fails_ends_the_run_and_is_blamed(
         assert "None" not in told[0]
 
 
-def test_it_hears_what_went_wrong(toys: Plugins, device: Device, tmp_path: Path) -> None:
-    text = WATCHED.replace("weight: 0.1", "fault: crash, start: 3")
-    with pytest.raises(PluginError, match="boom"):
-        trained(text, toys, device, tmp_path / "run")
-    end = "\n".join(diary(tmp_path / "run")).partition("ended ")[2]
-    assert end.startswith("2 False False ")
-    assert "the regularizer 'toy_term' failed: ZeroDivisionError: boom" in end
-
-
-def test_the_first_error_is_told_although_the_observer_fails_too(
+def test_it_hears_what_went_wrong_and_may_fail_then_unheard(
     toys: Plugins, device: Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = failing("ended").replace("weight: 0.1", "fault: crash, start: 3")
     with pytest.raises(PluginError, match="regularizer 'toy_term' failed"):
         trained(text, toys, device, tmp_path / "run")
+    end = "\n".join(diary(tmp_path / "run")).partition("ended ")[2]
+    assert end.startswith("2 False False ")
+    assert "the regularizer 'toy_term' failed: ZeroDivisionError: boom" in end
     assert "boom in ended" in caplog.text
 
 
 def test_a_run_that_goes_on_is_told_from_where(
-    toys: Plugins, device: Device, tmp_path: Path
+    toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
     out = tmp_path / "run"
     run = trained(WATCHED, toys, device, out, callback=lambda done: done.number < 4)
     assert not run.finished
     assert diary(out)[-1] == "ended 4 False False None"
-    whole = trained(TEXT, toys, device, None)
-    assert resumed(out, toys, device).hash == whole.hash
+    assert resumed(out, toys, device).hash == alone.hash
     told = diary(out)[4:]
     assert told[0] == "started run 4 True 6"
     assert [line.split()[:2] for line in told[1:]] == [
@@ -194,23 +187,26 @@ def test_a_run_that_goes_on_is_told_from_where(
     ]
 
 
-def test_a_run_may_go_on_without_it_or_with_another(
-    toys: Plugins, device: Device, tmp_path: Path
+def test_a_run_may_go_on_without_it(
+    toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
-    out, whole = tmp_path / "run", trained(TEXT, toys, device, None)
+    out = tmp_path / "run"
     with pytest.raises(PluginError, match="boom"):
         trained(failing("iterated"), toys, device, out)
     file = out / "pipeline.yaml"
     text = file.read_text()
     file.write_text(text.partition("observers:")[0] + "training:" + text.partition("training:")[2])
-    assert resumed(out, toys, device).hash == whole.hash
+    assert resumed(out, toys, device).hash == alone.hash
 
-    bare = tmp_path / "bare"
-    trained(TEXT, toys, device, bare, callback=lambda done: done.number < 4)
-    with (bare / "pipeline.yaml").open("a") as added:
+
+def test_a_run_may_go_on_with_a_new_one(
+    toys: Plugins, device: Device, tmp_path: Path, alone: Run
+) -> None:
+    trained(TEXT, toys, device, tmp_path, callback=lambda done: done.number < 4)
+    with (tmp_path / "pipeline.yaml").open("a") as added:
         added.write("observers: [toy_diary]\n")
-    assert resumed(bare, toys, device).hash == whole.hash
-    assert diary(bare)[0] == "started bare 4 True 6"
+    assert resumed(tmp_path, toys, device).hash == alone.hash
+    assert diary(tmp_path)[0].endswith(" 4 True 6")
 
 
 def test_what_one_changes_in_its_values_reaches_nobody(
@@ -240,16 +236,3 @@ def test_a_thread_may_stay_until_the_end(
     assert trained(WATCHED, toys, device, None).finished
     worker.join(5)
     assert "thread" not in caplog.text
-
-
-def test_a_scene_that_is_given_is_shown_without_its_truth(
-    toys: Plugins, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Scene] = []
-    monkeypatch.setattr(ToyDiary, "started", lambda self, run: seen.append(run.scene))
-    for name in ("iterated", "evaluated", "ended"):
-        monkeypatch.setattr(ToyDiary, name, lambda self, event: None)
-    trained(WATCHED, toys, device, None, scene=tiny_scene())
-    with pytest.raises(PluginError, match="depth"):
-        _ = seen[0].train[0].depth
-    assert torch.equal(seen[0].train[0].image, tiny_scene().train[0].image)
