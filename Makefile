@@ -58,6 +58,7 @@ cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker 
 	$(PIP) --editable '.[dev,cluster]'
 	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
 
+
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -11,6 +11,8 @@ MOST = 3
 """Settings that a label names; the rest is counted."""
 _ABSENT = object()
 _NOT_SETTINGS = ("name", "scene.path")
+_NO_PART = "observers"
+"""The section that no number depends on."""
 
 
 def labels(runs: Sequence[FinishedRun]) -> list[str]:
@@ -19,7 +21,10 @@ def labels(runs: Sequence[FinishedRun]) -> list[str]:
     Components of a list go by their name: `regularizers.stereo_depth.weight=2`. A setting that a run
     lacks is not told of it.
     """
-    settings = [dict(_dotted(run.tree)) for run in runs]
+    settings = [
+        dict(_dotted({key: value for key, value in run.tree.items() if key != _NO_PART}))
+        for run in runs
+    ]
     found = []
     for run, own in zip(runs, settings, strict=True):
         same = [

@@ -231,6 +231,13 @@ def test_pipelines_that_differ_are_two_methods(make: Make) -> None:
     assert [mean.method for mean in means] == ["plain (a)", "plain (b)"]
 
 
+def test_observers_make_no_difference(make: Make) -> None:
+    watched = {"observers": [{"use": "diary", "every": 5}]}
+    found = runs(make("a"), make("b", {"scene/name": "flower"}, watched))
+    assert [mean.method for mean in method_means(found)] == ["plain"]
+    assert labels(found) == ["plain", "plain"]
+
+
 def test_the_table(make: Make, capsys: Capture) -> None:
     flower = {"scene/name": "flower", "test/psnr": 26.0}
     folders = [make("a"), make("b", flower)]

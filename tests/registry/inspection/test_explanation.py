@@ -9,7 +9,7 @@ import pytest
 from core_rasterizer.layout import row_count
 from registry import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 from registry.commands import explain
-from registry.contract.hook_points import HOOK_POINTS
+from registry.contract.hook_points import PIPELINE_POINTS
 from registry.inspection.explanation import STAGES, explained, faults, memory
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
@@ -35,7 +35,7 @@ def toy_pipeline(toys: Plugins, path: Path) -> Pipeline:
 
 def test_every_section_has_a_stage() -> None:
     sections = [section for stage in STAGES.values() for section in stage]
-    assert sorted(sections) == sorted(point.section for point in HOOK_POINTS)
+    assert sorted(sections) == sorted(point.section for point in PIPELINE_POINTS)
 
 
 def test_what_runs_when(toys: Plugins, tmp_path: Path) -> None:
