@@ -10,7 +10,9 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins loggers results check clean help cluster proofs site profile tutorial viewer-bundle browser notebook nerfbaselines flight methods
+.PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
+	stress kills fuzz lint types check docs site flight viewer-bundle methods results profile \
+	bench-engine bench-error bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,7 +59,6 @@ loggers: $(VENV)/.dev ## the loggers against the packages that they log with, wh
 cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker killed in the middle; minutes
 	$(PIP) --editable '.[dev,cluster]'
 	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
-
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	$(BIN)/ruff check .
@@ -110,17 +111,13 @@ clean: ## remove the environment and what was built
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) (a few minutes the first time)"
-	$(PIP) --editable .
+	$(PIP) --editable '.[video]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,browser,heic,plot,video]'
-
-	$(PIP) --editable '.[dev,heic,notebook,plot,video]'
+	$(PIP) --editable '.[dev,browser,heic,notebook,plot,spz,video,viewer]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev
 	$(PIP) --editable '.[docs]'
-
-	$(PIP) --editable '.[dev,heic,plot,spz,video,viewer]'
 	@touch $@
