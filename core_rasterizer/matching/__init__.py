@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .rectified import census_costs, feature_costs, right_costs, zncc_costs
     from .semi_global import CostVolume, Penalties, aggregate, pick
     from .sweep_geometry import seen_by_any
+    from .view_selection import source_views
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -28,5 +29,6 @@ __all__ = [
     "pick",
     "right_costs",
     "seen_by_any",
+    "source_views",
     "zncc_costs",
 ]

@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera
     from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
-_SMALLEST_BASELINE = 1e-4
-"""Relative to the nearest plane: a camera that stands closer to another sees no parallax."""
-
 
 class PlaneSweepSettings(Settings):
     planes: int = Field(192, ge=4, le=1024)
@@ -47,7 +44,7 @@ class PlaneSweepSettings(Settings):
     far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
     """The farthest plane lies at so many times the scene's far bound."""
     max_sources: int = Field(6, ge=1, le=16)
-    """Each view is compared with so many others at most, the nearest cameras first."""
+    """Each view is compared with so many others at most: those that see the same under a good angle."""
     cost: Literal["zncc", "features"] = "zncc"
     """How pixels are compared: correlation of grey windows, or learned features from a file."""
     radius: int = Field(2, ge=1, le=MAX_SWEEP_RADIUS)
@@ -128,7 +125,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []
         for index, camera in enumerate(cameras):
-            sources = _sources(cameras, index, self.settings.max_sources, near)
+            sources = _sources(cameras, index, self.settings.max_sources, (near, far))
             costs = sweep.costs(index, sources)
             sums = aggregate(self.context.device, costs, greys[index], penalties)
             plane, confidence = pick(self.context.device, sums, planes)
@@ -151,17 +148,19 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         return ZnccSweep(device, greys, cameras, inverse_depths, radius=radius, second_share=share)
 
 
-def _sources(cameras: Sequence[Camera], reference: int, count: int, near: float) -> list[int]:
-    """The cameras nearest to one of them, without those that stand in the same place."""
-    here = cameras[reference].center
-    distances = [float((camera.center - here).norm()) for camera in cameras]
-    apart = [k for k in range(len(cameras)) if distances[k] > _SMALLEST_BASELINE * near]
-    if not apart:
+def _sources(
+    cameras: Sequence[Camera], reference: int, count: int, bounds: tuple[float, float]
+) -> list[int]:
+    """The views to compare one of them with, without those that stand in the same place."""
+    from core_rasterizer.matching import source_views
+
+    sources = source_views(cameras, reference, count, bounds)
+    if not sources:
         raise PluginError(
             f"the {len(cameras)} cameras stand in one place, from where no depth can be seen",
             fix="use views from different places, or check the poses",
         )
-    return sorted(apart, key=lambda k: distances[k])[:count]
+    return sources
 
 
 @hookimpl
