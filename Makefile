@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
-.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-photos bench-priors fuzz new-plugins results check clean help
+.PHONY: demo test stress kills lint types docs bench-engine bench-error bench-left-out bench-photos bench-priors fuzz new-plugins results check clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -51,6 +51,9 @@ bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewri
 
 bench-priors: $(VENV)/.dev ## sgm and plane_sweep against the truth; rewrites its page in docs
 	$(BIN)/python -m benchmarks.priors --write-docs
+
+bench-left-out: $(VENV)/.dev ## the weight-free pipeline on training views left out: how choices are made
+	$(BIN)/python -m benchmarks.left_out
 
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
