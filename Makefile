@@ -86,6 +86,9 @@ bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewri
 bench-priors: $(VENV)/.dev ## sgm, plane_sweep and patch_match against the truth; rewrites its page in docs
 	$(BIN)/python -m benchmarks.priors --write-docs
 
+bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out: how choices are made; variants by hand
+	$(BIN)/python -m benchmarks.left_out weightfree_fast
+
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
 

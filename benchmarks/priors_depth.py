@@ -106,6 +106,7 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
         max_reprojection_error=2,
         max_depth_error=0.05,
         min_consistent=1,
+        bounds=scene.bounds,
     )
     return [without_small_patches(depth, min_pixels=100, max_step=0.05) for depth in kept]
 

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .projection import DepthImage, Floats, Mask, interpolate, lift, pixel_centers, project
+from .witnesses import witnesses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from core_rasterizer import Camera
-
-MOST_WITNESSES = 8
-"""Other views that a view's depth is held against; more cost time and confirm next to nothing."""
 
 
 def default_min_consistent(views: int) -> int:
@@ -34,22 +32,24 @@ def consistent_depths(
     max_reprojection_error: float,
     max_depth_error: float,
     min_consistent: int,
+    bounds: tuple[float, float],
 ) -> list[DepthImage]:
     """For each view the mean of its own depth and of those that confirm it; 0 where too few do.
 
-    Asked are the `MOST_WITNESSES` views whose cameras stand nearest.
+    Asked are the `witnesses` of each view.
 
     Args:
         max_reprojection_error: pixels between where a pixel started and where it came back to.
         max_depth_error: between its depths then, relative to the first.
         min_consistent: how many other views must agree.
+        bounds: (near, far) z-depth of the scene's content, world units.
     """
     fused = []
     for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         u, v = pixel_centers(camera)
         total, votes = depth.astype(np.float64), np.zeros(depth.shape, dtype=np.intp)
         points = lift(camera, u, v, depth)
-        for other in _witnesses(cameras, index):
+        for other in witnesses(cameras, index, bounds):
             back_u, back_v, back_z = _there_and_back(camera, points, cameras[other], depths[other])
             agrees = (depth > 0) & (np.hypot(back_u - u, back_v - v) < max_reprojection_error)
             agrees &= np.abs(back_z - depth) < max_depth_error * depth
@@ -57,15 +57,6 @@ def consistent_depths(
             votes += agrees
         fused.append(np.where(votes >= min_consistent, total / (1 + votes), 0.0).astype(np.float32))
     return fused
-
-
-def _witnesses(cameras: Sequence[Camera], index: int) -> list[int]:
-    """Which other views are asked about one view, in their order."""
-    centers = np.stack([camera.center.numpy() for camera in cameras])
-    distance = np.linalg.norm(centers - centers[index], axis=1)
-    distance[index] = np.inf
-    nearest = np.argsort(distance, kind="stable")[: min(MOST_WITNESSES, len(cameras) - 1)]
-    return sorted(nearest.tolist())
 
 
 def _there_and_back(

@@ -25,12 +25,13 @@ from registry import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from torch import Tensor
 
     from .layers import Layer
     from .projection import DepthImage
+    from .understanding.understanding import Understanding
     from .view_depth import ViewDepth
 
 _log = logging.getLogger(__name__)
@@ -88,13 +89,18 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         """
         import numpy as np
 
+        from .understanding.understanding import Understanding
+
         needed = self._min_consistent(scene)
         prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
         answers = prior.depths(scene.train, scene.bounds)
         raw = [np.where(a.valid.numpy(), a.depth.numpy(), np.float32(0)) for a in answers]
         confirmed = self._confirmed(scene, raw, needed)
-        views = self._completed(scene, raw, confirmed)
-        return self._point_cloud(self._layers(views, scene.background), views)
+        shown = Understanding.of(scene.train, confirmed)
+        _log.info("%s: %s", scene.name, shown.sentence)
+        confirmed = shown.without_background(confirmed)
+        views = self._completed(scene, raw, confirmed, shown)
+        return self._point_cloud(self._layers(scene, views, shown), views, shown)
 
     def _min_consistent(self, scene: TrainingScene) -> int:
         from .geometric_filter import default_min_consistent
@@ -127,6 +133,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             max_reprojection_error=settings.max_reprojection_error,
             max_depth_error=settings.max_depth_error,
             min_consistent=needed,
+            bounds=scene.bounds,
         )
         confirmed = [
             without_small_patches(depth, min_pixels=settings.min_component, max_step=PATCH_STEP)
@@ -145,17 +152,21 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return confirmed
 
     def _completed(
-        self, scene: TrainingScene, raw: list[DepthImage], confirmed: list[DepthImage]
+        self,
+        scene: TrainingScene,
+        raw: list[DepthImage],
+        confirmed: list[DepthImage],
+        shown: Understanding,
     ) -> list[ViewDepth]:
         """The views with their guesses, if those are wanted."""
         import numpy as np
 
-        from .cloud import all_but
         from .fill import fill_holes
         from .layers import is_background
         from .other_views import hides
         from .projection import lift, pixel_centers
         from .view_depth import ViewDepth
+        from .witnesses import witnesses
 
         cameras = [view.camera for view in scene.train]
         views = []
@@ -164,25 +175,34 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             if self.settings.fill and confirmed[index].any():
                 filled = fill_holes(view.image.numpy(), confirmed[index])
                 points = lift(view.camera, *pixel_centers(view.camera), filled)
-                filled[hides(points, all_but(cameras, index), all_but(confirmed, index))] = 0
+                others = witnesses(cameras, index, scene.bounds)
+                seen = [cameras[k] for k in others], [confirmed[k] for k in others]
+                filled[hides(points, *seen)] = 0
                 filled[is_background(view.image.numpy(), scene.background)] = 0
+                filled[shown.backgrounds[index]] = 0
             views.append(ViewDepth(view, raw[index], confirmed[index], filled))
         return views
 
-    def _layers(self, views: list[ViewDepth], background: Sequence[float]) -> dict[str, Layer]:
-        """Points by kind."""
+    def _layers(
+        self, scene: TrainingScene, views: list[ViewDepth], shown: Understanding
+    ) -> dict[str, Layer]:
+        """Points by kind, without those that the silhouettes refute."""
         from .cloud import back_layers, margins, surfaces
         from .layers import is_background
 
-        layers = surfaces(views, stride=self.settings.stride, merge=self.settings.merge)
+        settings, bounds = self.settings, scene.bounds
+        layers = surfaces(views, bounds, stride=settings.stride, merge=settings.merge)
         coarse = {}
-        if self.settings.back_layer:
-            coarse["back_layer"] = back_layers(views)
-        if self.settings.margin:
-            coarse["margin"] = margins(views)
+        if settings.back_layer:
+            coarse["back_layer"] = back_layers(views, bounds)
+        if settings.margin:
+            coarse["margin"] = margins(views, bounds)
         for kind, layer in coarse.items():
-            layers[kind] = layer.without(is_background(layer.colors, background))
-        return layers
+            layers[kind] = layer.without(is_background(layer.colors, scene.background))
+        return {
+            kind: layer.without(shown.refutes(layer.positions, guessed=kind != "confirmed"))
+            for kind, layer in layers.items()
+        }
 
     def _chosen(self, count: int) -> Tensor:
         """Indices of the points that are kept, in order."""
@@ -193,7 +213,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         shuffled = torch.randperm(count, generator=self.generator)
         return shuffled[: self.settings.max_points].sort().values
 
-    def _point_cloud(self, layers: dict[str, Layer], views: list[ViewDepth]) -> PointCloud:
+    def _point_cloud(
+        self, layers: dict[str, Layer], views: list[ViewDepth], shown: Understanding
+    ) -> PointCloud:
         import torch
 
         from .layers import joined
@@ -215,6 +237,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             scales=scales,
             opacities=opacities,
             facts={
+                **shown.facts(),
                 "points_by_kind": dict(zip(layers, counts, strict=True)),
                 "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
                 "views": {view.view.name: view.facts() for view in views},

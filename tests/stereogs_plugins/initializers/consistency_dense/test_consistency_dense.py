@@ -223,3 +223,33 @@ def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
         wrong = (known.depth - true_depth(view))[known.valid].abs()
         assert wrong.quantile(0.99) < 0.02
         assert (known.depth[~known.valid] == 0).all()
+
+
+def test_before_a_plain_background_of_any_color_nothing_is_spread(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    backdrop = torch.ones(189, 252, dtype=torch.bool)
+    backdrop[40:150, 60:190] = False
+
+    def before_blue(view: View) -> View:
+        blue = torch.tensor((0.2, 0.3, 0.6))
+        return replace(view, image=torch.where(backdrop[..., None], blue, view.image))
+
+    def depth_of(view: View) -> Tensor:
+        return torch.where(backdrop, 0.0, true_depth(view))
+
+    with caplog.at_level(logging.INFO):
+        points = dense(
+            replace(scene, train=tuple(map(before_blue, scene.train))), depth_of, **COMPLETE
+        )
+    assert "taken as object" in caplog.text
+    assert points.facts["scene_kind"] == "object"
+    assert points.facts["plain_background"] == pytest.approx(0.7, abs=0.05)
+    guessed = points.positions[points.facts["points_by_kind"]["confirmed"] :]
+    assert len(guessed) > 100
+    for view in scene.train:
+        u, v, depth = view.camera.project(guessed)
+        inside = (depth > 0) & (u > 10) & (u < 242) & (v > 10) & (v < 179)
+        beside = inside & ((u < 50) | (u > 200) | (v < 30) | (v > 160))
+        assert not beside.any()
+    assert dense(scene, stride=4).facts["scene_kind"] == "forward-facing"

@@ -21,6 +21,8 @@ from stereogs_plugins.initializers.consistency_dense.projection import (
 )
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, true_depth
 
+BOUNDS = (1.0, 10.0)
+
 
 @pytest.fixture(scope="module")
 def scene(procedural_room: Scene) -> Scene:
@@ -36,6 +38,7 @@ def confirmed(
         max_reprojection_error=pixels,
         max_depth_error=relative,
         min_consistent=1,
+        bounds=BOUNDS,
     )
 
 
@@ -86,7 +89,12 @@ def test_a_frontal_plane_is_exact_with_off_center_principal_points() -> None:
     cameras = [camera_at(0.0, cx=22.0, cy=25.5), camera_at(0.4, cx=41.0, cy=14.0)]
     depths = [np.full((40, 60), 5.0, dtype=np.float32)] * 2
     first, second = consistent_depths(
-        cameras, depths, max_reprojection_error=1e-6, max_depth_error=1e-6, min_consistent=1
+        cameras,
+        depths,
+        max_reprojection_error=1e-6,
+        max_depth_error=1e-6,
+        min_consistent=1,
+        bounds=BOUNDS,
     )
     # A point moves by f * baseline / depth = 4 pixels, and with the principal point by 19 and -11.5.
     u, v = pixel_centers(cameras[0])
@@ -107,6 +115,7 @@ def test_depths_that_differ_are_told_apart_by_both_limits() -> None:
             max_reprojection_error=pixels,
             max_depth_error=relative,
             min_consistent=1,
+            bounds=BOUNDS,
         )
         return float((found > 0).mean())
 
@@ -124,6 +133,7 @@ def test_fused_depth_is_the_mean() -> None:
         max_reprojection_error=1.0,
         max_depth_error=0.05,
         min_consistent=1,
+        bounds=BOUNDS,
     )
     np.testing.assert_allclose(found[found > 0], 5.05, rtol=1e-6)
 
@@ -137,6 +147,7 @@ def test_so_many_views_must_agree(needed: int, kept: bool) -> None:
         max_reprojection_error=1.0,
         max_depth_error=0.01,
         min_consistent=needed,
+        bounds=BOUNDS,
     )
     assert (found[0] > 0).any() == kept
     assert not found[2].any()

@@ -15,6 +15,7 @@ from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, known, view_of
 
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.7, 0.1)
+BOUNDS = (1.0, 10.0)
 
 
 def box_before_wall(half: int, *, width: int = 120, height: int = 100) -> ViewDepth:
@@ -59,8 +60,8 @@ def test_a_surface_leaves_out_what_is_unknown_or_not_wanted() -> None:
 def test_merging_leaves_one_point_where_two_views_agree() -> None:
     depth = np.full((40, 60), 3.0, dtype=np.float32)
     views = [known(view_of(camera_at(x)), depth) for x in (0.0, 0.6)]
-    both = surfaces(views, stride=1, merge=False)["confirmed"]
-    merged = surfaces(views, stride=1, merge=True)["confirmed"]
+    both = surfaces(views, BOUNDS, stride=1, merge=False)["confirmed"]
+    merged = surfaces(views, BOUNDS, stride=1, merge=True)["confirmed"]
     assert len(both) == 2 * 40 * 60
     assert len(merged) == 40 * 60 + 40 * 10  # the second camera sees 50 * .6 / 3 columns more
 
@@ -86,12 +87,13 @@ def test_there_is_no_back_layer_without_an_edge_or_without_depth() -> None:
 
 def test_other_views_refute_and_replace_the_back_layer() -> None:
     view = box_before_wall(12)
-    alone = len(back_layers([view]))
+    alone = len(back_layers([view], BOUNDS))
     beyond = np.full((100, 120), 9.0, dtype=np.float32)  # sees through where the wall should be
     same = np.full((100, 120), 6.0, dtype=np.float32)  # sees the wall itself
     assert alone > 0
+    beside = view_of(camera_at(0.01, width=120, height=100, cx=60, cy=50))
     for depth in (beyond, same):
-        assert len(back_layers([view, known(view.view, depth)])) == 0
+        assert len(back_layers([view, known(beside, depth)], BOUNDS)) == 0
 
 
 def test_the_margin_surrounds_the_image_at_the_backgrounds_depth() -> None:
@@ -117,7 +119,7 @@ def test_the_margin_needs_a_depth_nearby() -> None:
 def test_a_margin_ends_where_another_view_sees() -> None:
     depth = np.full((40, 60), 3.0, dtype=np.float32)
     views = [known(view_of(camera_at(x)), depth) for x in (0.0, 1.5)]
-    points = margins(views).positions
+    points = margins(views, BOUNDS).positions
     assert len(points) > 0
     for view in views:
         u, v, _ = project(view.camera, points)

@@ -1,0 +1,1 @@
+"""What kind of scene photographs show, told from cameras and images alone."""

@@ -1,0 +1,121 @@
+"""Plain background: areas of one colour, without texture, that reach the border of the photographs.
+
+Nothing can be matched there, so whatever depth two views agree on is chance. An area counts if its colour
+is at the borders of most views; inside an object nothing counts, however plain, since areas are followed
+from the image border inwards.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from registry import TrainingView
+
+    from ..projection import DepthImage, Mask
+
+    Colors = NDArray[np.float32]
+
+TRANSPARENT = 0.02
+"""Alpha below which a pixel shows nothing of the object."""
+FLAT_WINDOW, FLAT_RANGE = 5, 16 / 255
+"""A pixel is flat if each channel varies by less than the range in a window of so many pixels."""
+COLOR_RANGE = 16 / 255
+"""Difference of each channel up to which a colour is the background's."""
+RING = 0.02
+"""Width of the image border, as a part of the shorter side."""
+LEAST_RING = 0.2
+"""Part of a view's border that a colour must fill to be that view's background."""
+MOST_COLORS = 2
+"""Table and backdrop; more would be guessing."""
+MOST_CONFIRMED = 0.3
+"""Of an area's pixels: where views agree on more, there is a surface that can be matched."""
+
+
+def plain_backgrounds(views: Sequence[TrainingView], confirmed: Sequence[DepthImage]) -> list[Mask]:
+    """For each view, the pixels `[H, W]` that show plain background; all False where there is none.
+
+    Args:
+        views: with `alpha` a view's background is where it is transparent; nothing is guessed then.
+        confirmed: `[H, W]` the depths of each view that others agree with, 0 elsewhere.
+    """
+    images = [view.image.numpy() for view in views]
+    flats = [_flat(image) for image in images]
+    masks: list[Mask] = [np.zeros(flat.shape, dtype=np.bool_) for flat in flats]
+    for color in _border_colors(images, flats):
+        found = [_area(image, flat, color) for image, flat in zip(images, flats, strict=True)]
+        pixels = sum(int(area.sum()) for area in found)
+        matched = sum(int((d[a] > 0).sum()) for d, a in zip(confirmed, found, strict=True))
+        if matched < MOST_CONFIRMED * pixels:
+            masks = [mask | area for mask, area in zip(masks, found, strict=True)]
+    return [
+        mask if view.alpha is None else view.alpha.numpy() < TRANSPARENT
+        for view, mask in zip(views, masks, strict=True)
+    ]
+
+
+def _flat(image: Colors) -> Mask:
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = (FLAT_WINDOW, FLAT_WINDOW, 1)
+    varies = maximum_filter(image, size) - minimum_filter(image, size)
+    flat: Mask = (varies < FLAT_RANGE).all(axis=-1)
+    return flat
+
+
+def _border_colors(images: Sequence[Colors], flats: Sequence[Mask]) -> list[Colors]:
+    """Colours `[3]` that fill much of the border of at least half of the views, the most frequent first."""
+    rings = []
+    for image, flat in zip(images, flats, strict=True):
+        ring = _ring(flat.shape)
+        rings.append((image[ring], flat[ring]))
+    left = [flat.copy() for _, flat in rings]
+    colors = []
+    for _ in range(MOST_COLORS):
+        candidates = np.concatenate([c[free] for (c, _), free in zip(rings, left, strict=True)])
+        if not len(candidates):
+            break
+        color = _mode(candidates)
+        like = [_alike(c, color) & free for (c, _), free in zip(rings, left, strict=True)]
+        if np.median([part.mean() for part in like]) < LEAST_RING:
+            break
+        colors.append(color)
+        left = [free & ~part for free, part in zip(left, like, strict=True)]
+    return colors
+
+
+def _ring(shape: tuple[int, ...]) -> Mask:
+    width = max(1, round(RING * min(shape)))
+    ring = np.ones(shape, dtype=np.bool_)
+    ring[width:-width, width:-width] = False
+    return ring
+
+
+def _mode(colors: Colors) -> Colors:
+    """The median of the fullest cell of a grid over colours `[P, 3]`, and of those around it."""
+    cells = np.floor(colors / COLOR_RANGE).astype(np.int64)
+    places, counts = np.unique(cells, axis=0, return_counts=True)
+    fullest = (places[np.argmax(counts)] + 0.5) * COLOR_RANGE
+    near = _alike(colors, fullest.astype(np.float32))
+    return np.median(colors[near], axis=0).astype(np.float32)
+
+
+def _alike(colors: Colors, color: Colors) -> Mask:
+    alike: Mask = (np.abs(colors - color) < COLOR_RANGE).all(axis=-1)
+    return alike
+
+
+def _area(image: Colors, flat: Mask, color: Colors) -> Mask:
+    """The flat pixels of a colour that are joined to the image border by such pixels."""
+    from scipy.ndimage import label
+
+    labels, _ = label(flat & _alike(image, color))
+    at_border = np.unique(labels[_ring(flat.shape)])
+    area: Mask = np.isin(labels, at_border[at_border > 0])
+    return area
