@@ -126,7 +126,8 @@ class PatchLevel:
             "pack_pairs",
             (camera.width, camera.height + 1),
             None,
-            *(levels, self._pairs, *(np.int32(number) for number in numbers)),
+            *(levels, self._pairs),
+            *(np.int32(number) for number in numbers),
         )
         grey = DeviceArray(self._device, size)
         grey.write(2 * centered)
