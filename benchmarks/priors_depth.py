@@ -127,11 +127,15 @@ def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]
     rows = []
     for known in _scenes(device):
         priors: dict[str, MultiViewDepthPrior[Any]] = {
-            "plane_sweep": PlaneSweep(PlaneSweepSettings(), Context("plane_sweep", 0, device)),
-            "patch_match": PatchMatchPrior(PatchMatchSettings(), Context("patch_match", 0, device)),
+            "plane_sweep": PlaneSweep(
+                PlaneSweepSettings.model_validate({}), Context("plane_sweep", 0, device)
+            ),
+            "patch_match": PatchMatchPrior(
+                PatchMatchSettings.model_validate({}), Context("patch_match", 0, device)
+            ),
         }
         if features is not None and known.points is not None:
-            chosen = PlaneSweepSettings(cost="features", features=features)
+            chosen = PlaneSweepSettings.model_validate({"cost": "features", "features": features})
             priors["plane_sweep, features"] = PlaneSweep(chosen, Context("features", 0, device))
         for name, prior in priors.items():
             begin = time.process_time()
@@ -148,7 +152,7 @@ def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]
 
 def _scenes(device: Device) -> Iterator[Known]:
     for views in ROOMS:
-        settings = ProceduralSettings(train_views=views, test_views=0)
+        settings = ProceduralSettings.model_validate({"train_views": views, "test_views": 0})
         scene = ProceduralScene(settings, Context("scene", 0, device)).load()
         yield Known(f"room, {views} views", scene)
     root = Path(os.environ.get(DATA, "."))
