@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import uniform_filter  # type: ignore[attr-defined]
 
 from benchmarks.results_plan import CASES, DATA, PIPELINES
 from core_rasterizer import Device
@@ -32,9 +32,10 @@ from stereogs_plugins.initializers.consistency_dense.geometric_filter import (
     consistent_depths,
     without_small_patches,
 )
-from stereogs_plugins.priors.patch_match import PatchMatchPrior
-from stereogs_plugins.priors.plane_sweep import PlaneSweep
+from stereogs_plugins.priors.patch_match import PatchMatchPrior, PatchMatchSettings
+from stereogs_plugins.priors.plane_sweep import PlaneSweep, PlaneSweepSettings
 from stereogs_plugins.scenes.procedural import ProceduralScene
+from stereogs_plugins.scenes.procedural.loader import ProceduralSettings
 
 Floats = NDArray[np.float64]
 DepthImage = NDArray[np.float32]
@@ -127,11 +128,15 @@ def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]
     rows = []
     for known in _scenes(device):
         priors: dict[str, MultiViewDepthPrior[Any]] = {
-            name: prior(prior.Settings(), Context(name, 0, device))
-            for name, prior in (("plane_sweep", PlaneSweep), ("patch_match", PatchMatchPrior))
+            "plane_sweep": PlaneSweep(
+                PlaneSweepSettings.model_validate({}), Context("plane_sweep", 0, device)
+            ),
+            "patch_match": PatchMatchPrior(
+                PatchMatchSettings.model_validate({}), Context("patch_match", 0, device)
+            ),
         }
         if features is not None and known.points is not None:
-            chosen = PlaneSweep.Settings(cost="features", features=features)
+            chosen = PlaneSweepSettings.model_validate({"cost": "features", "features": features})
             priors["plane_sweep, features"] = PlaneSweep(chosen, Context("features", 0, device))
         for name, prior in priors.items():
             begin = time.process_time()
@@ -148,7 +153,7 @@ def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]
 
 def _scenes(device: Device) -> Iterator[Known]:
     for views in ROOMS:
-        settings = ProceduralScene.Settings(train_views=views, test_views=0)
+        settings = ProceduralSettings.model_validate({"train_views": views, "test_views": 0})
         scene = ProceduralScene(settings, Context("scene", 0, device)).load()
         yield Known(f"room, {views} views", scene)
     root = Path(os.environ.get(DATA, "."))

@@ -16,8 +16,6 @@ from .sweep_geometry import plane_transfer
 
 GREY_LEVELS = 8191
 """Grey values are kept as whole numbers up to this, and so are the steps between neighbours."""
-REFINEMENTS = 3
-"""Random changes that a pixel tries in a step: of the depth, of the normal, and of both."""
 
 
 class PatchLevel:
@@ -43,14 +41,13 @@ class PatchLevel:
         seed: int,
     ) -> None:
         self._device, self.cameras, self._seed = device, tuple(cameras), seed
+        self.nearness = nearness
         # Work-items of a group of many would each take their room on the stack at once.
         self._group = (1, 1) if device.variant == "cpu" else None
-        self._range = tuple(np.float32(value) for value in nearness)
         self._defines = {
             "RADIUS": radius,
             "LEVELS": GREY_LEVELS,
             "MOST_SOURCES": MOST_PATCH_SOURCES,
-            "REFINEMENTS": REFINEMENTS,
         }
         pair_ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
         ends = list(accumulate(camera.width * camera.height for camera in cameras))
@@ -82,13 +79,8 @@ class PatchLevel:
             "plane_costs",
             (-(-camera.width // self._device.lanes), camera.height),
             self._group,
-            *(
-                self.planes[view],
-                self._greys[view],
-                self._pairs,
-                *self._sources(view, sources),
-                costs,
-            ),
+            *(self.planes[view], self._greys[view], self._pairs, self._known),
+            *(*self._sources(view, sources), costs),
             *(np.int32(value) for value in (len(sources), camera.width, camera.height)),
         )
         return costs.read().clone()
@@ -134,7 +126,8 @@ class PatchLevel:
             "pack_pairs",
             (camera.width, camera.height + 1),
             None,
-            *(levels, self._pairs, *(np.int32(number) for number in numbers)),
+            *(levels, self._pairs),
+            *(np.int32(number) for number in numbers),
         )
         grey = DeviceArray(self._device, size)
         grey.write(2 * centered)
@@ -157,7 +150,7 @@ class PatchLevel:
 
     def _numbers(self, camera: Camera) -> tuple[np.float32, ...]:
         parts = (camera.fx, camera.fy, camera.cx, camera.cy)
-        return (*self._range, *(np.float32(value) for value in parts))
+        return tuple(np.float32(value) for value in (*self.nearness, *parts))
 
     def _key(self, view: int) -> np.uint32:
         """Of the random numbers of the next launch."""

@@ -46,6 +46,7 @@ SCHEDULE = (
     Round(1, 2, 0.05),
     Round(1, 1, 0.05),
 )
+"""At first without other views' depths, which are random; most of the search is done where it is cheap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,9 @@ class PatchMatch:
     def _refined(self, coarse: PatchLevel, fine: PatchLevel) -> PatchLevel:
         """The finer level with the planes of the coarser one."""
         for view, camera in enumerate(fine.cameras):
-            fine.planes[view].write(_upsampled(coarse.planes[view].read(), camera))
+            planes = _upsampled(coarse.planes[view].read(), camera)
+            planes[0].clamp_(*fine.nearness)
+            fine.planes[view].write(planes)
         return fine
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +37,15 @@ def costs(
     weights, values, others = [], [], []
     for v in offsets:
         for u in (u for u in offsets if (u + v) % 2 == 0):
-            x, y = column + u, row + v
-            within = (x >= 0) & (x < here.width) & (y >= 0) & (y < here.height)
-            value = image[np.clip(y, 0, here.height - 1), np.clip(x, 0, here.width - 1)]
+            at, below = column + u, row + v
+            within = (at >= 0) & (at < here.width) & (below >= 0) & (below < here.height)
+            value = image[np.clip(below, 0, here.height - 1), np.clip(at, 0, here.width - 1)]
             off = (value - image) / COLOR_SPREAD
             weights.append(within * np.exp(-(off**2) / 2 - (u * u + v * v) / (2 * radius**2)))
             values.append(value)
-            there = [_land(here, c, x, y, nearness + u * right + v * down) for c in cameras[1:]]
+            there = [
+                _land(here, c, at, below, nearness + u * right + v * down) for c in cameras[1:]
+            ]
             others.append(
                 [interpolate(i, a, b) for i, (a, b, _) in zip(images[1:], there, strict=True)]
             )
@@ -50,15 +53,15 @@ def costs(
     answers, unsure = [], []
     for index, camera in enumerate(cameras[1:]):
         cost = 1 - _correlation(weight, np.stack(values), np.stack([o[index] for o in others]))
-        u, v, z = _land(here, camera, column, row, nearness)
-        distance = np.minimum(np.minimum(u, v), np.minimum(camera.width - u, camera.height - v))
+        x, y, z = _land(here, camera, column, row, nearness)
+        distance = np.minimum(np.minimum(x, y), np.minimum(camera.width - x, camera.height - y))
         answers.append(np.where((z > 0) & (distance >= 0), cost, 2.0))
         unsure.append(np.abs(distance) < 1e-3)
     return np.stack(answers), np.stack(unsure)
 
 
 def _land(
-    here: Camera, there: Camera, column: Floats, row: Floats, nearness: Floats
+    here: Camera, there: Camera, column: NDArray[Any], row: NDArray[Any], nearness: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Pixel position in another view, and depth there, of pixels at an inverse depth."""
     x, y = (column + 0.5 - here.cx) / here.fx, (row + 0.5 - here.cy) / here.fy

@@ -59,9 +59,10 @@ def test_the_score_is_the_weight_of_the_angle(degrees: float) -> None:
     far = 1e6
     here, there = around(0, distance=far), around(degrees, distance=far)
     # Long lenses: both images show one unit about the origin.
-    long = {"fx": 20 * far, "fy": 20 * far, "cx": 24, "cy": 18, "width": 48, "height": 36}
-    wide = {**long, "fx": far, "fy": far}
-    cameras = Camera(here.world_to_camera, **long), Camera(there.world_to_camera, **wide)
+    cameras = [
+        Camera(here.world_to_camera, 20 * far, 20 * far, 24, 18, 48, 36),
+        Camera(there.world_to_camera, far, far, 24, 18, 48, 36),
+    ]
     spread = 1.0 if degrees < 5 else 10.0
     expected = math.exp(-((degrees - 5) ** 2) / (2 * spread**2))
     scores = matching_scores(cameras[0], cameras[1:], (far - 1, far + 1))

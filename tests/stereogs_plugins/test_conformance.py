@@ -88,7 +88,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "initializer.random": (lambda folder: {"count": 100},),
     "initializer.ply": (gaussians,),
     "initializer.consistency_dense": (needs_nothing, complete),
-    "priors.patch_match": (lambda folder: {"radius": 3},),
+    "priors.patch_match": (needs_nothing,),
     "priors.plane_sweep": (few_planes,),
     "priors.sgm": (
         needs_nothing,

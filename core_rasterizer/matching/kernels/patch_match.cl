@@ -25,6 +25,8 @@
 #define FORGIVEN 1.0f /* pixels by which views may disagree, since depths are read pixel by pixel */
 #define MOST_MISSED 3.0f /* pixels; views that disagree by more are as wrong as any */
 #define LEAST_WEIGHT 0.01f /* a source view of less is not asked */
+#define BAD_COST 1.2f /* a view that costs more contradicts a plane */
+#define GOOD_FALLOFF 5.556f /* 1 / (2 * 0.3^2): by which views of higher cost count less */
 #define WORST 2.0f /* of NCC = -1, and where a view does not see the point */
 #define IMPOSSIBLE 1000.0f /* above every cost */
 #define REGIONS 8
@@ -49,6 +51,15 @@ typedef struct {
     lane weights[SAMPLES], centered[SAMPLES];
     lane variance;
 } window;
+
+/* The views to compare with. */
+typedef struct {
+    __global const int *pairs;
+    __global const real *known, *numbers;
+    __global const int *layout;
+    int count;
+    real agreement; /* cost of a pixel by which views disagree; 0: nobody is asked */
+} source_views;
 
 static inline lane_int gather(__global const int *table, lane_int at)
 {
@@ -93,25 +104,25 @@ static inline lane_int columns(int first, int step, int width)
     return x;
 }
 
-/* A number in [0, 1) from a pixel, a launch's key and the number of the draw, and nothing else: a hash
- * of 32 bits in which every bit of the input changes half of the output's. */
+/* A hash of 32 bits: each bit of the input changes each bit of the output half of the time. */
+static inline lane_uint mixed(lane_uint x)
+{
+    x ^= x >> 16;
+    x *= (lane_uint)0x7feb352du;
+    x ^= x >> 15;
+    x *= (lane_uint)0x846ca68bu;
+    return x ^ (x >> 16);
+}
+
+/* A number in [0, 1) that depends on the pixel, a launch's key and the number of the draw alone. */
 static inline lane uniform_draw(lane_int pixel, uint key, uint draw)
 {
-    lane_uint x = (*(const lane_uint *)&pixel) + key;
-    for (int round = 0; round < 2; round++) {
-        x ^= x >> 16;
-        x *= (lane_uint)0x7feb352du;
-        x ^= x >> 15;
-        x *= (lane_uint)0x846ca68bu;
-        x ^= x >> 16;
-        x += draw;
-    }
-    x = x >> 8;
+    const lane_uint x = mixed(mixed((*(const lane_uint *)&pixel) + key) + draw) >> 8;
     return FROM_INT(AS_INT(x)) * (1.0f / 16777216);
 }
 
 /* Weights fall with the distance and with the difference in grey, so that a window does not reach over
- * the edge of a surface (Schoenberger et al., ECCV 2016, eq. 12 without its constant). */
+ * the edge of a surface (Schoenberger et al., ECCV 2016). */
 static inline void look_around(
     __global const real *grey, int width, int height, lane_int x, int y, window *here)
 {
@@ -161,9 +172,10 @@ static inline lane sample(__global const int *pairs, int width, int height, lane
 
 /* 1 - NCC of the windows, in [0, 2]. NOISE is added to both variances: even patches match nothing. */
 static inline lane photometric_cost(
-    const window *here, plane on, __global const int *pairs, __global const real *m,
-    __global const int *layout)
+    const window *here, plane on, const source_views *views, int s)
 {
+    __global const real *m = views->numbers + s * SOURCE_NUMBERS;
+    __global const int *layout = views->layout + s * SOURCE_LAYOUT;
     const int width = layout[1], height = layout[2];
     const lane z = m[6] * here->x + m[7] * here->y + m[8] + on.nearness * m[11];
     const lane x = m[0] * here->x + m[1] * here->y + m[2] + on.nearness * m[9];
@@ -185,7 +197,7 @@ static inline lane photometric_cost(
         const lane row_z = z + (real)v * down_z;
         for (int u = FIRST_IN_ROW(v); u <= RADIUS; u += 2, i++) {
             const lane inverse = 1 / (row_z + (real)u * right_z);
-            const lane value = sample(pairs + layout[0], width, height,
+            const lane value = sample(views->pairs + layout[0], width, height,
                                       (row_x + (real)u * right_x) * inverse,
                                       (row_y + (real)u * right_y) * inverse);
             const lane weighted = here->weights[i] * value;
@@ -200,12 +212,16 @@ static inline lane photometric_cost(
     return seen ? LANE_MIN((lane)WORST, LANE_MAX((lane)0, cost)) : (lane)WORST;
 }
 
-/* Pixels by which the pixel misses itself on its way to a source view, onto the surface that is known
- * there, and back; at most MOST_MISSED, which it is where nothing is seen (Xu and Tao, CVPR 2019, eq. 8). */
-static inline lane round_trip(
-    const window *here, lane nearness, __global const real *known, __global const real *m,
-    __global const int *layout)
+/* What it costs by how many pixels the pixel misses itself on its way to a source view, onto the surface that is known
+ * there, and back; at most MOST_MISSED, which it is where nothing is seen (geometric
+ * consistency of Xu and Tao, CVPR 2019). */
+static inline lane disagreement(
+    const window *here, lane nearness, const source_views *views, int s)
 {
+    if (views->agreement == 0)
+        return (lane)0;
+    __global const real *m = views->numbers + s * SOURCE_NUMBERS;
+    __global const int *layout = views->layout + s * SOURCE_LAYOUT;
     const int width = layout[1], height = layout[2];
     const lane z = m[6] * here->x + m[7] * here->y + m[8] + nearness * m[11];
     const lane u = (m[0] * here->x + m[1] * here->y + m[2] + nearness * m[9]) / z;
@@ -213,14 +229,14 @@ static inline lane round_trip(
     const lane_int seen = (z > (lane)0) & (u >= (lane)0) & (v >= (lane)0) & (u < (lane)width)
         & (v < (lane)height);
     const lane_int column = TO_INT(seen ? u : (lane)0), row = TO_INT(seen ? v : (lane)0);
-    const lane there = gather_real(known + layout[3], row * width + column);
+    const lane there = gather_real(views->known + layout[3], row * width + column);
     m += SOURCE_NUMBERS / 2;
     const lane back_z = m[6] * u + m[7] * v + m[8] + there * m[11];
     const lane back_x = (m[0] * u + m[1] * v + m[2] + there * m[9]) / back_z - here->x;
     const lane back_y = (m[3] * u + m[4] * v + m[5] + there * m[10]) / back_z - here->y;
     const lane missed = lane_sqrt(back_x * back_x + back_y * back_y) - FORGIVEN;
     const lane_int known_there = seen & (back_z > (lane)0) & (missed < (lane)MOST_MISSED);
-    return known_there ? LANE_MAX(missed, (lane)0) : (lane)MOST_MISSED;
+    return views->agreement * (known_there ? LANE_MAX(missed, (lane)0) : (lane)MOST_MISSED);
 }
 
 static inline plane load_plane(__global const real *planes, int pixels, lane_int at)
@@ -265,7 +281,8 @@ static inline void consider(
 }
 
 /* One plane of each of eight regions of the other colour: a V and a line in each direction, the plane
- * of lowest cost in each (Xu and Tao, CVPR 2019, figure 3). */
+ * of lowest cost in each (adaptive checkerboard sampling of
+ * Xu and Tao, CVPR 2019). */
 static inline void neighbouring_planes(
     __global const real *planes, int width, int height, lane_int x, int y, plane own, plane *found)
 {
@@ -291,18 +308,18 @@ static inline void neighbouring_planes(
 }
 
 /* How much each source view counts at the pixel: views that match most of the neighbouring planes well,
- * by how well (Xu and Tao, CVPR 2019, eq. 3 to 6). All others share next to nothing, which
- * decides where no view is chosen. */
+ * by how well (joint view selection of Xu and Tao, CVPR 2019). All others share next to nothing,
+ * which decides where no view is chosen. */
 static inline void weigh_views(lane (*costs)[MOST_SOURCES], int sources, real good_cost, lane *weights)
 {
     for (int s = 0; s < sources; s++) {
         lane good = (lane)0, bad = (lane)0, sum = (lane)0, all = (lane)0;
         for (int k = 0; k < REGIONS; k++) {
-            const lane cost = costs[k][s], worth = lane_exp(cost * cost * (-1 / (2 * 0.3f * 0.3f)));
+            const lane cost = costs[k][s], worth = lane_exp(-cost * cost * GOOD_FALLOFF);
             const lane_int matches = cost < (lane)good_cost;
             good += matches ? (lane)1 : (lane)0;
             sum += matches ? worth : (lane)0;
-            bad += cost > (lane)1.2f ? (lane)1 : (lane)0;
+            bad += cost > (lane)BAD_COST ? (lane)1 : (lane)0;
             all += worth;
         }
         const lane_int chosen = (good > (lane)2) & (bad < (lane)3);
@@ -360,27 +377,73 @@ __kernel void draw_planes(
     }
 }
 
-/* The photometric cost of each pixel's plane in each source view, [SOURCES, H, W]. */
+/* The photometric cost of each pixel's plane in each source view, [sources, H, W]. */
 __kernel void plane_costs(
     __global const real *planes, __global const real *grey, __global const int *pairs,
-    __global const real *numbers, __global const int *layout, __global real *costs, int sources,
-    int width, int height)
+    __global const real *known, __global const real *numbers, __global const int *layout,
+    __global real *costs, int sources, int width, int height)
 {
     const int y = get_global_id(1), first = get_global_id(0) * LANES, pixels = width * height;
     const lane_int x = columns(first, 1, width);
+    const source_views views = {pairs, known, numbers, layout, sources, 0};
     const plane own = load_plane(planes, pixels, y * width + x);
     window here;
     look_around(grey, width, height, x, y, &here);
     for (int s = 0; s < sources; s++) {
-        const lane cost = photometric_cost(&here, own, pairs, numbers + s * SOURCE_NUMBERS,
-                                           layout + s * SOURCE_LAYOUT);
+        const lane cost = photometric_cost(&here, own, &views, s);
         for (int i = 0; i < LANES && first + i < width; i++)
             costs[s * pixels + y * width + first + i] = LANE_AT(cost, i);
     }
 }
 
+/* The best plane so far, its cost, and the inverse depths between which planes lie. */
+typedef struct {
+    plane best;
+    lane lowest;
+    real farthest, nearest;
+} search;
+
+static inline void try_plane(search *state, plane tried, lane cost)
+{
+    const lane_int better = (cost < state->lowest) & (tried.nearness >= (lane)state->farthest)
+        & (tried.nearness <= (lane)state->nearest);
+    state->best = either(better, tried, state->best);
+    state->lowest = better ? cost : state->lowest;
+}
+
+/* The best of the pixel's own plane and its neighbours', by the views that match these; tells how much
+ * each view counted. */
+static inline void try_neighbours(
+    search *state, const plane *found, const window *here, const source_views *views,
+    real good_cost, lane *weights)
+{
+    lane costs[HYPOTHESES][MOST_SOURCES];
+    for (int k = 0; k < HYPOTHESES; k++)
+        for (int s = 0; s < views->count; s++)
+            costs[k][s] = photometric_cost(here, found[k], views, s);
+    weigh_views(costs, views->count, good_cost, weights);
+    for (int k = REGIONS; k >= 0; k--) { /* its own first: others must be better */
+        lane cost = (lane)0;
+        for (int s = 0; s < views->count; s++)
+            cost += weights[s] * (costs[k][s] + disagreement(here, found[k].nearness, views, s));
+        try_plane(state, found[k], cost);
+    }
+}
+
+static inline lane weighted_cost(
+    plane tried, const window *here, const source_views *views, const lane *weights)
+{
+    lane cost = (lane)0;
+    for (int s = 0; s < views->count; s++)
+        if (in_any_lane(weights[s] > (lane)0))
+            cost += weights[s] * (photometric_cost(here, tried, views, s)
+                                  + disagreement(here, tried.nearness, views, s));
+    return cost;
+}
+
 /* One colour of the checkerboard: each pixel takes the best of its own plane, those of its neighbours,
- * and REFINEMENTS changes of the best one. */
+ * and three changes of the best one: of its depth, of its normal, of both. Changes are of all sizes: as
+ * many between 1/8 and 1/16 of the range as between 1/512 and 1/1024. */
 __kernel void improve_planes(
     __global real *planes, __global const real *grey, __global const int *pairs,
     __global const real *known, __global const real *numbers, __global const int *layout,
@@ -392,69 +455,35 @@ __kernel void improve_planes(
     if (first >= width)
         return;
     const lane_int x = columns(first, 2, width), at = y * width + x;
+    const source_views views = {pairs, known, numbers, layout, sources, agreement};
     plane found[HYPOTHESES];
-    lane costs[HYPOTHESES][MOST_SOURCES], weights[MOST_SOURCES];
+    lane weights[MOST_SOURCES];
     window here;
 
     found[REGIONS] = load_plane(planes, pixels, at);
     neighbouring_planes(planes, width, height, x, y, found[REGIONS], found);
     look_around(grey, width, height, x, y, &here);
-    for (int k = 0; k < HYPOTHESES; k++)
-        for (int s = 0; s < sources; s++)
-            costs[k][s] = photometric_cost(&here, found[k], pairs, numbers + s * SOURCE_NUMBERS,
-                                           layout + s * SOURCE_LAYOUT);
-    weigh_views(costs, sources, good_cost, weights);
-
-    plane best = found[REGIONS];
-    lane lowest = (lane)IMPOSSIBLE;
-    for (int k = REGIONS; k >= 0; k--) {
-        lane cost = (lane)0;
-        for (int s = 0; s < sources; s++) {
-            const lane missed = agreement > 0
-                ? round_trip(&here, found[k].nearness, known, numbers + s * SOURCE_NUMBERS,
-                             layout + s * SOURCE_LAYOUT) : (lane)0;
-            cost += weights[s] * (costs[k][s] + agreement * missed);
-        }
-        const lane_int better = (cost < lowest) & (found[k].nearness >= (lane)farthest)
-            & (found[k].nearness <= (lane)nearest);
-        best = either(better, found[k], best);
-        lowest = better ? cost : lowest;
-    }
+    search state = {found[REGIONS], (lane)IMPOSSIBLE, farthest, nearest};
+    try_neighbours(&state, found, &here, &views, good_cost, weights);
 
     const lane ray_x = (here.x - center_x) / focal_x, ray_y = (here.y - center_y) / focal_y;
-    for (int k = 0; k < REFINEMENTS; k++) {
-        const uint draw = 8 * k;
-        /* Steps of all sizes: as many between 1/8 and 1/16 of the range as between 1/512 and 1/1024. */
-        const lane near_step = lane_exp(-2.0f - 5.5f * uniform_draw(at, key, draw));
+    for (int change = 0; change < 3; change++) {
+        const uint draw = 8 * change;
+        const lane step = lane_exp(-2.0f - 5.5f * uniform_draw(at, key, draw));
         const lane tilt = lane_exp(-3.5f * uniform_draw(at, key, draw + 1));
-        plane tried = best;
-        if (k != 1)
-            tried.nearness += (nearest - farthest) * near_step
-                * (2 * uniform_draw(at, key, draw + 2) - 1);
-        if (k != 0)
+        plane tried = state.best;
+        if (change != 1)
+            tried.nearness += (nearest - farthest) * step * (2 * uniform_draw(at, key, draw + 2) - 1);
+        if (change != 0)
             tried = tilted(tried, tilt, at, key, draw + 3, ray_x, ray_y, focal_x, focal_y);
-        lane cost = (lane)0;
-        for (int s = 0; s < sources; s++) {
-            if (!in_any_lane(weights[s] > (lane)0))
-                continue;
-            const lane missed = agreement > 0
-                ? round_trip(&here, tried.nearness, known, numbers + s * SOURCE_NUMBERS,
-                             layout + s * SOURCE_LAYOUT) : (lane)0;
-            const lane matched = photometric_cost(&here, tried, pairs, numbers + s * SOURCE_NUMBERS,
-                                                  layout + s * SOURCE_LAYOUT);
-            cost += weights[s] * (matched + agreement * missed);
-        }
-        const lane_int better = (cost < lowest) & (tried.nearness >= (lane)farthest)
-            & (tried.nearness <= (lane)nearest);
-        best = either(better, tried, best);
-        lowest = better ? cost : lowest;
+        try_plane(&state, tried, weighted_cost(tried, &here, &views, weights));
     }
 
     for (int i = 0; i < LANES && first + 2 * i < width; i++) {
         __global real *to = planes + y * width + first + 2 * i;
-        to[0] = LANE_AT(best.nearness, i);
-        to[pixels] = LANE_AT(best.right, i);
-        to[2 * pixels] = LANE_AT(best.down, i);
-        to[3 * pixels] = LANE_AT(lowest, i);
+        to[0] = LANE_AT(state.best.nearness, i);
+        to[pixels] = LANE_AT(state.best.right, i);
+        to[2 * pixels] = LANE_AT(state.best.down, i);
+        to[3 * pixels] = LANE_AT(state.lowest, i);
     }
 }

@@ -48,7 +48,7 @@ def test_confidence_tells_right_from_wrong(room: Scene, answers: list[DepthMap])
     assert truth is not None
     right = ((answer.depth - truth).abs() < 0.05 * truth) & answer.valid
     wrong = ~right & answer.valid
-    assert answer.confidence[right].mean() > 1.5 * answer.confidence[wrong].mean()
+    assert answer.confidence[right].mean() > 1.3 * answer.confidence[wrong].mean()
 
 
 def test_the_seed_of_the_run_changes_nothing() -> None:
@@ -60,6 +60,13 @@ def test_the_seed_of_the_run_changes_nothing() -> None:
     for one, other in zip(first, second, strict=True):
         assert torch.equal(one.depth, other.depth)
         assert torch.equal(one.confidence, other.confidence)
+
+
+def test_what_matches_nothing_is_not_valid() -> None:
+    scene = tiny_scene()
+    views = [replace(view, image=torch.full_like(view.image, 0.4)) for view in scene.train]
+    assert not any(a.valid.any() for a in build(PatchMatchPrior).depths(views, scene.bounds))
+    assert all(a.valid.any() for a in build(PatchMatchPrior).depths(scene.train, scene.bounds))
 
 
 def test_cameras_in_one_place_are_refused() -> None:
