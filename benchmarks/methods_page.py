@@ -23,7 +23,7 @@ NONE = "\u2013"
 TITLES: dict[Points, str] = {"own": "Own points", "same": "Same points"}
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several;
-**both** and what follows are means over the two scenes, for rows that have both. *to 3DGS* is the mean
+*both* is the mean over the two scenes, and what follows over those that a row has. *to 3DGS* is the mean
 difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
 (Student's t) from three pairs on. *CPU s* is the processor time of loading, initialization and training, over
 all threads, without scoring; nothing came from the cache of prior answers. *MB* is the most memory that the
@@ -97,22 +97,21 @@ def _cells(own: Sequence[Record], baseline: Sequence[Record]) -> list[str]:
     by_scene = [[record for record in own if record.run.data == scene] for scene in SCENES]
     compared = difference(own, baseline) if own[0].run.method is not BASELINE else None
 
-    def both(number: Callable[[Record], float], form: str) -> str:
-        if not all(by_scene):
-            return NONE
-        means = [statistics.mean(map(number, records)) for records in by_scene]
+    def mean(number: Callable[[Record], float], form: str) -> str:
+        means = [statistics.mean(map(number, records)) for records in by_scene if records]
         return format(statistics.mean(means), form)
 
+    psnr = mean(lambda record: record.scores["psnr"], ".2f")
     return [
         " + ".join(str(len(records)) for records in by_scene),
         *(_spread([record.scores["psnr"] for record in records]) for records in by_scene),
-        both(lambda record: record.scores["psnr"], ".2f"),
+        psnr if all(by_scene) else NONE,
         NONE if compared is None else str(compared),
-        both(lambda record: record.scores["ssim"], ".3f"),
-        both(lambda record: record.scores["lpips"], ".3f"),
-        both(lambda record: record.measured["gaussians"], ",.0f"),
-        both(lambda record: record.measured["cpu_seconds"], ",.0f"),
-        both(lambda record: record.measured["peak_memory_mb"], ",.0f"),
+        mean(lambda record: record.scores["ssim"], ".3f"),
+        mean(lambda record: record.scores["lpips"], ".3f"),
+        mean(lambda record: record.measured["gaussians"], ",.0f"),
+        mean(lambda record: record.measured["cpu_seconds"], ",.0f"),
+        mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),
     ]
 
 

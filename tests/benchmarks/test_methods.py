@@ -195,6 +195,7 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     assert base[8:11] == ["12,345", "68", "910"]
     assert base[11:] == ["16.02", "0.465", "0.378"]
     assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", methods_page.NONE, methods_page.NONE, "+4.00"]
+    assert ours[6:11] == ["0.500", "0.250", "12,345", "68", "910"]
     assert ours[11:] == ["20.76", "0.713", "0.200"]
     assert "### Own points" in text
     assert "### Same points" not in text

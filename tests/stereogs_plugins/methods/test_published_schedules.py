@@ -62,6 +62,13 @@ def test_dngaussian_begins_soft_depth_after_1000_and_clears_before_cameras_after
     assert calls(dngaussian, "densification", "before_cameras")[:2] == [2025, 2050]
 
 
+def test_dngaussian_and_its_short_form_step_as_far_as_its_script_for_llff() -> None:
+    """--position_lr_init 0.016, --position_lr_final 0.00016, --scaling_lr 0.003."""
+    for name in ("dngaussian", "dngaussian-short"):
+        rates = published(name).training.learning_rates
+        assert (rates.position, rates.position_final, rates.scale) == (0.016, 0.00016, 0.003)
+
+
 @pytest.mark.parametrize("name", ["regnerf", "freenerf", "sparsenerf", "ico-gs"])
 def test_methods_made_for_fields_of_radiance_share_one_schedule(name: str) -> None:
     pipeline = published(name)
