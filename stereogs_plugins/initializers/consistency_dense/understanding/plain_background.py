@@ -61,7 +61,7 @@ def plain_backgrounds(views: Sequence[TrainingView], confirmed: Sequence[DepthIm
 
 
 def _flat(image: Colors) -> Mask:
-    from scipy.ndimage import maximum_filter, minimum_filter
+    from scipy.ndimage import maximum_filter, minimum_filter  # type: ignore[attr-defined]
 
     size = (FLAT_WINDOW, FLAT_WINDOW, 1)
     varies = maximum_filter(image, size) - minimum_filter(image, size)
