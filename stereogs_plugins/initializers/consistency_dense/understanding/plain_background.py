@@ -61,7 +61,7 @@ def plain_backgrounds(views: Sequence[TrainingView], confirmed: Sequence[DepthIm
 
 
 def _flat(image: Colors) -> Mask:
-    from scipy.ndimage import maximum_filter, minimum_filter
+    from scipy.ndimage import maximum_filter, minimum_filter  # type: ignore[attr-defined]
 
     size = (FLAT_WINDOW, FLAT_WINDOW, 1)
     varies = maximum_filter(image, size) - minimum_filter(image, size)
@@ -113,7 +113,7 @@ def _alike(colors: Colors, color: Colors) -> Mask:
 
 def _area(image: Colors, flat: Mask, color: Colors) -> Mask:
     """The flat pixels of a colour that are joined to the image border by such pixels."""
-    from scipy.ndimage import label
+    from scipy.ndimage import label  # type: ignore[attr-defined]
 
     labels, _ = label(flat & _alike(image, color))
     at_border = np.unique(labels[_ring(flat.shape)])

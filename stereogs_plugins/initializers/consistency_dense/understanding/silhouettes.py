@@ -25,7 +25,7 @@ def safely_inside(background: Mask) -> Mask:
 
     Also away from the image border, where the photograph does not tell what is beside it.
     """
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_edt  # type: ignore[attr-defined]
 
     if not background.any():
         return background
