@@ -87,7 +87,7 @@ bench-priors: $(VENV)/.dev ## sgm, plane_sweep and patch_match against the truth
 	$(BIN)/python -m benchmarks.priors --write-docs
 
 bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out: how choices are made; variants by hand
-	$(BIN)/python -m benchmarks.left_out weightfree_fast
+	$(BIN)/python -m benchmarks.left_out plain
 
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
