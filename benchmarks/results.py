@@ -26,8 +26,10 @@ from benchmarks.results_page import (
     write_page,
 )
 from benchmarks.results_plan import CASES, METHODS, Measurement, check_data, make_measurements
+from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
+from registry.ablation.running.choosing import choose_runner
 from registry.ablation.running.folder import AblationFolder
 from registry.ablation.running.runner import train_all
 from registry.cache import FOLDER_VARIABLE
@@ -54,7 +56,9 @@ def measure(
     with folder.locked() as lock:
         waiting = [m.run for m in measurements if not folder.results(m.run)]
         console.print(f"{len(measurements)} runs, {len(waiting)} to train; writing {folder.path}")
-        outcome = train_all(waiting, folder, jobs=1, device=device, lock=lock, console=console)
+        runner = choose_runner(None, 1, Plugins(()), open_device(device))
+        runner.component.lock = lock
+        outcome = train_all(waiting, folder, runner, device=device, console=console)
     if outcome.stopped:
         return None
     if outcome.failures:
