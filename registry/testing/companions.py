@@ -12,7 +12,7 @@ from core_rasterizer import Edit, Gaussians, Relocation
 
 from ..contract.component import Component, Settings
 from ..contract.components import Densification, Initializer, Metric
-from ..contract.hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
+from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..contract.in_memory import IN_MEMORY, InMemoryScene
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, TrainingScene
@@ -108,7 +108,7 @@ def point_of(component: type[Component[Any]]) -> HookPoint:
     Raises:
         AssertionError: it derives from none of the bases.
     """
-    for point in HOOK_POINTS:
+    for point in PIPELINE_POINTS:
         if isinstance(component, type) and issubclass(component, point.base):
             return point
     raise AssertionError(f"{component.__name__} derives from none of the component bases")

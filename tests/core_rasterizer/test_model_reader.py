@@ -18,6 +18,7 @@ READABLE = {
     "opacities",
     "parameter",
     "read",
+    "render",
     "scales",
     "screen_gradient",
     "sh_degree",

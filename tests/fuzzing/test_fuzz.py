@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import random
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,6 +26,15 @@ from tests.fuzzing.guard import Forbidden, watched
 from tests.fuzzing.target import Target
 
 FILES = 500
+
+
+@pytest.fixture(autouse=True)
+def _the_log_is_as_loud_as_before() -> Iterator[None]:
+    """Readers that answer damage with a warning are told to be quiet, by their targets."""
+    cache = logging.getLogger("registry.cache.entries")
+    level = cache.level
+    yield
+    cache.setLevel(level)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -187,7 +187,8 @@ def shipped() -> dict[str, Offer]:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))
     entries = project["project"]["entry-points"][GROUP]
     plugins = Plugins([EntryPoint(name, module, GROUP) for name, module in entries.items()])
-    return {f"{offer.point.section}.{offer.name}": offer for offer in plugins.all()}
+    offers = (offer for offer in plugins.all() if offer.point.in_pipeline)
+    return {f"{offer.point.section}.{offer.name}": offer for offer in offers}
 
 
 def test_none_is_left_out() -> None:

@@ -179,7 +179,9 @@ class TestOverrides:
         assert pipeline.training.learning_rates.opacity == 1e-2
         assert pipeline.one("scene").settings.model_dump()["path"] == Path("x=y")
         assert pipeline.items["metrics"] == pipeline.items["densification"] == ()
-        assert pipeline.one("initializer").settings.model_dump() == {"count": 4}
+        assert pipeline.one("initializer").settings.model_dump(exclude_defaults=True) == {
+            "count": 4
+        }
         assert pipeline.name == "other"
 
     def test_items_of_a_list_go_by_name(self, toys: Plugins) -> None:

@@ -6,11 +6,11 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.contract.hook_points import HOOK_POINTS, HookPoint
+from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
 from registry.plugins.discovery import GROUP, SELECTION, Plugins
 from tests.registry.conftest import DOORS, TOYS, Install
 
-POINTS = {point.section: point for point in HOOK_POINTS}
+POINTS = {point.section: point for point in PIPELINE_POINTS}
 METRICS = POINTS["metrics"]
 
 METRIC = """\
