@@ -183,6 +183,8 @@ class ViewMetric(Component[SettingsType], ABC):
     unit: ClassVar[str] = ""
     equal_images_are_best: ClassVar[bool] = True
     """Whether no render scores better than one that equals the photograph; `registry.testing` looks."""
+    takes_long: ClassVar[bool] = False
+    """Whether it is measured once, of test views at the end, and not while training goes on."""
     average_error_role: ClassVar[AverageErrorRole | None] = None
     """The average error takes the pipeline's first metric of each role; None: never this one."""
 

@@ -95,6 +95,11 @@ def evaluate(
     return Scores(scores, unavailable, failures)
 
 
+def quick(metrics: Sequence[Part]) -> list[Part]:
+    """The metrics without those that take long, for all but the last word on test views."""
+    return [part for part in metrics if not part.component.takes_long]
+
+
 def _measured(
     part: Part,
     lent: Loan,

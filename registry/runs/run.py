@@ -23,7 +23,7 @@ from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.threads import one_torch_thread
-from .evaluation import Scores, clamped_render, evaluate
+from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
 from .origin.inputs import input_digests
 from .origin.provenance import provenance
@@ -142,7 +142,7 @@ class Run:
         with one_torch_thread():
             scores = {
                 "test": evaluate(self.model, scene, scene.test, metrics, pictures),
-                "train": evaluate(self.model, scene, scene.train, metrics),
+                "train": evaluate(self.model, scene, scene.train, quick(metrics)),
             }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)

@@ -23,7 +23,7 @@ from ..plugins.discovery import Plugins
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit, load_checkpoint
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, resumed
-from .evaluation import evaluate
+from .evaluation import evaluate, quick
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .observing.metrics_log import EVERY, MetricsLog
@@ -271,7 +271,7 @@ def _train_to_end(
             observers.iterated(done)
             # What is finished is scored in any case, with its pictures.
             if not run.finished and _due(done.number, _evaluation_interval(settings)):
-                scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"])
+                scores = evaluate(run.model, run.scene, run.scene.test, quick(run.parts["metrics"]))
                 metrics.write({"iteration": done.number, "test": scores.mean})
                 observers.evaluated({"test": scores})
                 for error in scores.failures.values():

@@ -73,6 +73,7 @@ class LPIPS(Metric[LPIPSSettings]):
 
     higher_is_better = False
     average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
+    takes_long: ClassVar[bool] = True
     proper: ClassVar[bool] = False
 
     def measure(

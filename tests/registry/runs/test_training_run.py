@@ -28,7 +28,7 @@ from registry.runs.run import Run
 from registry.runs.training_run import open_run, resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
 from registry.training.trainer import Trainer
-from tests.registry.toy_plugin import ToyPoints, ToyScene
+from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
 TEXT = """\
 name: toy
@@ -162,6 +162,20 @@ def test_a_run_is_evaluated_at_each_quarter_unless_it_is_short(
         changes = ("training.evaluate_every=null", f"training.iterations={iterations}")
         folder = run(toys, device, tmp_path / str(iterations), *changes)[0]
         assert _evaluated(folder) == expected
+
+
+def test_a_metric_that_takes_long_is_measured_of_test_views_at_the_end(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = property(lambda metric: metric.context.name == "slow")
+    monkeypatch.setattr(ToyPsnr, "takes_long", slow)
+    changes = ("metrics=[psnr, {use: psnr, name: slow}]", "training.iterations=25")
+    folder = run(toys, device, tmp_path / "run", *changes)[0]
+    results = folder.results()
+    assert results["test"].keys() == {"psnr", "slow"}
+    assert results["train"].keys() == {"psnr"}
+    lines = map(json.loads, (folder.path / "metrics.jsonl").read_text().splitlines())
+    assert [line["test"].keys() for line in lines if "test" in line] == [{"psnr"}]
 
 
 def _evaluated(folder: RunFolder) -> list[int]:
