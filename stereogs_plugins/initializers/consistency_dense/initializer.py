@@ -89,6 +89,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         """
         import numpy as np
 
+        from .understanding.contradictions import without_outvoted
         from .understanding.understanding import Understanding
 
         needed = self._min_consistent(scene)
@@ -99,6 +100,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         shown = Understanding.of(scene.train, confirmed)
         _log.info("%s: %s", scene.name, shown.sentence)
         confirmed = shown.without_background(confirmed)
+        if shown.kind == "object":
+            confirmed = without_outvoted(scene.train, confirmed, scene.bounds)
         views = self._completed(scene, raw, confirmed, shown)
         return self._point_cloud(self._layers(scene, views, shown), views, shown)
 
@@ -165,10 +168,14 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .layers import is_background
         from .other_views import hides
         from .projection import lift, pixel_centers
+        from .understanding.contradictions import Evidence, miscolored
         from .view_depth import ViewDepth
         from .witnesses import witnesses
 
         cameras = [view.camera for view in scene.train]
+        evidence: list[Evidence] = []
+        if self.settings.fill and shown.kind == "object":
+            evidence = list(map(Evidence.of, scene.train, confirmed))
         views = []
         for index, view in enumerate(scene.train):
             filled = np.zeros_like(confirmed[index])
@@ -178,6 +185,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 others = witnesses(cameras, index, scene.bounds)
                 seen = [cameras[k] for k in others], [confirmed[k] for k in others]
                 filled[hides(points, *seen)] = 0
+                if evidence:
+                    asked = [evidence[k] for k in others]
+                    filled[miscolored(points, view.image.numpy(), view.camera, asked)] = 0
                 filled[is_background(view.image.numpy(), scene.background)] = 0
                 filled[shown.backgrounds[index]] = 0
             views.append(ViewDepth(view, raw[index], confirmed[index], filled))

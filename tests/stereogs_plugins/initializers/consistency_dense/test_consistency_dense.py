@@ -253,3 +253,29 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
         beside = inside & ((u < 50) | (u > 200) | (v < 30) | (v > 160))
         assert not beside.any()
     assert dense(scene, stride=4).facts["scene_kind"] == "forward-facing"
+
+
+@pytest.mark.parametrize("plain_background", [True, False])
+def test_on_objects_a_guess_needs_a_color_that_other_views_show(
+    scene: Scene, plain_background: bool
+) -> None:
+    backdrop = torch.zeros(189, 252, dtype=torch.bool)
+    backdrop[:60] = plain_background
+    unknown = torch.zeros_like(backdrop)
+    unknown[100:150, 60:190] = True
+
+    def painted(view: View) -> View:
+        image = torch.where(backdrop[..., None], 0.0, view.image)
+        if view.name == scene.train[0].name:
+            image[110:140, 80:170] = torch.tensor((1.0, 0.0, 1.0))
+        return replace(view, image=image)
+
+    def depth_of(view: View) -> Tensor:
+        return torch.where(backdrop | unknown, 0.0, true_depth(view))
+
+    points = dense(
+        replace(scene, train=tuple(map(painted, scene.train))), depth_of, stride=3, fill=True
+    )
+    assert (points.facts["scene_kind"] == "object") == plain_background
+    purple = ((points.colors - torch.tensor((1.0, 0.0, 1.0))).abs() < 0.1).all(dim=1)
+    assert (int(purple.sum()) < 30) == plain_background
