@@ -6,7 +6,7 @@ import math
 import shutil
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -184,6 +184,15 @@ def _evaluated(folder: RunFolder) -> list[int]:
     return [line["iteration"] for line in lines if "test" in line]
 
 
+@pytest.fixture
+def _ctrl_c_as_on_a_terminal() -> Iterator[None]:
+    """A shell's background job ignores Ctrl-C, and so would the tests in it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c_as_on_a_terminal")
 @pytest.mark.parametrize(
     ("iteration", "number"), [(1, signal.SIGINT), (10, signal.SIGTERM), (17, signal.SIGINT)]
 )
