@@ -71,7 +71,8 @@ def carry_out(
         if isinstance(crew.component, LocalProcesses):
             peaks = [found.get("peak_memory_mb") or 0.0 for found in results.values() if found]
             crew.component.lock, crew.component.peaks_mb = lock, peaks
-        places = crew.component.places
+        with crew.at_work():
+            places = crew.component.places
         output.print(
             f"{plan.size}, {len(plan.runs) - len(waiting)} of them finished; "
             f"{'all' if places is None else places} at a time by {crew.item.name} "
