@@ -1,8 +1,9 @@
-"""What an ONNX file says before it is opened: whether all of it lies in the one file.
+"""What an ONNX file says before it is opened: whether onnxruntime may be given it.
 
 A tensor may keep its numbers in a second file, of any path; onnxruntime looks for it from the folder
-that the process happens to be in, and no hash of the model covers it. ONNX is a protocol buffer: fields
-of a number and a length. Only the way to its tensors is followed here (onnx.proto, IR version 10).
+that the process happens to be in, and no hash of the model covers it. And a loop or a branch that is
+decided by an empty tensor ends the whole process: onnxruntime reads the first of no elements. Only the
+way to tensors and nodes is followed here (onnx.proto, IR version 10).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import PluginError
+from .protocol_buffer import fields, whole_numbers
 
 _TENSOR = "tensor"
 _PATHS: dict[str, dict[int, str]] = {
@@ -28,18 +30,24 @@ _PATHS: dict[str, dict[int, str]] = {
 """By message, the fields that lead to tensors, and what message each holds."""
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 """Fields of a tensor that say that its numbers lie elsewhere."""
-_FIXED_SIZES = {1: 8, 5: 4}
-_LENGTH, _NUMBER = 2, 0
 
 
-def check_in_one_file(content: bytes, path: Path) -> None:
-    """Refuse a model whose weights lie in a second file, and what is no protocol buffer.
+_TENSOR_DIMENSIONS, _TENSOR_NAME = 1, 8
+_NODE_INPUT, _NODE_OPERATOR = 1, 4
+_DECIDED_BY = {b"Loop": 2, b"If": 1}
+"""By operator, how many of its first inputs decide what it does; each holds one element."""
+
+
+def check_content(content: bytes, path: Path) -> None:
+    """Refuse a model whose weights lie in a second file, one that would end the process, and damage.
 
     Raises:
-        PluginError: they do, or it is none.
+        PluginError: it is one of these.
     """
     try:
-        apart = _has_weights_apart(memoryview(content))
+        messages = list(_messages(memoryview(content)))
+        apart = any(kind == _TENSOR and _lies_elsewhere(part) for kind, part in messages)
+        undecided = _undecided(messages)
     except (ValueError, IndexError) as error:
         raise PluginError(
             "the file is no ONNX model that onnxruntime can load: it is cut off or damaged",
@@ -52,46 +60,53 @@ def check_in_one_file(content: bytes, path: Path) -> None:
             where=str(path),
             fix="write it as one file: onnx.save(onnx.load(path), new_path)",
         )
+    if undecided:
+        raise PluginError(
+            f"a loop or a branch of the model is decided by {undecided!r}, which has no elements",
+            where=str(path),
+            fix="export the model to ONNX again; such a tensor must hold one number",
+        )
 
 
-def _has_weights_apart(content: memoryview) -> bool:
+def _messages(content: memoryview) -> Iterator[tuple[str, memoryview]]:
+    """The model, and all that leads to its tensors, each with its kind."""
     waiting = [("model", content)]
     while waiting:
-        message, part = waiting.pop()
-        for field, value in _fields(part):
-            if message == _TENSOR:
-                if field == _EXTERNAL_DATA or (field == _DATA_LOCATION and value):
-                    return True
-            elif field in _PATHS[message] and isinstance(value, memoryview):
-                waiting.append((_PATHS[message][field], value))
-    return False
+        kind, part = waiting.pop()
+        yield kind, part
+        for field, value in fields(part):
+            if isinstance(value, memoryview) and field in _PATHS.get(kind, {}):
+                waiting.append((_PATHS[kind][field], value))
 
 
-def _fields(part: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """The numbers and the parts of a message, by field."""
-    place = 0
-    while place < len(part):
-        tag, place = _number(part, place)
-        field, kind = tag >> 3, tag & 7
-        if kind == _NUMBER:
-            value, place = _number(part, place)
-            yield field, value
-            continue
-        size, place = _number(part, place) if kind == _LENGTH else (_FIXED_SIZES.get(kind), place)
-        if size is None or place + size > len(part):
-            raise ValueError(f"field {field} of kind {kind} does not fit")
-        yield field, part[place : place + size]
-        place += size
+def _lies_elsewhere(tensor: memoryview) -> bool:
+    return any(
+        field == _EXTERNAL_DATA or (field == _DATA_LOCATION and value)
+        for field, value in fields(tensor)
+    )
 
 
-def _number(part: memoryview, place: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where it ends."""
-    value = shift = 0
-    while shift < 70:
-        byte = part[place]
-        place += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, place
-        shift += 7
-    raise ValueError("a number of more than ten bytes")
+def _undecided(messages: list[tuple[str, memoryview]]) -> str | None:
+    """The name of an empty tensor that decides a loop or a branch."""
+    empty = {_empty_name(part) for kind, part in messages if kind == _TENSOR} - {None}
+    for kind, part in messages:
+        if kind == "node" and empty:
+            parts = list(fields(part))
+            operators = [bytes(value) for field, value in parts if field == _NODE_OPERATOR]
+            inputs = [bytes(value) for field, value in parts if field == _NODE_INPUT]
+            deciding = inputs[: max((_DECIDED_BY.get(name, 0) for name in operators), default=0)]
+            for name in deciding:
+                if name and name in empty:
+                    return name.decode("utf-8", "replace")
+    return None
+
+
+def _empty_name(tensor: memoryview) -> bytes | None:
+    """Its name where it has no elements."""
+    name, sizes = b"", []
+    for field, value in fields(tensor):
+        if field == _TENSOR_NAME and isinstance(value, memoryview):
+            name = bytes(value)
+        elif field == _TENSOR_DIMENSIONS:
+            sizes += whole_numbers(value)
+    return name if 0 in sizes else None

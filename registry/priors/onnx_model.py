@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import PluginError
 from ..system.memory import peak_memory_mb
 from .model_file import read_model_file
-from .onnx_content import check_in_one_file
+from .onnx_content import check_content
 from .onnx_session import (
     LONGEST_ANSWER,
     OnnxProvider,
@@ -96,7 +96,7 @@ class OnnxModel:
     ) -> None:
         self.path = Path(path).expanduser()
         file = read_model_file(self.path, sha256)
-        check_in_one_file(file.content, self.path)
+        check_content(file.content, self.path)
         self.sha256 = file.sha256
         chosen = choose_provider(provider)
         self.threads = threads or processors()

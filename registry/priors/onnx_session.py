@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ..errors import PluginError
+from ..system.memory import machine_memory
 
 OnnxProvider = Literal["cuda", "rocm", "migraphx", "openvino", "coreml", "directml", "cpu"]
 """What runs a model: NVIDIA; AMD (two libraries); Intel; Apple; Windows; any processor."""
 
 LONGEST_ANSWER = 3600.0
 """Seconds, far beyond what any network takes for photographs of a usual size on a processor."""
+
+MEMORY_SHARE = 0.5
+"""Of the machine's memory, for all networks of a process together while they run on the processor."""
 
 _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
     # The choice among convolution algorithms by stopwatch, and the short TF32 numbers, would let two
@@ -64,6 +69,8 @@ def open_session(
     options.log_severity_level = 3
     # Between two calls the threads sleep instead of spinning: OpenCL needs the processor then.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if _bound_memory():
+        options.add_session_config_entry("session.use_env_allocators", "1")
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)
     except Exception as error:  # onnxruntime's exceptions have no base of their own
@@ -73,6 +80,30 @@ def open_session(
             fix="export the model to ONNX again, with an opset that onnxruntime "
             f"{onnxruntime.__version__} knows",
         ) from error
+
+
+@cache
+def _bound_memory() -> bool:
+    """Let no graph take the whole machine, once a process; whether a bound could be set.
+
+    An allocation beyond it fails inside onnxruntime, and the run with it, as any other failure.
+    """
+    import onnxruntime
+
+    memory = machine_memory()
+    if memory is None:
+        return False
+    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
+    # Only the first is chosen here; the rest leave onnxruntime its own values.
+    bounds = {
+        "max_mem": int(MEMORY_SHARE * memory),
+        "arena_extend_strategy": -1,
+        "initial_chunk_size_bytes": -1,
+        "max_dead_bytes_per_chunk": -1,
+    }
+    onnxruntime.create_and_register_allocator(place, onnxruntime.OrtArenaCfg(bounds))
+    return True
 
 
 def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:

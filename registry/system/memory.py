@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,19 @@ from pathlib import Path
 _STATUS = Path("/proc/self/status")
 _FORGET = Path("/proc/self/clear_refs")
 _FORGET_THE_PEAK = "5"
+_CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
+
+
+def machine_memory() -> int | None:
+    """Bytes that this machine has, or this container may use; None where nobody tells (Windows)."""
+    try:
+        machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None
+    try:
+        return min(machine, int(_CONTAINER_LIMIT.read_text("utf-8")))
+    except (OSError, ValueError):  # no container, or one that says "max"
+        return machine
 
 
 def peak_memory_mb() -> float | None:

@@ -15,7 +15,7 @@ from registry import read_results
 from registry.photos import Decoder, Finite, read_array, read_arrays, read_document
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
-from registry.priors.onnx_content import check_in_one_file
+from registry.priors.onnx_content import check_content
 
 quick = settings(
     max_examples=40,
@@ -87,7 +87,7 @@ def test_files_of_any_bytes(start: bytes, rest: bytes, tmp_path: Path) -> None:
         Decoder().read,
         lambda path: read_array(path, "it", ""),
         lambda path: read_arrays(path, ["a"], "it", ""),
-        lambda path: check_in_one_file(path.read_bytes(), path),
+        lambda path: check_content(path.read_bytes(), path),
     ):
         with suppress(ExplainedError):
             read(path)

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from registry import OnnxModel, OnnxModelSettings, PluginError
+from registry.priors import onnx_session
 from tests.fuzzing.formats.arrays_and_models import small_network
 
 FLOAT, HALF, BYTE, LONG = (
@@ -243,6 +244,52 @@ def test_an_endless_graph_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(PluginError, match=r"no answer within 0\.3 s") as caught:
         network.run({"x": torch.ones(1, 1, 4, 4)})
     assert "loops without end" in caught.value.fix
+
+
+@pytest.mark.parametrize("sizes", [[0], [2, 0, 3]])
+def test_a_loop_without_a_number_of_rounds_is_refused(tmp_path: Path, sizes: list[int]) -> None:
+    """onnxruntime would read the first of no elements, which ends the process."""
+    model = small_network()
+    rounds = model.graph.initializer[0]
+    rounds.CopyFrom(numpy_helper.from_array(np.zeros(sizes, np.int64), "rounds"))
+    with pytest.raises(PluginError, match="decided by 'rounds', which has no elements"):
+        OnnxModel(saved(tmp_path, model), provider="cpu")
+
+
+def test_empty_tensors_that_decide_nothing_are_fine(tmp_path: Path) -> None:
+    model = small_network()
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros([0], np.float32), "unused"))
+    OnnxModel(saved(tmp_path, model), provider="cpu").run({"x": torch.ones(1, 1, 4, 4)})
+
+
+@pytest.fixture
+def small_machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A machine of 100 MB, as onnxruntime is told; afterwards it is told anew of this one."""
+    monkeypatch.setattr("registry.priors.onnx_session.machine_memory", lambda: 100_000_000)
+    onnx_session._bound_memory.cache_clear()
+    yield
+    onnx_session._bound_memory.cache_clear()
+
+
+@pytest.mark.usefixtures("small_machine")
+def test_a_graph_cannot_take_the_machines_memory(tmp_path: Path) -> None:
+    """A file of 200 bytes that asks for as many numbers as it is told."""
+    graph = helper.make_graph(
+        [helper.make_node("Expand", ["x", "count"], ["y"])],
+        "large",
+        [
+            helper.make_tensor_value_info("x", FLOAT, [1]),
+            helper.make_tensor_value_info("count", LONG, [1]),
+        ],
+        [helper.make_tensor_value_info("y", FLOAT, ["N"])],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=10)
+    network = OnnxModel(saved(tmp_path, model), provider="cpu")
+    x = torch.ones(1)
+    assert len(network.run({"x": x, "count": torch.tensor([1e6])})["y"]) == 1_000_000
+    with pytest.raises(PluginError, match="the model failed") as caught:
+        network.run({"x": x, "count": torch.tensor([2**26])})
+    assert "smaller if memory ran out" in caught.value.fix
 
 
 def test_other_names_are_refused_with_those_that_there_are(path: Path) -> None:
