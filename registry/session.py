@@ -92,7 +92,6 @@ def load_scene(
         changes: `key=value`, settings of the loader; a pipeline that is built has its own.
         format_name: the loader for a folder; None asks the loaders which one knows it.
         device: see `train`.
-        accept_changed_inputs: see `resume`.
 
     Raises:
         ExplainedError: nothing is there, no loader or several know the folder, or what the loader says.
