@@ -6,7 +6,6 @@ C2 = 0.03², mean over all pixels and channels. `ssim_skimage` is the definition
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from registry import ImageMetricSettings, Metric, Register, hookimpl
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 RADIUS = 5
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
-THREADS = 2
-"""At once; each filters an image of its own, so that the result does not depend on them."""
 
 Image: TypeAlias = "np.ndarray[Any, Any]"
 
@@ -32,14 +29,14 @@ class SSIM(Metric[ImageMetricSettings]):
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
         from registry import white_outside
+        from registry.photos import in_parallel
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)
         )
         images = (first, second, first * first, second * second, first * second)
-        with ThreadPoolExecutor(THREADS) as pool:  # scipy's filters run side by side
-            mean_1, mean_2, square_1, square_2, product = pool.map(_blur, images)
+        mean_1, mean_2, square_1, square_2, product = in_parallel(_blur, images)
         variance_1 = square_1 - mean_1**2
         variance_2 = square_2 - mean_2**2
         covariance = product - mean_1 * mean_2
