@@ -48,6 +48,18 @@ def test_one_changes_nothing() -> None:
     assert (answer.camera.width, answer.camera.fx) == (64, step.sample.camera.fx)
 
 
+def test_a_view_is_made_small_once_and_what_others_changed_each_time() -> None:
+    step, sampler = some_step(), build(ResolutionSchedule)
+    first, again = (sampler.sample(step, step.sample) for _ in range(2))
+    assert again.target is first.target
+    assert again.camera is first.camera
+    darker = replace(step.sample, target=step.sample.target / 2)
+    torch.testing.assert_close(sampler.sample(step, darker).target, first.target / 2)
+    moved = replace(step.sample, camera=step.sample.camera.shifted_right(1.0))
+    pose = sampler.sample(step, moved).camera.world_to_camera
+    torch.testing.assert_close(pose, moved.camera.world_to_camera)
+
+
 def test_sizes_that_do_not_divide_are_rounded_up() -> None:
     answer = shrunk(some_step(), torch.full((5, 7, 3), 0.25), 2)
     assert answer.target.shape == (3, 4, 3)
