@@ -192,13 +192,12 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
-
         from ..drawing.pictures import save_png
+        from ..photos import in_parallel
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)
-        for name, picture in pictures.items():
-            save_png(picture, folder / f"{name}.png")
+        in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:
         """The facts that `write_initialization` kept; empty if there are none."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from core_rasterizer import Device, GaussianModel, Gaussians
@@ -64,6 +63,8 @@ def mean_squared_distances(positions: Tensor) -> Tensor:
     Args:
         positions: `[N, 3]`, world units, N >= 1.
     """
+    from scipy.spatial import KDTree  # a quarter of a second that points with sizes do without
+
     count = positions.shape[0]
     neighbours = min(NEIGHBOURS, count - 1)
     if neighbours == 0:

@@ -29,15 +29,17 @@ class SSIM(Metric[ImageMetricSettings]):
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
         from registry import white_outside
+        from registry.photos import in_parallel
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()
             for image in (rendered, photograph)
         )
-        mean_1, mean_2 = _blur(first), _blur(second)
-        variance_1 = _blur(first * first) - mean_1**2
-        variance_2 = _blur(second * second) - mean_2**2
-        covariance = _blur(first * second) - mean_1 * mean_2
+        images = (first, second, first * first, second * second, first * second)
+        mean_1, mean_2, square_1, square_2, product = in_parallel(_blur, images)
+        variance_1 = square_1 - mean_1**2
+        variance_2 = square_2 - mean_2**2
+        covariance = product - mean_1 * mean_2
         similarity = ((2 * mean_1 * mean_2 + C1) * (2 * covariance + C2)) / (
             (mean_1**2 + mean_2**2 + C1) * (variance_1 + variance_2 + C2)
         )

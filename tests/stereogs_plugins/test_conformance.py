@@ -177,6 +177,7 @@ ELSEWHERE = {
     "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
     "samplers.independent_views": "samplers/test_independent_views.py",
     "samplers.random_background": "samplers/test_random_background.py",
+    "samplers.resolution_schedule": "samplers/test_resolution_schedule.py",
 }
 """Tried beside what they need, in files of their own."""
 BY_ANOTHER_PROGRAM = ("exporters.html", "exporters.sog")
