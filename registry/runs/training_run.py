@@ -302,7 +302,8 @@ def _train_to_end(
             # What is finished is scored in any case, with its pictures.
             if not run.finished and _due(done.number, _evaluation_interval(settings)):
                 scores = evaluate(run.model, run.scene, run.scene.test, quick(run.parts["metrics"]))
-                metrics.write({"iteration": done.number, "test": scores.mean})
+                at = {"iteration": done.number, "seconds": round(run.seconds.training, 3)}
+                metrics.write({**at, "test": scores.mean})
                 observers.evaluated({"test": scores})
                 for error in scores.failures.values():
                     _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)
