@@ -103,7 +103,7 @@ def _cost(beginning: Beginning, budget: Budget) -> tuple[Cost, Measured]:
 
 
 def _within_budget(pipeline: Pipeline, count: int, beginning: Beginning) -> Pipeline:
-    """Scaled, with a bound on what may grow, and without scores on the way unless they are asked for."""
+    """Scaled, with a bound on what may grow, and without scores on the way."""
     fitted = scaled(pipeline, count)
     training = fitted.training
     limit = max(int(MOST_GROWTH * len(beginning.gaussians)), 1)
@@ -112,7 +112,7 @@ def _within_budget(pipeline: Pipeline, count: int, beginning: Beginning) -> Pipe
         training=training.model_copy(
             update={
                 "max_gaussians": min(limit, training.max_gaussians or limit),
-                "evaluate_every": training.evaluate_every or 0,
+                "evaluate_every": 0,
             }
         ),
     )
