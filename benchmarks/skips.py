@@ -3,8 +3,9 @@
 `weightfree_fast` and one variant of it for each switch, on scenes of three kinds, with several seeds,
 planned and trained as `stereogs bench` does. Variants take turns (seed by seed, scene by scene), so that a
 busy hour is nobody's alone; time is CPU seconds of the whole process, which the machine's other work changes
-little. What is finished is not trained again. With `--write-docs` the table in docs/what_shortcuts_cost.md is
-rewritten. The page with curves and renders lies beside the runs.
+little. What is finished is not trained again. With `--write-docs` the table in
+docs/what_shortcuts_cost.md and its picture are made anew. The page with curves and renders lies beside
+the runs.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from benchmarks.marked_page import rewrite
+from benchmarks.skips_picture import draw
 from benchmarks.skips_table import Measured, table
 from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
@@ -42,6 +44,7 @@ from registry.system.files import write_json, write_text
 ROOT = Path(__file__).parent.parent
 OUT = Path(__file__).parent / "out" / "skips"
 PAGE = ROOT / "docs" / "what_shortcuts_cost.md"
+PICTURE = "what_shortcuts_cost.png"
 BEGIN = "<!-- measured: `make bench-skips` rewrites from here to the end mark -->"
 END = "<!-- measured: end; what stands outside the marks is kept -->"
 CPU_SECONDS = "cpu_seconds.json"
@@ -190,8 +193,10 @@ def main() -> int:
         whole = measure(plan, folder, arguments.device, console)
         results = {run: folder.results(run) for run in plan.runs}
         write_text(folder.path / "index.html", as_page(plan, results, folder))
-        text = table(read(plan, folder), DEFAULT)
+        measured = read(plan, folder)
+        text = table(measured, DEFAULT)
         console.print(text)
+        draw(measured, (PAGE.parent / "images" if arguments.write_docs else folder.path) / PICTURE)
         if arguments.write_docs:
             rewrite(PAGE, BEGIN, END, text)
     except ExplainedError as error:

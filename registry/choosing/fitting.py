@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..pipeline.pipeline import Pipeline
 from .cost import LEAST_ITERATIONS, Cost
 from .scaling import scaled
-from .table import BY_QUALITY, SHORT_UP_TO, Quality, Taken, by_length
+from .table import SHORT_UP_TO, Quality, Taken, by_length, by_quality
 from .telling import Say, tell_choice, tell_cost
 
 if TYPE_CHECKING:
@@ -74,9 +74,9 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
         RunError: there are too few seconds.
     """
     if not isinstance(wanted, Budget):
-        taken = BY_QUALITY[wanted]
+        taken = by_quality(wanted, len(beginning.scene.train))
         pipeline = _loaded(taken, beginning, load)
-        chosen = scaled(pipeline, max(1, round(taken.length * pipeline.training.iterations)))
+        chosen = scaled(pipeline, round(taken.times * pipeline.training.iterations))
         tell_choice(chosen, taken.because, beginning, say)
         return chosen
     cost, measured = _cost(beginning, wanted)

@@ -148,13 +148,17 @@ def _check(arguments: argparse.Namespace) -> None:
             where=f"--quality {arguments.quality}",
             fix="give a folder of photographs or data, or --seconds",
         )
-    lengths = [text for text in arguments.set if text.partition("=")[0].strip() == LENGTH]
-    if arguments.seconds and lengths:
+    if (arguments.seconds or arguments.quality) and _iterations_given(arguments):
+        option = "--seconds" if arguments.seconds else "--quality"
         raise RunError(
-            "the length of the run is said twice: in seconds and in iterations",
-            where=f"--seconds {arguments.seconds:g} --set {lengths[0]}",
+            f"the length of the run is said twice: by {option} and in iterations",
+            where=f"--set {LENGTH}=...",
             fix="leave one of them out",
         )
+
+
+def _iterations_given(arguments: argparse.Namespace) -> bool:
+    return any(text.partition("=")[0].strip() == LENGTH for text in arguments.set)
 
 
 def _loader(arguments: argparse.Namespace, plugins: Plugins) -> Callable[[str], Pipeline]:
@@ -183,6 +187,8 @@ def _fit(
     from ...choosing.fitting import Budget, choose, fit_length
 
     budget = Budget(arguments.seconds, begin) if arguments.seconds else None
+    if _iterations_given(arguments):
+        return None
     if named:
         return partial(fit_length, budget=budget, say=output.print) if budget else None
     return partial(

@@ -50,7 +50,10 @@ def test_a_run_with_seconds_says_what_it_expects_and_how_to_repeat_it(
     ("options", "what"),
     [
         (["--seconds", "0.001"], "0.001 s are too few"),
-        (["--seconds", "9", "--set", "training.iterations=5"], "length of the run is said twice"),
+        (
+            ["--seconds", "9", "--set", "training.iterations=5"],
+            "said twice: by --seconds and in iterations",
+        ),
         (["--quality", "best"], "has a quality of its own"),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import registry.session
-from registry.choosing.table import BY_QUALITY, LONG, SHORT
+from registry.choosing.table import LONG, QUALITIES, SHORT, by_quality
 from registry.cli import main
 from registry.pipeline.pipeline import Pipeline, load_pipeline
 from registry.plugins.discovery import Plugins
@@ -117,4 +117,4 @@ def test_the_pipelines_that_are_chosen_from_begin_alike() -> None:
         assert short.items[section] == long.items[section]
     for setting in ("seed", "sh_degree", "initial_opacity", "initial_scale"):
         assert getattr(short.training, setting) == getattr(long.training, setting)
-    assert {taken.name for taken in BY_QUALITY.values()} == {SHORT, LONG}
+    assert {by_quality(quality, 3).name for quality in QUALITIES} == {SHORT, LONG}
