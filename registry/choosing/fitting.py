@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..pipeline.pipeline import Pipeline
 from .cost import LEAST_ITERATIONS, Cost
 from .scaling import scaled
-from .table import SHORT_UP_TO, Quality, Taken, by_length, by_quality
+from .table import Quality, Taken, by_length, by_quality
 from .telling import Say, tell_choice, tell_cost
 
 if TYPE_CHECKING:
@@ -73,8 +73,9 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     Raises:
         RunError: there are too few seconds.
     """
+    views = len(beginning.scene.train)
     if not isinstance(wanted, Budget):
-        taken = by_quality(wanted, len(beginning.scene.train))
+        taken = by_quality(wanted, views)
         pipeline = _loaded(taken, beginning, load)
         chosen = scaled(pipeline, round(taken.times * pipeline.training.iterations))
         tell_choice(chosen, taken.because, beginning, say)
@@ -82,9 +83,9 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     cost, measured = _cost(beginning, wanted)
     cost.refuse_too_little(wanted.seconds, LEAST_ITERATIONS)
     affordable = cost.iterations(wanted.seconds)
-    taken = by_length(affordable)
+    taken = by_length(affordable / beginning.pipeline.training.iterations, views)
     pipeline = _loaded(taken, beginning, load)
-    count = min(affordable, max(pipeline.training.iterations, SHORT_UP_TO))
+    count = min(affordable, round(taken.times * pipeline.training.iterations))
     chosen = _within_budget(pipeline, count, beginning)
     tell_choice(chosen, taken.because, beginning, say)
     tell_cost(cost, measured, count, wanted.seconds, say)

@@ -16,7 +16,7 @@ from core_rasterizer import Device
 from registry import RunError
 from registry.choosing.cost import LEAST_ITERATIONS
 from registry.choosing.fitting import Budget, choose, fit_length
-from registry.choosing.table import LONG, MOST_TIMES, SHORT, SHORT_UP_TO, by_quality
+from registry.choosing.table import LONG, MOST_TIMES, SHORT, SHORT_TIMES, by_length, by_quality
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.evaluation import evaluate
@@ -157,7 +157,7 @@ def test_seconds_decide_between_the_short_and_the_long(
 ) -> None:
     found = chosen(toys, device, Machine(monkeypatch).budget(seconds))
     assert found.name == name
-    assert (found.training.iterations > SHORT_UP_TO) == (name == LONG)
+    assert (found.training.iterations > SHORT_TIMES * 400) == (name == LONG)
     assert found.training.iterations <= 2000
     assert found.training.max_gaussians is not None
 
@@ -166,4 +166,5 @@ def test_more_views_get_more_iterations_up_to_a_bound() -> None:
     times = [by_quality("good", views).times for views in (1, 3, 6, 24)]
     assert times == [1, 1, 2, MOST_TIMES]
     assert by_quality("fast", 6).times == 1
+    assert [by_length(3, views).name for views in (3, 6)] == [LONG, SHORT]
     assert "2.0 times as long for 6 views" in by_quality("good", 6).because
