@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
 	stress kills fuzz lint types check docs site flight viewer-bundle methods results profile \
-	bench-engine bench-error bench-left-out bench-photos bench-priors clean help
+	bench-engine bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -91,6 +91,9 @@ bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out: how 
 
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
+
+bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, hours; rewrites its table in docs; resumable
+	$(BIN)/python -m benchmarks.skips --write-docs
 
 profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage; rewrites its page in docs
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs

@@ -13,7 +13,9 @@ function that computes something.
 from __future__ import annotations
 
 import json
+import logging
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 
     from .inspection.scene_source import FoundLoader
     from .runs.run import Picture, Run
+    from .runs.training_run import Fit
     from .training.trainer import Iteration
 
 PathLike = str | os.PathLike[str]
@@ -161,6 +164,7 @@ def train(
     device: Device | str | None = None,
     check_plugins: bool = False,
     hang_after: float | None = None,
+    fit: Fit | None = None,
 ) -> Run:
     """Train a pipeline.
 
@@ -175,6 +179,7 @@ def train(
         check_plugins: compare all that components are shown around each call; see `checked_plugins`.
         hang_after: seconds, > 0, after which a call into a component is ended, with a PluginError; one
             that does not heed that ends the process. In the main thread only; None ends none.
+        fit: chooses the pipeline that goes on from the first Gaussians, see `within`; None: the same one.
 
     Returns:
         The run. It is not `finished` if the callback or Ctrl-C stopped it.
@@ -200,7 +205,24 @@ def train(
             console=_console(progress),
             scene=scene,
             callback=callback,
+            fit=fit,
         )
+
+
+def within(seconds: float) -> Fit:
+    """For `train(..., fit=within(20))`: as many iterations as fit into the seconds, from now to the end.
+
+    The number follows from iterations that are measured on the scene and this machine, schedules go with it,
+    and no more are done than the pipeline says. The run's pipeline, `run.pipeline`, has the number: trained
+    again, it ends in the same bits.
+
+    Args:
+        seconds: of wall-clock time, > 0, scores and files included.
+    """
+    from .choosing.fitting import Budget, fit_length
+
+    budget, log = Budget(seconds, time.monotonic()), logging.getLogger("stereogs.choosing")
+    return lambda beginning: fit_length(beginning, budget, log.info)
 
 
 def resume(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         resume,
         scene_from_arrays,
         train,
+        within,
     )
     from registry.training.trainer import Iteration
 else:
@@ -54,4 +55,5 @@ __all__ = [
     "resume",
     "scene_from_arrays",
     "train",
+    "within",
 ]

@@ -19,7 +19,7 @@ FLOORS = (
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),
-    ("exporting", "viewing"),
+    ("choosing", "exporting", "viewing"),
     ("comparing", "ablation", "session", "testing"),
     ("commands",),
     ("cli",),

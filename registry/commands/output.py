@@ -61,7 +61,7 @@ def add_watching(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--hang-after",
-        type=_seconds,
+        type=positive_seconds,
         metavar="SECONDS",
         help="end the run if one call into a plugin takes longer (default: only tell, after 60)",
     )
@@ -72,7 +72,8 @@ def watching(arguments: argparse.Namespace) -> dict[str, Any]:
     return {"check_plugins": arguments.check_plugins, "hang_after": arguments.hang_after}
 
 
-def _seconds(text: str) -> float:
+def positive_seconds(text: str) -> float:
+    """A number of seconds, as an option takes it."""
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")

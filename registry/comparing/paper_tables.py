@@ -52,7 +52,7 @@ class PaperTables(Settings):
 
     `metrics` names what the numbers are, as pipelines name metrics. `results` and `overhead` go by
     protocol, then by method; `methods` gives the methods' names, `protocol_notes` what a reader of one
-    protocol's rows must know, `notes` of any.
+    protocol's rows must know, `notes` of any; `hardware` is what `overhead` was measured on.
     """
 
     source: str
@@ -63,6 +63,7 @@ class PaperTables(Settings):
     results: dict[str, dict[str, Numbers | None]]
     ablations: dict[str, Ablation] = Field(default_factory=dict)
     overhead: dict[str, dict[str, Overhead]] = Field(default_factory=dict)
+    hardware: str = ""
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

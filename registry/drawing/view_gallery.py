@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..web_page import choice, figure, image, note, pinned
+from ..web_page import choice, figure, image, note, pinned, wipe
 from .pictures import ViewPictures
 
 MOST_VIEWS = 12
@@ -35,28 +35,66 @@ def view_gallery(runs: Sequence[RenderedRun]) -> str:
 
     Views and runs without pictures are left out; empty if none has any.
     """
+    return _some_views(runs, _pinned)
+
+
+def view_wipes(runs: Sequence[RenderedRun]) -> str:
+    """As `view_gallery`, but each render is wiped over the photograph, one run's at a time."""
+    return _some_views(runs, _wiped)
+
+
+def _some_views(
+    runs: Sequence[RenderedRun], part_of: Callable[[str, Sequence[RenderedRun]], str]
+) -> str:
     names = list(dict.fromkeys(name for run in runs for name in run.scores))
     count = min(len(names), MOST_VIEWS)
     some = [names[index * len(names) // count] for index in range(count)]
-    parts = {name: part for name in some if (part := _part(name, runs))}
+    parts = {name: part for name in some if (part := part_of(name, runs))}
     hidden = len(names) - len(parts)
     remark = f"{hidden} more test views lie in the runs' folders." if hidden and parts else ""
     return choice("view", parts) + (note(remark) if remark else "")
 
 
-def _part(name: str, runs: Sequence[RenderedRun]) -> str:
-    photograph, figures = "", []
+def _pinned(name: str, runs: Sequence[RenderedRun]) -> str:
+    found = list(_with_pictures(name, runs))
+    figures = [figure(_caption(name, run), _render(files) + _depth(files)) for run, files in found]
+    return pinned(figure(f"{name}: photograph", _photograph(found[0][1])), figures) if found else ""
+
+
+def _wiped(name: str, runs: Sequence[RenderedRun]) -> str:
+    labels = ("photograph", "render")
+    return choice(
+        "render of",
+        {
+            run.label: figure(_caption(name, run), wipe(_photograph(files), _render(files), labels))
+            + figure("depth", _depth(files))
+            for run, files in _with_pictures(name, runs)
+        },
+    )
+
+
+def _with_pictures(
+    name: str, runs: Sequence[RenderedRun]
+) -> Iterator[tuple[RenderedRun, ViewPictures]]:
+    """The runs that have a view's pictures."""
     for run in runs:
         files = ViewPictures.of(name, run.folder)
         needed = (files.render, files.depth, files.comparison)
-        if name not in run.scores or not all(file.is_file() for file in needed):
-            continue
-        photograph = photograph or figure(f"{name}: photograph", _photograph(files))
-        scores = (f"{metric} {s:.4g}" for metric, s in run.scores[name].items() if s is not None)
-        images = image(files.render, "render", _LONGEST_SIDE)
-        images += image(files.depth, "depth", _LONGEST_SIDE)
-        figures.append(figure(", ".join([run.label, *scores]), images))
-    return pinned(photograph, figures) if figures else ""
+        if name in run.scores and all(file.is_file() for file in needed):
+            yield run, files
+
+
+def _caption(name: str, run: RenderedRun) -> str:
+    scores = (f"{metric} {s:.4g}" for metric, s in run.scores[name].items() if s is not None)
+    return ", ".join([run.label, *scores])
+
+
+def _render(files: ViewPictures) -> str:
+    return image(files.render, "render", _LONGEST_SIDE)
+
+
+def _depth(files: ViewPictures) -> str:
+    return image(files.depth, "depth", _LONGEST_SIDE)
 
 
 def _photograph(files: ViewPictures) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
@@ -13,7 +14,7 @@ from rich.console import Console
 from core_rasterizer import Device, Gaussians
 
 from ..calls.loan import of_scene
-from ..contract.scene import Scene
+from ..contract.scene import PointCloud, Scene
 from ..errors import RunError
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.parts import Parts
@@ -42,6 +43,30 @@ Callback = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where a run stands before its first iteration.
+
+    Args:
+        pipeline: that made the points.
+        scene: what is trained on.
+        points: what the initializer gave.
+        gaussians: the first ones, made of them.
+        device: what trains.
+    """
+
+    pipeline: Pipeline
+    scene: Scene
+    points: PointCloud
+    gaussians: Gaussians
+    device: Device
+
+
+Fit = Callable[[Beginning], Pipeline]
+"""Says which pipeline trains what another one has begun: one with the same scene, priors and initializer, so
+that alone it begins in the same way and ends in the same bits."""
 AUTOMATIC_SECONDS = 30.0
 """How old the newest checkpoint may become, whatever the pipeline says about checkpoints."""
 AUTOMATIC_SHARE = 0.005
@@ -61,6 +86,7 @@ def start(
     console: Console,
     scene: Scene | None = None,
     callback: Callback | None = None,
+    fit: Fit | None = None,
 ) -> Run:
     """Train a pipeline.
 
@@ -70,6 +96,7 @@ def start(
         out: the run folder, or what names it; None writes nothing at all.
         console: is told how it goes.
         scene: in place of what the pipeline's loader would load; valid.
+        fit: chooses the pipeline that goes on from the first Gaussians; None: the same one.
 
     Returns:
         The run; not `finished` after Ctrl-C or at the callback's wish, with a checkpoint in its folder.
@@ -79,9 +106,9 @@ def start(
     """
     if isinstance(out, Path):
         RunFolder.check_vacant(out)
-    run, trainer = _begun(pipeline, scene, device, console)
+    run, trainer = _begun(pipeline, scene, device, console, fit)
     if out is not None:
-        run.keep_in(out if isinstance(out, Path) else out(pipeline, run.scene))
+        run.keep_in(out if isinstance(out, Path) else out(run.pipeline, run.scene))
     writing = f"; writing {run.folder.path}" if run.folder else ""
     console.print(f"{run.initialization['points']:,} points; {device.name}{writing}")
     with (
@@ -210,7 +237,7 @@ def _check_own(
 
 
 def _begun(
-    pipeline: Pipeline, scene: Scene | None, device: Device, console: Console
+    pipeline: Pipeline, scene: Scene | None, device: Device, console: Console, fit: Fit | None
 ) -> tuple[Run, Trainer]:
     """The first Gaussians, and the trainer that is about to train them."""
     begin = monotonic()
@@ -225,8 +252,11 @@ def _begun(
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
-    model = new_model(gaussians, pipeline.training, device)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
+    if fit is not None:
+        pipeline = fit(Beginning(pipeline, scene, points, gaussians, device))
+        parts = Parts(pipeline, device)
+    model = new_model(gaussians, pipeline.training, device)
     facts = {
         "initializer": initializer.item.name,
         "points": len(points),
@@ -272,7 +302,8 @@ def _train_to_end(
             # What is finished is scored in any case, with its pictures.
             if not run.finished and _due(done.number, _evaluation_interval(settings)):
                 scores = evaluate(run.model, run.scene, run.scene.test, quick(run.parts["metrics"]))
-                metrics.write({"iteration": done.number, "test": scores.mean})
+                at = {"iteration": done.number, "seconds": round(run.seconds.training, 3)}
+                metrics.write({**at, "test": scores.mean})
                 observers.evaluated({"test": scores})
                 for error in scores.failures.values():
                     _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)

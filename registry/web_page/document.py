@@ -26,6 +26,7 @@ img { max-width: 100%; height: auto; display: block; } .grid img { width: 100%; 
 svg { width: 100%; height: auto; overflow: visible; }
 svg text { fill: currentColor; font-size: 11px; opacity: .75; } svg .rule { stroke: #8883; }
 svg polyline { fill: none; stroke-width: 1.6; stroke-linejoin: round; }
+svg .mark { fill: none; stroke-width: 1.2; }
 .plot ul { list-style: none; margin: .2rem 0 0; padding: 0; font-size: .85rem; }
 .plot li { display: inline-block; margin-right: 1rem; }
 .plot li span { display: inline-block; width: .8em; height: .8em; margin-right: .4em; }

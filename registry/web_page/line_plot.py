@@ -35,11 +35,13 @@ class Point:
     Args:
         across, value: finite.
         spread: a bar reaches so far up and down; None for no bar.
+        marked: drawn with a ring around it.
     """
 
     across: float
     value: float
     spread: float | None = None
+    marked: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,12 @@ class Line:
     Args:
         label: for the legend; may be empty.
         points: from left to right.
+        dashed: for what is only there to compare with; its points are not marked.
     """
 
     label: str
     points: Sequence[Point]
+    dashed: bool = False
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,8 @@ def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
     """The line, bars of the spread, and its points if they are few."""
     places = [(across(point.across), up(point.value), point) for point in line.points]
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in places)
-    yield f'<polyline points="{path}" stroke="{color}"/>'
+    dashes = ' stroke-dasharray="5 4"' if line.dashed else ""
+    yield f'<polyline points="{path}" stroke="{color}"{dashes}/>'
     for x, y, point in places:
         if point.spread is not None:
             top, bottom = up(point.value + point.spread), up(point.value - point.spread)
@@ -165,7 +170,9 @@ def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
                 f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top:.1f}" y2="{bottom:.1f}" '
                 f'stroke="{color}"/>'
             )
-        if len(places) <= _MOST_MARKED:
+        if point.marked:
+            yield f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="6.5" stroke="{color}"/>'
+        if len(places) <= _MOST_MARKED and not line.dashed:
             yield (
                 f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}">'
                 f"<title>{_number(point.value)}</title></circle>"

@@ -59,6 +59,18 @@ def ablation(run: Path) -> Path:
     return out / "index.html"
 
 
+@pytest.fixture(scope="session")
+def bench(run: Path) -> Path:
+    (run.parent / "tiny.yaml").write_text(
+        PIPELINE.replace("training: {", "training: {evaluate_every: 10, ")
+    )
+    matrix, out = run.parent / "matrix.yaml", run.parent / "bench"
+    scene = "{use: procedural, width: 160, height: 120, test_views: 2, points: 3000}"
+    matrix.write_text(f"pipelines: [tiny.yaml]\nscenes: [{scene}]\niterations: [20, 60]\n")
+    assert main(["bench", str(matrix), "--out", str(out), "--jobs", "1"]) == 0
+    return out / "index.html"
+
+
 @pytest.fixture(params=("report", "comparison", "ablation"))
 def page_file(request: pytest.FixtureRequest, run: Path) -> Path:
     name = request.param
@@ -103,6 +115,31 @@ def test_the_border_between_photograph_and_render_moves(browser: Browser, run: P
         for place, expected, other in (("0", render, photograph), ("100", photograph, render)):
             inside = shown[place][40 : -40 - 40]  # without corners and handle
             assert distance(inside, expected) < distance(inside, other)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_bench_draws_curves_and_wipes_the_chosen_render(
+    browser: Browser, bench: Path, width: int
+) -> None:
+    with opened(browser, bench, width) as page:
+        keep(page, f"bench-{width}")
+        assert overflow(page) <= 0
+        assert page.get_by_text("psnr at equal time").is_visible()
+        plot = page.locator("svg[aria-label*='psnr against seconds']")
+        box = plot.bounding_box()
+        assert box is not None
+        assert box["width"] <= width
+        assert plot.locator("polyline").count() == 2
+        assert plot.locator("circle.mark").count() >= 1
+        which = page.locator(".choice .choice select").first
+        wipe = page.locator(".wipe:visible img").nth(1)
+        before = wipe.get_attribute("src")
+        which.select_option(index=1)
+        assert page.locator(".wipe:visible").count() == 1
+        assert page.locator(".wipe:visible img").nth(1).get_attribute("src") == before, "photograph"
+        render = page.locator(".wipe:visible img").first.get_attribute("src")
+        which.select_option(index=0)
+        assert page.locator(".wipe:visible img").first.get_attribute("src") != render
 
 
 def test_the_scene_is_drawn_as_the_engine_renders_it(browser: Browser, run: Path) -> None:

@@ -58,6 +58,16 @@ def test_without_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert run.metrics[-1]["iteration"] == 12
 
 
+def test_as_many_iterations_as_fit_and_no_more_than_the_pipeline_says() -> None:
+    run = train(fit=stereogs.within(600))
+    assert run.finished
+    assert run.iteration == 12
+    assert run.pipeline.training.evaluate_every == 0, "chosen for a time"
+    assert run.hash == train().hash
+    with pytest.raises(stereogs.ExplainedError, match="too few"):
+        train(fit=stereogs.within(1e-3))
+
+
 def test_saving_later_leaves_what_training_into_a_folder_leaves() -> None:
     early = train(out="early")
     late = train()

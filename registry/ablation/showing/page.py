@@ -1,23 +1,36 @@
-"""The ablation as one HTML page that needs no other file: tables, plots, renders and depths."""
+"""Ablation or bench as one HTML page that needs no other file: tables, plots, renders and depths."""
 
 from __future__ import annotations
 
-from ...drawing.view_gallery import RenderedRun, view_gallery
+from collections.abc import Sequence
+
+from ...drawing.view_gallery import RenderedRun, view_gallery, view_wipes
 from ...runs.results import RENDERS
 from ...web_page import Cell, grid, note, page, score_table, section
 from ..planning.plan import Plan
 from ..running.folder import AblationFolder
 from . import table
+from .against_time import Reference, against_time
 from .plots import plots
+from .samples import read_curves
 from .scores import Results
 
 
-def as_page(plan: Plan, results: Results, folder: AblationFolder) -> str:
-    """The whole page. Pictures are of the first seed."""
+def as_page(
+    plan: Plan, results: Results, folder: AblationFolder, references: Sequence[Reference] = ()
+) -> str:
+    """The whole page. Pictures are of the first seed.
+
+    Args:
+        references: published rows that curves are drawn beside.
+    """
+    timed = plan.kind == "bench"
+    curves = read_curves(results, folder) if timed else {}
     contents = [
         note(f"{plan.size}. Bold: the best of a column."),
         *(_table(plan, results, title, scene) for title, scene in table.titles(plan)),
         *(note(line) for line in table.notes(plan, results)),
+        section("Against seconds", against_time(plan, results, curves, references)),
         section("Plots", grid(list(plots(plan, results)))),
         *(section(scene, _pictures(plan, results, folder, scene)) for scene in plan.scenes),
     ]
@@ -41,8 +54,12 @@ def _table(plan: Plan, results: Results, caption: str, scene: str | None) -> str
 
 
 def _pictures(plan: Plan, results: Results, folder: AblationFolder, scene: str) -> str:
-    """Each test view's photograph, and each combination's render and depth of it."""
-    return view_gallery(
+    """Each test view's photograph, and each combination's render and depth of it.
+
+    A bench wipes renders over the photograph; an ablation, whose renders differ in little, shows all at once.
+    """
+    shown = view_wipes if plan.kind == "bench" else view_gallery
+    return shown(
         [
             RenderedRun(
                 plan.describe(run.combination),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,8 @@ Results = Mapping[PlannedRun, Mapping[str, Any]]
 COUNTS = {
     "gaussians": "Gaussians",
     "seconds": "seconds",
+    "seconds_total": "in all",
+    "iterations_per_second": "it/s",
     "peak_memory_mb": "peak MB",
 }
 """Measurements of results.json beside the metrics, and their headings."""
@@ -98,6 +100,11 @@ def figure(
             if number is None:
                 return None
             by_seed.setdefault(run.seed, []).append(number)
+    return figure_of(by_seed)
+
+
+def figure_of(by_seed: Mapping[int, Sequence[float]]) -> Figure | None:
+    """The mean of each seed's numbers, one a scene, and its spread; None without any."""
     if not by_seed:
         return None
     means = [sum(numbers) / len(numbers) for numbers in by_seed.values()]
@@ -147,6 +154,6 @@ def unavailable(results: Results) -> dict[str, str]:
 def decimals(column: Column, figures: Iterable[Figure | None]) -> int:
     """Decimals that fit a whole column: none for counts, two for dB, four for scores around one."""
     if column.key in COUNTS:
-        return 0 if column.key != "seconds" else 1
+        return 0 if column.key in ("gaussians", "peak_memory_mb") else 1
     means = [abs(found.mean) for found in figures if found is not None]
     return 4 if means and max(means) < 2 else 2

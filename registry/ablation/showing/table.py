@@ -46,7 +46,7 @@ def rows(plan: Plan, results: Results, scene: str | None = None) -> list[Row]:
         figures = [scores.figure(results, row, column, scene) for row in plan.combinations]
         places = scores.decimals(column, figures)
         texts.append([NONE if found is None else _text(found, column, places) for found in figures])
-        best.append(_best(column, [None if found is None else found.mean for found in figures]))
+        best.append(best_of(column, [None if found is None else found.mean for found in figures]))
     return [
         Row(
             *labels(combination),
@@ -167,7 +167,8 @@ def _text(found: Figure, column: Column, decimals: int) -> str:
     return found.text(decimals, spread=column.key not in COUNTS)
 
 
-def _best(column: Column, means: list[float | None]) -> list[bool]:
+def best_of(column: Column, means: list[float | None]) -> list[bool]:
+    """Which of a column's values are the best; none where there is only one, or neither end is better."""
     known = [mean for mean in means if mean is not None]
     if column.higher_is_better is None or len(known) < 2:
         return [False] * len(means)

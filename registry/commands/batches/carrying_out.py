@@ -100,11 +100,12 @@ def _write(plan: Plan, results: Results, folder: AblationFolder) -> None:
     from ...ablation.showing.page import as_page
     from ...ablation.showing.table import as_csv, as_text
     from ...system.files import write_text
+    from .published import published_costs
 
     text, rows, page = _files(plan)
     write_text(folder.path / text, as_text(plan, results))
     write_text(folder.path / rows, as_csv(plan, results, folder))
-    write_text(folder.path / page, as_page(plan, results, folder))
+    write_text(folder.path / page, as_page(plan, results, folder, published_costs(plan)))
 
 
 def _conclude(

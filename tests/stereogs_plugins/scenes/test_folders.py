@@ -12,8 +12,10 @@ import pytest
 from PIL import Image
 
 import registry.session
+from registry.choosing.table import LONG, QUALITIES, SHORT, by_quality
 from registry.cli import main
-from registry.pipeline.pipeline import Pipeline
+from registry.pipeline.pipeline import Pipeline, load_pipeline
+from registry.plugins.discovery import Plugins
 from tests.stereogs_plugins.scenes.test_formats import CASES
 
 FORMATS: dict[str, Callable[[Path], Path]] = {
@@ -103,3 +105,16 @@ def test_a_folder_of_no_known_format(
 def test_a_name_that_is_no_pipeline(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "weightfre_fast"]) == 2
     assert "did you mean 'weightfree_fast'" in capsys.readouterr().err
+
+
+def test_the_pipelines_that_are_chosen_from_begin_alike() -> None:
+    """The choice is made when the first points are there, which must be those of either."""
+    short, long = (
+        load_pipeline(Path(name), Plugins(), overrides=["scene=procedural"])
+        for name in (SHORT, LONG)
+    )
+    for section in ("priors", "initializer"):
+        assert short.items[section] == long.items[section]
+    for setting in ("seed", "sh_degree", "initial_opacity", "initial_scale"):
+        assert getattr(short.training, setting) == getattr(long.training, setting)
+    assert {by_quality(quality, 3).name for quality in QUALITIES} == {SHORT, LONG}

@@ -1,0 +1,210 @@
+"""Every switch of a pipeline that trades time for error, off and on: `make bench-skips`.
+
+`weightfree_fast` and one variant of it for each switch, on scenes of three kinds, with several seeds,
+planned and trained as `stereogs bench` does. Variants take turns (seed by seed, scene by scene), so that a
+busy hour is nobody's alone; time is CPU seconds of the whole process, which the machine's other work changes
+little. What is finished is not trained again. With `--write-docs` the table in
+docs/what_shortcuts_cost.md and its picture are made anew. The page with curves and renders lies beside
+the runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+
+from benchmarks.marked_page import rewrite
+from benchmarks.skips_picture import draw
+from benchmarks.skips_table import Measured, table
+from core_rasterizer import open_device
+from core_rasterizer.errors import ExplainedError
+from registry import RunError
+from registry.ablation.planning.matrix import Matrix, plan_of
+from registry.ablation.planning.plan import Plan, PlannedRun
+from registry.ablation.running.choosing import choose_runner
+from registry.ablation.running.folder import AblationFolder
+from registry.ablation.running.runner import train_all
+from registry.ablation.showing.page import as_page
+from registry.cache import FOLDER_VARIABLE
+from registry.choosing.scaling import scaled
+from registry.choosing.table import SHORT
+from registry.pipeline.pipeline import load_pipeline
+from registry.pipeline.yaml_source import Node, parse
+from registry.plugins.discovery import Plugins
+from registry.system.files import write_json, write_text
+
+ROOT = Path(__file__).parent.parent
+OUT = Path(__file__).parent / "out" / "skips"
+PAGE = ROOT / "docs" / "what_shortcuts_cost.md"
+PICTURE = "what_shortcuts_cost.png"
+BEGIN = "<!-- measured: `make bench-skips` rewrites from here to the end mark -->"
+END = "<!-- measured: end; what stands outside the marks is kept -->"
+CPU_SECONDS = "cpu_seconds.json"
+INTERRUPTED = 130
+SCENES = {
+    "fern-3": "{use: llff, name: fern-3, path: '${STEREOGS_DATA}/llff_fern', train_views: 3}",
+    "dtu24-6": "{use: dtu, name: dtu24-6, path: '${STEREOGS_DATA}/dtu_scan24', train_views: 6}",
+    "lego-8": (
+        "{use: blender, name: lego-8, path: '${STEREOGS_DATA}/blender_lego', "
+        "train_ids: [2, 16, 26, 55, 73, 76, 86, 93], test_every: 8, background: white}"
+    ),
+}
+
+
+class Switch(NamedTuple):
+    """One shortcut.
+
+    Args:
+        label: in the table.
+        length: of the run, as a part of the pipeline's.
+        overrides: as for `--set`.
+        disabled: components that are switched off.
+    """
+
+    label: str
+    length: float = 1.0
+    overrides: tuple[str, ...] = ()
+    disabled: tuple[str, ...] = ()
+
+
+DEFAULT = "as it is"
+SWITCHES = (
+    Switch(DEFAULT),
+    Switch("half as many iterations", length=0.5),
+    Switch("twice as many iterations", length=2.0),
+    Switch("no growth", disabled=("gradient_threshold",)),
+    Switch("no decay", disabled=("gradient_aware_decay",)),
+    Switch("no dropout, no scaling at the end", disabled=("dropout", "expected_opacity")),
+    Switch("dropout without scaling at the end", disabled=("expected_opacity",)),
+    Switch("colours without direction (SH degree 0)", overrides=("training.sh_degree=0",)),
+    Switch("a point every 4th pixel, not every 3rd", overrides=("initializer.stride=4",)),
+    Switch("no margin around the views", overrides=("initializer.margin=false",)),
+    Switch(
+        "photographs blurred at first",
+        overrides=("samplers=[{use: coarse_to_fine, until: 0.5, bands: false}]",),
+    ),
+    Switch("L1 alone in the loss", overrides=("training.ssim_weight=0",)),
+)
+
+
+def variant(switch: Switch, iterations: int | None, plugins: Plugins) -> Node:
+    """The pipeline with one switch, as a tree.
+
+    Args:
+        iterations: in place of the pipeline's own number; schedules go with it.
+    """
+    overrides = ["scene=procedural", "metrics=[psnr, ssim]", "exporters=[]", "reports=[]"]
+    pipeline = load_pipeline(
+        Path(SHORT), plugins, overrides=[*overrides, *switch.overrides], disabled=switch.disabled
+    )
+    length = round(switch.length * (iterations or pipeline.training.iterations))
+    return parse(scaled(pipeline, length).to_yaml(), switch.label)
+
+
+def make_plan(scenes: Sequence[str], seeds: int, iterations: int | None) -> Plan:
+    """Every switch on every scene with every seed, checked."""
+    plugins = Plugins()
+    pipelines = {switch.label: variant(switch, iterations, plugins) for switch in SWITCHES}
+    written = tuple(parse(SCENES[name], name) for name in scenes)
+    return plan_of(Matrix("skips", pipelines, written, None, seeds, None), plugins)
+
+
+def in_turns(plan: Plan) -> list[PlannedRun]:
+    """Seed by seed and scene by scene, each switch after the other."""
+    places = {scene: place for place, scene in enumerate(plan.scenes)}
+    return sorted(plan.runs, key=lambda run: (run.seed, places[run.scene]))
+
+
+def measure(plan: Plan, folder: AblationFolder, device: str | None, console: Console) -> bool:
+    """Train what is missing, one run at a time; whether all is there.
+
+    Raises:
+        RunError: a run failed.
+    """
+    os.environ[FOLDER_VARIABLE] = ""  # answers from an earlier run would make this one look fast
+    with folder.locked() as lock:
+        for run in in_turns(plan):
+            if folder.results(run) and (folder.run(run).path / CPU_SECONDS).is_file():
+                continue
+            runner = choose_runner(None, 1, Plugins(()), open_device(device))
+            runner.component.lock = lock
+            before = _cpu_seconds_of_children()
+            outcome = train_all([run], folder, runner, device=device, console=console)
+            if outcome.stopped:
+                return False
+            for said in outcome.failures.values():
+                raise RunError(f"a run failed: {said}", where=run.name, fix="mend the cause")
+            took = _cpu_seconds_of_children() - before
+            write_json(folder.run(run).path / CPU_SECONDS, {"cpu_seconds": round(took, 2)})
+    return True
+
+
+def _cpu_seconds_of_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def read(plan: Plan, folder: AblationFolder) -> list[Measured]:
+    """What the finished runs measured."""
+    found = []
+    for run in plan.runs:
+        results, file = folder.results(run), folder.run(run).path / CPU_SECONDS
+        if results and file.is_file():
+            cpu = json.loads(file.read_text("utf-8"))["cpu_seconds"]
+            (choice,) = (c for c in run.combination.choices if c is not None)
+            test = results["test"]
+            found.append(
+                Measured(
+                    choice.label,
+                    run.scene,
+                    run.seed,
+                    cpu,
+                    test["psnr"],
+                    test["ssim"],
+                    results["gaussians"],
+                )
+            )
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=[*SCENES])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--iterations", type=int, help="in place of the pipeline's own number")
+    parser.add_argument("--device", help="part of a device's name")
+    parser.add_argument(
+        "--out", type=Path, default=OUT, help="where runs lie (default: %(default)s)"
+    )
+    parser.add_argument("--write-docs", action="store_true", help="rewrite the table in docs/")
+    arguments = parser.parse_args()
+    console = Console(markup=False, highlight=False, soft_wrap=True)
+    try:
+        plan = make_plan(arguments.scenes, arguments.seeds, arguments.iterations)
+        folder = AblationFolder(arguments.out)
+        whole = measure(plan, folder, arguments.device, console)
+        results = {run: folder.results(run) for run in plan.runs}
+        write_text(folder.path / "index.html", as_page(plan, results, folder))
+        measured = read(plan, folder)
+        text = table(measured, DEFAULT)
+        console.print(text)
+        draw(measured, (PAGE.parent / "images" if arguments.write_docs else folder.path) / PICTURE)
+        if arguments.write_docs:
+            rewrite(PAGE, BEGIN, END, text)
+    except ExplainedError as error:
+        sys.exit(f"skips: {error}")
+    if not whole:
+        console.print("stopped; the same command goes on from here")
+    return 0 if whole else INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

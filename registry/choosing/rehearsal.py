@@ -1,0 +1,101 @@
+"""What iterations and scores cost on this machine, measured on what is about to be trained.
+
+Iterations from the middle of the pipeline are done on copies and forgotten. Nothing of the run changes:
+its components are built anew afterwards, as they are when a run is resumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import torch
+
+from core_rasterizer import GaussianModel, Gaussians
+from core_rasterizer.layout import PARAMETERS
+
+from ..contract.scene import View
+from ..pipeline.parts import Part, Parts
+from ..runs.evaluation import evaluate, quick
+from ..runs.training_run import Beginning
+from ..training.initial_model import new_model
+from ..training.trainer import Trainer
+from .cost import CLOSING
+
+Clock = Callable[[], float]
+"""Gives seconds; only differences count."""
+
+MEAN_GROWTH = 1.2
+"""Gaussians on average over a run, over those that it begins with: about so on llff_fern and dtu_scan24."""
+WARM_UP = 3
+"""Iterations that are not counted: kernels are loaded, buffers find their sizes."""
+MOST_MEASURED = 40
+
+
+class Measured(NamedTuple):
+    """What was measured.
+
+    Args:
+        iteration: seconds of one.
+        after: seconds of what comes after the last one.
+        iterations: how many were measured.
+        gaussians: with how many.
+    """
+
+    iteration: float
+    after: float
+    iterations: int
+    gaussians: int
+
+
+def rehearse(beginning: Beginning, clock: Clock, seconds: float) -> Measured:
+    """Measure a pipeline on its scene.
+
+    Args:
+        seconds: about how long iterations are done; at least one beyond the warm-up is.
+    """
+    pipeline, scene = beginning.pipeline, beginning.scene
+    gaussians = _grown(beginning.gaussians)
+    model = new_model(gaussians, pipeline.training, beginning.device)
+    parts = Parts(pipeline, beginning.device)
+    trainer = Trainer(pipeline.training, parts, scene, model, beginning.points.maps)
+    trainer.iteration = max(0, pipeline.training.iterations // 2 - WARM_UP)
+    measured, begin = 0, clock()
+    for count, _ in enumerate(trainer.run(), 1 - WARM_UP):
+        now = clock()
+        if count <= 0:
+            begin = now
+        elif now - begin >= seconds or count == MOST_MEASURED:
+            measured = count
+            break
+        measured = max(count, 0)
+    iteration = (clock() - begin) / max(measured, 1)
+    return Measured(iteration, _after(beginning, model, parts, clock), measured, len(gaussians))
+
+
+def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Clock) -> float:
+    """Seconds from the last iteration on: one view of each split stands for all."""
+    train, test = beginning.scene.train, beginning.scene.test
+    every, fast = parts["metrics"], quick(parts["metrics"])
+
+    def scored(views: Sequence[View], metrics: Sequence[Part], pictures: Path | None) -> float:
+        begin = clock()
+        evaluate(model, beginning.scene, views[:1], metrics, pictures)
+        return clock() - begin
+
+    with TemporaryDirectory() as folder:
+        scored(train, fast, Path(folder))  # what is imported at first use is imported now
+        light = scored(train, fast, Path(folder))
+        whole = scored(test, every, Path(folder)) if test else 0.0
+    return len(test) * whole + len(train) * light + CLOSING * (len(test) + len(train)) * light
+
+
+def _grown(gaussians: Gaussians) -> Gaussians:
+    """With the first ones once more, so that there are as many as on average over a run."""
+    more = int((MEAN_GROWTH - 1) * len(gaussians))
+    parameters = {name: getattr(gaussians, name) for name in PARAMETERS}
+    return Gaussians(
+        **{name: torch.cat([values, values[:more]]) for name, values in parameters.items()}
+    )

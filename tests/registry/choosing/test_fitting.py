@@ -1,0 +1,170 @@
+"""A run keeps its seconds on a machine whose costs are known, and its length repeats it."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import registry.choosing.rehearsal as rehearsal
+import registry.runs.run as runs
+from core_rasterizer import Device
+from registry import RunError
+from registry.choosing.cost import LEAST_ITERATIONS
+from registry.choosing.fitting import Budget, choose, fit_length
+from registry.choosing.table import LONG, MOST_TIMES, SHORT, SHORT_TIMES, by_length, by_quality
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.plugins.discovery import Plugins
+from registry.runs.evaluation import evaluate
+from registry.runs.run import Run
+from registry.runs.training_run import Fit, start
+from registry.training.field import Field
+
+TEXT = """\
+name: {name}
+scene: {{use: toy_scene, path: here, colors: [0, 0, 0]}}
+initializer: toy_points
+regularizers: [toy_term]
+modifiers: [toy_dropout]
+densification: {{use: toy_growth, start: 25%, every: 25%, stop: 70%}}
+metrics: [psnr]
+exporters: [toy_files]
+training: {{iterations: {iterations}, sh_degree: 0}}
+"""
+
+
+class Machine:
+    """A clock that work alone moves: a view scored, and an iteration by how many Gaussians it renders."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, slow: float = 1.0) -> None:
+        self.now, self.slow = 100.0, slow
+        step = Field.step_optimizer
+
+        def stepped(field: Field) -> None:
+            self.now += slow * (0.05 + 1e-4 * field.model.count)
+            step(field)
+
+        def evaluated(model, scene, views, metrics, pictures=None):  # type: ignore[no-untyped-def]
+            self.now += slow * 0.3 * len(views)
+            return evaluate(model, scene, views, metrics, pictures)
+
+        monkeypatch.setattr(Field, "step_optimizer", stepped)
+        monkeypatch.setattr(rehearsal, "evaluate", evaluated)
+        monkeypatch.setattr(runs, "evaluate", evaluated)
+
+    def budget(self, seconds: float) -> Budget:
+        return Budget(seconds, self.now, lambda: self.now)
+
+
+def pipeline(toys: Plugins, name: str = SHORT, iterations: int = 400) -> Pipeline:
+    return parse_pipeline(TEXT.format(name=name, iterations=iterations), toys)
+
+
+def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) -> Run:
+    return start(first, device=device, out=out, console=Console(file=io.StringIO()), fit=fit)
+
+
+@pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
+def test_the_seconds_are_kept_and_the_length_repeats_the_run(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    seconds: float,
+    slow: float,
+) -> None:
+    machine, said = Machine(monkeypatch, slow=slow), list[str]()
+    budget = machine.budget(seconds)
+    fit = partial(fit_length, budget=budget, say=said.append)
+    run = trained(pipeline(toys), device, tmp_path / "run", fit)
+    assert LEAST_ITERATIONS < run.iteration < 400
+    assert budget.spent == pytest.approx(seconds, rel=0.1)
+    assert f"{SHORT}, {run.iteration} iterations" in said[0]
+    assert f"= {seconds:.1f} s" in said[-1]
+    written = (tmp_path / "run" / "pipeline.yaml").read_text("utf-8")
+    assert f"iterations: {run.iteration}\n" in written
+    again = trained(parse_pipeline(written, toys), device, tmp_path / "again")
+    assert again.hash == run.hash
+
+
+def test_never_longer_than_the_pipeline_says(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, said = Machine(monkeypatch), list[str]()
+    fit = partial(fit_length, budget=machine.budget(60), say=said.append)
+    assert trained(pipeline(toys, iterations=30), device, tmp_path / "run", fit).iteration == 30
+    assert "less than 60 s" in said[-1]
+
+
+def test_too_few_seconds_leave_nothing_behind(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = partial(fit_length, budget=Machine(monkeypatch).budget(3), say=print)
+    with pytest.raises(RunError, match="3 s are too few"):
+        trained(pipeline(toys), device, tmp_path / "run", fit)
+    assert not (tmp_path / "run").exists()
+
+
+def chosen(
+    toys: Plugins, device: Device, wanted: object, said: Callable[[str], None] = print
+) -> Pipeline:
+    """The pipeline that would be trained, for the toys' scene."""
+
+    class Chosen(Exception):
+        pass
+
+    def load(name: str) -> Pipeline:
+        assert name == LONG, "the short one is at hand"
+        return pipeline(toys, LONG, 2000)
+
+    found: list[Pipeline] = []
+
+    def fit(beginning):  # type: ignore[no-untyped-def]
+        found.append(choose(beginning, wanted, load, said))  # type: ignore[arg-type]
+        raise Chosen
+
+    with pytest.raises(Chosen):
+        trained(pipeline(toys), device, Path("nowhere"), fit)
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("quality", "name", "iterations"),
+    [("fast", SHORT, 200), ("good", SHORT, 400), ("best", LONG, 2000)],
+)
+def test_a_quality_is_a_pipeline_and_a_length(
+    toys: Plugins, device: Device, quality: str, name: str, iterations: int
+) -> None:
+    said: list[str] = []
+    found = chosen(toys, device, quality, said.append)
+    assert (found.name, found.training.iterations) == (name, iterations)
+    assert found.items["densification"][0].host.every == iterations // 4
+    assert "2 training views of" in said[1]
+    assert max(map(len, said)) <= 80
+
+
+@pytest.mark.parametrize(("seconds", "name"), [(15.0, SHORT), (60.0, LONG), (600.0, LONG)])
+def test_seconds_decide_between_the_short_and_the_long(
+    toys: Plugins,
+    device: Device,
+    monkeypatch: pytest.MonkeyPatch,
+    seconds: float,
+    name: str,
+) -> None:
+    found = chosen(toys, device, Machine(monkeypatch).budget(seconds))
+    assert found.name == name
+    assert (found.training.iterations > SHORT_TIMES * 400) == (name == LONG)
+    assert found.training.iterations <= 2000
+    assert found.training.max_gaussians is not None
+
+
+def test_more_views_get_more_iterations_up_to_a_bound() -> None:
+    times = [by_quality("good", views).times for views in (1, 3, 6, 24)]
+    assert times == [1, 1, 2, MOST_TIMES]
+    assert by_quality("fast", 6).times == 1
+    assert [by_length(3, views).name for views in (3, 6)] == [LONG, SHORT]
+    assert "2.0 times as long for 6 views" in by_quality("good", 6).because
