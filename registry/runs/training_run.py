@@ -40,6 +40,8 @@ _log = logging.getLogger(__name__)
 
 Callback = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
+OnBegin = Callable[[Run], None]
+"""What is given the run before its next iteration; it may look at it and must not change it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
 AUTOMATIC_SECONDS = 30.0
@@ -60,6 +62,7 @@ def start(
     out: Path | ChooseFolder | None,
     console: Console,
     scene: Scene | None = None,
+    on_begin: OnBegin | None = None,
     callback: Callback | None = None,
 ) -> Run:
     """Train a pipeline.
@@ -88,7 +91,7 @@ def start(
         run.folder.to_itself() if run.folder else nullcontext(),
         observed(run, trainer, resumed=False) as observers,
     ):
-        _train_to_end(run, trainer, observers, console, callback)
+        _train_to_end(run, trainer, observers, console, on_begin, callback)
     return run
 
 
@@ -99,6 +102,7 @@ def resume(
     device: Device,
     console: Console,
     scene: Scene | None = None,
+    on_begin: OnBegin | None = None,
     callback: Callback | None = None,
     accept_changed_inputs: bool = False,
 ) -> Run:
@@ -133,7 +137,7 @@ def resume(
             f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
         )
         with observed(run, trainer, resumed=True) as observers:
-            _train_to_end(run, trainer, observers, console, callback)
+            _train_to_end(run, trainer, observers, console, on_begin, callback)
     return run
 
 
@@ -252,9 +256,12 @@ def _train_to_end(
     trainer: Trainer,
     observers: Observers,
     console: Console,
+    on_begin: OnBegin | None,
     callback: Callback | None,
 ) -> None:
     """Train, tell of it, and write the results if the end was reached and there is a folder for them."""
+    if on_begin is not None:
+        on_begin(run)
     settings = run.pipeline.training
     metrics = MetricsLog(run.add_metrics)
     autosave = _Autosave(run)

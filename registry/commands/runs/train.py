@@ -17,6 +17,7 @@ from ..output import (
     error_console,
     watching,
 )
+from .live_page import live_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +39,7 @@ examples:
   stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
+  stereogs train my-photos --view                    and look while it trains (extra `viewer`)
 
 A folder is read by the loader that knows it by its content (see `stereogs check`), with that
 loader's defaults and what --set scene.SETTING=VALUE says.
@@ -104,14 +106,16 @@ def run(arguments: argparse.Namespace) -> int:
         pipeline = load_pipeline(source, plugins, overrides=overrides, disabled=arguments.disable)
     from ...runs.training_run import in_runs
 
-    run = train(
-        pipeline,
-        out=arguments.out or in_runs,
-        progress=output,
-        device=arguments.device,
-        **watching(arguments),
-    )
-    return conclude(run, output)
+    with live_page(arguments.view, output) as page:
+        run = train(
+            pipeline,
+            out=arguments.out or in_runs,
+            progress=output,
+            device=arguments.device,
+            **watching(arguments),
+            **page,
+        )
+        return conclude(run, output)
 
 
 def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
