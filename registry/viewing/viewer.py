@@ -104,9 +104,8 @@ class Viewer:
             self._changed.wait_for(lambda: bool(self._moved), timeout=waiting)
         if self.serve_moved():
             return
-        clients, self._rough = self._rough, {}
-        for client in clients.values():
-            self._draw(client, SHARP_SECONDS)
+        self._draw_all(self._rough, SHARP_SECONDS)
+        self._rough = {}
 
     def serve_moved(self) -> bool:
         """Draw quickly for those who moved; whether there was anybody."""
@@ -116,8 +115,7 @@ class Viewer:
             return False
         self._decorate()
         self._rough |= moved
-        for client in moved.values():
-            self._draw(client, QUICK_SECONDS)
+        self._draw_all(moved, QUICK_SECONDS)
         return True
 
     def serve_until_interrupted(self) -> None:
@@ -132,6 +130,13 @@ class Viewer:
         """End the server."""
         with redirect_stdout(io.StringIO()):  # it says that it has
             self._server.stop()
+
+    def _draw_all(self, clients: dict[int, Any], seconds: float) -> None:
+        """Draw for those who have not left."""
+        there = self._server.get_clients()
+        for number, client in clients.items():
+            if number in there:
+                self._draw(client, seconds)
 
     def _draw(self, client: Any, seconds: float) -> None:
         if self._ellipsoids is not None:  # they stand in for the picture
