@@ -94,11 +94,11 @@ def load(path: str, split: str, features: Any = None, **_: Any) -> UnloadedDatas
     masks = [str(folder / "masks" / f"{view['name']}.png") for view in views]
     return new_dataset(
         cameras=new_cameras(
-            poses=np.float32([view["pose"] for view in views]),
-            intrinsics=np.float32([view["intrinsics"] for view in views]),
+            poses=np.array([view["pose"] for view in views], np.float32),
+            intrinsics=np.array([view["intrinsics"] for view in views], np.float32),
             camera_models=np.zeros(len(views), np.int32),
-            image_sizes=np.int32([view["size"] for view in views]),
-            nears_fars=np.float32([content["bounds"]] * len(views)),
+            image_sizes=np.array([view["size"] for view in views], np.int32),
+            nears_fars=np.array([content["bounds"]] * len(views), np.float32),
         ),
         image_paths=[str(folder / "images" / f"{view['name']}.png") for view in views],
         image_paths_root=str(folder / "images"),
@@ -109,7 +109,7 @@ def load(path: str, split: str, features: Any = None, **_: Any) -> UnloadedDatas
         metadata={
             "color_space": "srgb",
             "evaluation_protocol": EVALUATION,
-            "background_color": np.uint8(content["background"]),
+            "background_color": np.array(content["background"], np.uint8),
         },
     )
 
