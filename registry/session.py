@@ -160,6 +160,7 @@ def train(
     scene: Scene | None = None,
     out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
     progress: bool | Console = True,
+    on_begin: Callable[[Run], None] | None = None,
     callback: Callable[[Iteration], bool | None] | None = None,
     device: Device | str | None = None,
     check_plugins: bool = False,
@@ -174,6 +175,8 @@ def train(
             `scene: in_memory`, and `open_run` wants the scene again.
         out: the run folder, new or empty, or a function that names it; None writes nothing to disk.
         progress: whether to print how it goes; or the console to print on.
+        on_begin: given the run once it has its first Gaussians, before the first iteration: to look at while
+            it trains, not to change.
         callback: called after each iteration; training stops after one for which it returns False.
         device: the OpenCL device, or part of its name; None chooses.
         check_plugins: compare all that components are shown around each call; see `checked_plugins`.
@@ -204,6 +207,7 @@ def train(
             out=Path(out).expanduser() if isinstance(out, str | os.PathLike) else out,
             console=_console(progress),
             scene=scene,
+            on_begin=on_begin,
             callback=callback,
             fit=fit,
         )
@@ -230,6 +234,7 @@ def resume(
     *,
     scene: Scene | None = None,
     progress: bool | Console = True,
+    on_begin: Callable[[Run], None] | None = None,
     callback: Callable[[Iteration], bool | None] | None = None,
     device: Device | str | None = None,
     accept_changed_inputs: bool = False,
@@ -255,6 +260,7 @@ def resume(
             device=_device(device),
             console=_console(progress),
             scene=scene and validate(scene),
+            on_begin=on_begin,
             callback=callback,
             accept_changed_inputs=accept_changed_inputs,
         )

@@ -85,7 +85,7 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
             raise SceneError("there is nothing to train on", fix="give a train_dataset")
         settings = dict(self._settings)
         source = Path(settings.pop("pipeline", PIPELINE))
-        changes = [f"{name}={json.dumps(value)}" for name, value in settings.items()]
+        changes = [f"{name}={_written(value)}" for name, value in settings.items()]
         pipeline = stereogs.build_pipeline(source, ["scene=in_memory", *changes])
         losses: list[float] = []
         run = stereogs.train(
@@ -124,6 +124,11 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
         self._background = tuple(content["background"])
         if (folder / GAUSSIANS).is_file():
             self._model = GaussianModel(load_ply(folder / GAUSSIANS), stereogs.open_device())
+
+
+def _written(value: Any) -> str:
+    """A setting as --set takes it; NerfBaselines' own --set hands on texts as they were typed."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _background(dataset: Dataset) -> tuple[float, float, float]:

@@ -1,6 +1,11 @@
-"""Tells NerfBaselines of the method `stereogs`, through the entry point `nerfbaselines.specs`."""
+"""Tells NerfBaselines of the method `stereogs` and of the protocols for few photographs.
+
+Found through the entry point `nerfbaselines.specs`.
+"""
 
 from nerfbaselines import register
+
+from registry.pipeline.protocols import load_protocol, protocol_names
 
 register(
     {
@@ -16,3 +21,26 @@ register(
         "implementation_status": {},
     }
 )
+register(
+    {
+        "id": "stereogs",
+        "evaluation_protocol_class": "stereogs.nerfbaselines_evaluation:ProtocolScores",
+    }
+)
+register({"id": "stereogs-views", "load_dataset_function": "stereogs.nerfbaselines_datasets:load"})
+for protocol in map(load_protocol, protocol_names()):
+    register(
+        {
+            "id": f"stereogs-{protocol.name}",
+            "download_dataset_function": "stereogs.nerfbaselines_datasets:prepare",
+            "evaluation_protocol": "stereogs",
+            "metadata": {
+                "id": f"stereogs-{protocol.name}",
+                "name": protocol.title,
+                "description": f"{protocol.split}; {protocol.scale}",
+                "metrics": [metric["use"] for metric in protocol.metrics],
+                "default_metric": "psnr",
+                "scenes": [{"id": scene, "name": scene} for scene in protocol.scenes],
+            },
+        }
+    )

@@ -53,7 +53,12 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def add_watching(parser: argparse.ArgumentParser) -> None:
-    """The options --check-plugins and --hang-after; `watching` takes what they were given."""
+    """The options --view, --check-plugins and --hang-after; `watching` takes what the last two were given."""
+    parser.add_argument(
+        "--view",
+        action="store_true",
+        help="show the scene in the browser while it trains, and after that until Ctrl-C",
+    )
     parser.add_argument(
         "--check-plugins",
         action="store_true",

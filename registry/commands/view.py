@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from ..viewing.subject import Subject
 
 PORT = 8080
-_PATIENCE = 1.0
-"""Seconds between two looks at whether Ctrl-C was pressed."""
 
 _EPILOG = """\
 examples:
@@ -55,12 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
         viewer = Viewer(subject, arguments.port)
         console().print(f"{subject.name} is at {viewer.url}; Ctrl-C ends it")
         try:
-            while True:
-                viewer.serve(_PATIENCE)
-        except KeyboardInterrupt:
-            return 0
+            viewer.serve_until_interrupted()
         finally:
             viewer.close()
+    return 0
 
 
 def _subject(arguments: argparse.Namespace) -> Subject:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,14 @@ _FEWEST_BESIDE_COPIES = 3
 _log = logging.getLogger("stereogs.scene")
 _FOCAL_RANGE = (1e-2, 1e4)
 """In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
+
+
+def camera_extent(cameras: Sequence[Camera]) -> float:
+    """1.1 times the largest distance of a camera from their mean (3DGS), world units."""
+    import torch
+
+    centers = torch.stack([camera.center for camera in cameras])
+    return 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +138,12 @@ class TrainingScene:
 
     @property
     def extent(self) -> float:
-        """1.1 times the largest distance of a training camera from their mean (3DGS), world units.
+        """That of the training cameras (`camera_extent`), world units.
 
         A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
         so that learning rates do not vanish.
         """
-        import torch
-
-        centers = torch.stack([view.camera.center for view in self.train])
-        radius = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        radius = camera_extent([view.camera for view in self.train])
         return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
 
     @property

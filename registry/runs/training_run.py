@@ -41,6 +41,8 @@ _log = logging.getLogger(__name__)
 
 Callback = Callable[[Iteration], bool | None]
 """What is told of each iteration; False stops training after it."""
+OnBegin = Callable[[Run], None]
+"""What is given the run before its next iteration; it may look at it and must not change it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
 
@@ -85,6 +87,7 @@ def start(
     out: Path | ChooseFolder | None,
     console: Console,
     scene: Scene | None = None,
+    on_begin: OnBegin | None = None,
     callback: Callback | None = None,
     fit: Fit | None = None,
 ) -> Run:
@@ -115,7 +118,7 @@ def start(
         run.folder.to_itself() if run.folder else nullcontext(),
         observed(run, trainer, resumed=False) as observers,
     ):
-        _train_to_end(run, trainer, observers, console, callback)
+        _train_to_end(run, trainer, observers, console, on_begin, callback)
     return run
 
 
@@ -126,6 +129,7 @@ def resume(
     device: Device,
     console: Console,
     scene: Scene | None = None,
+    on_begin: OnBegin | None = None,
     callback: Callback | None = None,
     accept_changed_inputs: bool = False,
 ) -> Run:
@@ -160,7 +164,7 @@ def resume(
             f"going on after iteration {checkpoint.iteration} of {run.pipeline.training.iterations}"
         )
         with observed(run, trainer, resumed=True) as observers:
-            _train_to_end(run, trainer, observers, console, callback)
+            _train_to_end(run, trainer, observers, console, on_begin, callback)
     return run
 
 
@@ -282,9 +286,12 @@ def _train_to_end(
     trainer: Trainer,
     observers: Observers,
     console: Console,
+    on_begin: OnBegin | None,
     callback: Callback | None,
 ) -> None:
     """Train, tell of it, and write the results if the end was reached and there is a folder for them."""
+    if on_begin is not None:
+        on_begin(run)
     settings = run.pipeline.training
     metrics = MetricsLog(run.add_metrics)
     autosave = _Autosave(run)

@@ -18,7 +18,7 @@ class Controls:
         kinds: of Gaussians that can be switched on and off.
         bounds: the lowest and the highest corner of what the crop box can keep, world units.
         on_look: called when the picture must be drawn anew.
-        on_cameras, on_ellipsoids: called with whether they are to be seen.
+        on_cameras: called with whether they are to be seen.
     """
 
     def __init__(
@@ -29,18 +29,15 @@ class Controls:
         bounds: Bounds,
         on_look: Callable[[], None],
         on_cameras: Callable[[bool], None],
-        on_ellipsoids: Callable[[bool], None],
     ) -> None:
         gui = server.gui
         self.status = gui.add_markdown("")
         self._channel = gui.add_dropdown("Show", CHANNELS, initial_value=CHANNELS[0])
         self._on_change(self._channel, on_look)
-        cameras, ellipsoids = (
-            gui.add_checkbox("Cameras", True),
-            gui.add_checkbox("Ellipsoids", False),
-        )
+        cameras = gui.add_checkbox("Cameras", True)
         self._on_change(cameras, lambda: on_cameras(cameras.value))
-        self._on_change(ellipsoids, lambda: on_ellipsoids(ellipsoids.value))
+        self._ellipsoids = gui.add_checkbox("Ellipsoids", False)
+        self._on_change(self._ellipsoids, on_look)
         self._kinds = {}
         kinds = tuple(kinds)
         if kinds:
@@ -56,6 +53,11 @@ class Controls:
             ]
         for handle in (*self._kinds.values(), self._cropped, *self._ranges):
             self._on_change(handle, on_look)
+
+    @property
+    def ellipsoids(self) -> bool:
+        """Whether ellipsoids stand in for the picture."""
+        return bool(self._ellipsoids.value)
 
     @property
     def look(self) -> Look:

@@ -1,7 +1,9 @@
-"""What the browser draws itself, in front of and behind our picture: cameras and ellipsoids."""
+"""What the browser draws itself, in front of and behind our picture: cameras, ellipsoids, a box."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,52 +13,71 @@ from torch.nn.functional import normalize
 
 from core_rasterizer.gaussians import SH_C0
 
-from ..contract.scene import View
 from ..drawing.pictures import to_bytes
 
 if TYPE_CHECKING:
     from core_rasterizer import Gaussians
 
-    from ..contract.scene import Scene
+    from .picture import Box
+    from .subject import Standpoint
 
 TRAINING_COLOR, TEST_COLOR = (230, 120, 20), (50, 110, 220)
 """Orange and blue, as in the picture of `stereogs check`."""
 _THUMBNAIL = 160
 """Pixels of a photograph's longer side within its frustum, about."""
 _FRUSTUM = 0.08
-"""Height of a frustum, in units of the scene's extent."""
+"""Height of a frustum, in units of the cameras' extent."""
+_BOX_COLOR = (240, 240, 240)
+_BOX_WIDTH = 0.004
+"""Of the crop box's lines, in units of its diagonal."""
 MOST_ELLIPSOIDS = 10_000
 """That a browser without a graphics card can still turn."""
 
 
-def add_cameras(server: Any, scene: Scene, unit: float) -> list[Any]:
-    """Each view as a frustum with its photograph; returns viser's handles.
+def add_cameras(
+    server: Any, standpoints: Iterable[Standpoint], extent: float, unit: float
+) -> list[Any]:
+    """Each as a frustum with its photograph; returns viser's handles.
 
     Args:
+        extent: of the cameras, in the browser's units.
         unit: world units that are one of the browser's.
     """
-    size = _FRUSTUM * scene.extent / unit
-    colored = [(view, TRAINING_COLOR) for view in scene.train]
-    colored += [(view, TEST_COLOR) for view in scene.test]
-    return [_add_frustum(server, view, color, size, unit) for view, color in colored]
+    return [_add_frustum(server, one, _FRUSTUM * extent, unit) for one in standpoints]
 
 
-def _add_frustum(
-    server: Any, view: View, color: tuple[int, int, int], size: float, unit: float
-) -> Any:
-    camera = view.camera
+def _add_frustum(server: Any, standpoint: Standpoint, size: float, unit: float) -> Any:
+    camera, photograph = standpoint.camera, standpoint.photograph
     pose = camera.camera_to_world.numpy()
     step = max(1, max(camera.width, camera.height) // _THUMBNAIL)
+    image = None if photograph is None else to_bytes(photograph[::step, ::step].contiguous())
     return server.scene.add_camera_frustum(
-        f"/cameras/{view.name}",
+        f"/cameras/{standpoint.name}",
         fov=2 * np.arctan(0.5 * camera.height / camera.fy),
         aspect=camera.width / camera.height,
         scale=size,
         thickness=0.03 * size,
-        color=color,
-        image=to_bytes(view.image[::step, ::step].contiguous()),
+        color=TEST_COLOR if standpoint.is_test else TRAINING_COLOR,
+        image=image,
         wxyz=Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True),
         position=pose[:3, 3] / unit,
+    )
+
+
+def add_box(server: Any, box: Box, unit: float) -> Any:
+    """The twelve edges of a box; returns viser's handle.
+
+    Args:
+        unit: world units that are one of the browser's.
+    """
+    corners = np.array(list(product(*zip(box.low, box.high, strict=True)))) / unit
+    edges = [(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]
+    diagonal = float(np.linalg.norm(corners[7] - corners[0]))
+    return server.scene.add_line_segments(
+        "/crop_box",
+        points=corners[np.array(edges)].astype(np.float32),
+        colors=_BOX_COLOR,
+        thickness=_BOX_WIDTH * diagonal,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .controls import Bounds, Controls
-from .decoration import add_cameras, add_ellipsoids
+from .decoration import add_box, add_cameras, add_ellipsoids
 from .pace import QUICK_SECONDS, SHARP_SECONDS, Pace
 from .package import import_viser
 from .picture import Look, camera_of, kept, pictured
@@ -30,6 +30,8 @@ _WINDOW = (1280, 720)
 """Pixels, of a window that has not told its size yet."""
 _MOST_WIDE = 1920
 _JPEG_QUALITY = 85
+_PATIENCE = 1.0
+"""Seconds between two looks at whether Ctrl-C was pressed."""
 
 
 class Viewer:
@@ -52,17 +54,19 @@ class Viewer:
         self._looked: tuple[Subject, Look] = (subject, Look())
         self._server = _server(port, subject.name)
         self._ellipsoids: Any = None
+        self._box: Any = None
+        self._shown: tuple[Subject, Look, bool] = (subject, Look(), False)
         start = start_pose(subject)
         self._unit = start.distance
-        scene = subject.scene
-        self._cameras = add_cameras(self._server, scene, self._unit) if scene else []
+        self._cameras = add_cameras(
+            self._server, subject.standpoints, start.extent / self._unit, self._unit
+        )
         self._controls = Controls(
             self._server,
             kinds=sorted(subject.kinds),
             bounds=_bounds(subject),
             on_look=self._everyone,
             on_cameras=self._show_cameras,
-            on_ellipsoids=self._show_ellipsoids,
         )
         self._tell(f"{subject.model.count:,} Gaussians")
         self._stand(start)
@@ -72,6 +76,11 @@ class Viewer:
     def url(self) -> str:
         """Where the page is."""
         return f"http://{HOST}:{self._server.get_port()}"
+
+    @property
+    def is_visited(self) -> bool:
+        """Whether somebody has the page open."""
+        return bool(self._server.get_clients())
 
     def show(self, subject: Subject, iteration: int) -> None:
         """Show what training has made of the Gaussians; `serve` draws it.
@@ -93,20 +102,41 @@ class Viewer:
         waiting = min(patience, SETTLED_SECONDS) if self._rough else patience
         with self._changed:
             self._changed.wait_for(lambda: bool(self._moved), timeout=waiting)
+        if self.serve_moved():
+            return
+        self._draw_all(self._rough, SHARP_SECONDS)
+        self._rough = {}
+
+    def serve_moved(self) -> bool:
+        """Draw quickly for those who moved; whether there was anybody."""
+        with self._changed:
             moved, self._moved = self._moved, {}
-        if moved:
-            self._rough |= moved
-            clients, seconds = moved, QUICK_SECONDS
-        else:
-            clients, seconds = self._rough, SHARP_SECONDS
-            self._rough = {}
-        for client in clients.values():
-            self._draw(client, seconds)
+        if not moved:
+            return False
+        self._decorate()
+        self._rough |= moved
+        self._draw_all(moved, QUICK_SECONDS)
+        return True
+
+    def serve_until_interrupted(self) -> None:
+        """Draw for whoever moves, until Ctrl-C."""
+        try:
+            while True:
+                self.serve(_PATIENCE)
+        except KeyboardInterrupt:
+            return
 
     def close(self) -> None:
         """End the server."""
         with redirect_stdout(io.StringIO()):  # it says that it has
             self._server.stop()
+
+    def _draw_all(self, clients: dict[int, Any], seconds: float) -> None:
+        """Draw for those who have not left."""
+        there = self._server.get_clients()
+        for number, client in clients.items():
+            if number in there:
+                self._draw(client, seconds)
 
     def _draw(self, client: Any, seconds: float) -> None:
         if self._ellipsoids is not None:  # they stand in for the picture
@@ -150,15 +180,20 @@ class Viewer:
         for frustum in self._cameras:
             frustum.visible = visible
 
-    def _show_ellipsoids(self, visible: bool) -> None:
-        if self._ellipsoids is not None:
-            self._ellipsoids.remove()
-            self._ellipsoids = None
-        if visible:
-            gaussians = self._subject.model.gaussians()
-            drawn = kept(self._subject, self._controls.look)
+    def _decorate(self) -> None:
+        """Bring the ellipsoids and the crop box up to what is chosen."""
+        subject, look, ellipsoids = self._subject, self._controls.look, self._controls.ellipsoids
+        if self._shown == (subject, look, ellipsoids):
+            return
+        self._shown = (subject, look, ellipsoids)
+        for handle in filter(None, (self._ellipsoids, self._box)):
+            handle.remove()
+        self._ellipsoids = self._box = None
+        if ellipsoids:
+            gaussians, drawn = subject.model.gaussians(), kept(subject, look)
             self._ellipsoids = add_ellipsoids(self._server, gaussians, drawn, self._unit)
-        self._everyone()
+        if look.box is not None:
+            self._box = add_box(self._server, look.box, self._unit)
 
     def _stand(self, pose: StartPose) -> None:
         self._server.scene.set_up_direction(pose.up)

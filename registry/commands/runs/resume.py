@@ -14,6 +14,7 @@ from ..output import (
     console,
     watching,
 )
+from .live_page import live_page
 from .train import conclude
 
 _EPILOG = """\
@@ -40,11 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     from ...session import resume
 
     output = console()
-    run = resume(
-        arguments.run_folder,
-        progress=output,
-        device=arguments.device,
-        accept_changed_inputs=arguments.accept_changed_inputs,
-        **watching(arguments),
-    )
-    return conclude(run, output)
+    with live_page(arguments.view, output) as page:
+        run = resume(
+            arguments.run_folder,
+            progress=output,
+            device=arguments.device,
+            accept_changed_inputs=arguments.accept_changed_inputs,
+            **watching(arguments),
+            **page,
+        )
+        return conclude(run, output)

@@ -21,6 +21,7 @@ from ..output import (
     positive_seconds,
     watching,
 )
+from .live_page import live_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,6 +46,7 @@ examples:
   stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
+  stereogs train my-photos --view                    and look while it trains (extra `viewer`)
 
 A folder is read by the loader that knows it by its content (see `stereogs check`), with that
 loader's defaults and what --set scene.SETTING=VALUE says; the pipeline is chosen, and the run says which
@@ -119,19 +121,21 @@ def run(arguments: argparse.Namespace) -> int:
         pipeline = load(named or SHORT)
     from ...runs.training_run import in_runs
 
-    run = train(
-        pipeline,
-        out=arguments.out or in_runs,
-        progress=output,
-        device=arguments.device,
-        fit=_fit(arguments, begin, load, output, named=named is not None),
-        **watching(arguments),
-    )
-    status = conclude(run, output)
-    if run.finished and (named is None or arguments.seconds):
-        took = f"; it took {monotonic() - begin:.1f} s" if arguments.seconds else ""
-        output.print(f"repeat    stereogs train {run.folder_or_refuse().pipeline}{took}")
-    return status
+    with live_page(arguments.view, output) as page:
+        run = train(
+            pipeline,
+            out=arguments.out or in_runs,
+            progress=output,
+            device=arguments.device,
+            fit=_fit(arguments, begin, load, output, named=named is not None),
+            **watching(arguments),
+            **page,
+        )
+        status = conclude(run, output)
+        if run.finished and (named is None or arguments.seconds):
+            took = f"; it took {monotonic() - begin:.1f} s" if arguments.seconds else ""
+            output.print(f"repeat    stereogs train {run.folder_or_refuse().pipeline}{took}")
+        return status
 
 
 def _check(arguments: argparse.Namespace) -> None:

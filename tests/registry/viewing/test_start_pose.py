@@ -7,7 +7,7 @@ import torch
 from core_rasterizer import Device, GaussianModel, Gaussians
 from registry.testing import tiny_scene
 from registry.viewing.start_pose import start_pose
-from registry.viewing.subject import Subject
+from registry.viewing.subject import Standpoint, Subject, standpoints_of
 
 
 def model(device: Device, z: float) -> GaussianModel:
@@ -21,9 +21,10 @@ def model(device: Device, z: float) -> GaussianModel:
 
 def test_a_visitor_looks_over_the_first_cameras_shoulder(device: Device) -> None:
     scene = tiny_scene()
-    pose = start_pose(Subject("x", model(device, 3.0), scene))
+    pose = start_pose(Subject("x", model(device, 3.0), standpoints_of(scene)))
     first = scene.train[0].camera
     behind = first.world_to_camera.numpy() @ [*pose.position, 1]
+    assert pose.extent == scene.extent
     assert behind[2] == pytest.approx(-0.5 * scene.extent)
     assert behind[1] == pytest.approx(-0.25 * scene.extent)  # y points down
     u, v, z = first.project(torch.from_numpy(pose.look_at))
@@ -35,10 +36,16 @@ def test_a_visitor_looks_over_the_first_cameras_shoulder(device: Device) -> None
 
 
 def test_nothing_in_view_still_gives_a_place_to_turn_around(device: Device) -> None:
-    pose = start_pose(Subject("x", model(device, -30.0), tiny_scene()))
-    first = tiny_scene().train[0].camera
-    _, _, z = first.project(torch.from_numpy(pose.look_at))
-    assert float(z) == pytest.approx((1.5 * 5.0) ** 0.5)
+    scene = tiny_scene()
+    pose = start_pose(Subject("x", model(device, -30.0), standpoints_of(scene)))
+    _, _, z = scene.train[0].camera.project(torch.from_numpy(pose.look_at))
+    assert float(z) == pytest.approx(5 * scene.extent)
+
+
+def test_a_single_camera_has_an_extent_too(device: Device) -> None:
+    only = Standpoint("only", tiny_scene().train[0].camera)
+    pose = start_pose(Subject("x", model(device, 3.0), (only,)))
+    assert pose.extent == pytest.approx(0.3, abs=0.02)
 
 
 def test_without_cameras_all_is_seen(device: Device) -> None:

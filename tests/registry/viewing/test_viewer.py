@@ -15,7 +15,7 @@ pytest.importorskip("viser")
 
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians
 from registry.testing import tiny_scene
-from registry.viewing.subject import Subject
+from registry.viewing.subject import Subject, standpoints_of
 from registry.viewing.viewer import Viewer
 
 from .browser import WINDOW, Received, change, move, visit
@@ -41,7 +41,7 @@ def subject(device: Device) -> Subject:
         positions, colors, torch.full((count,), 0.2), torch.full((count,), 0.95), 0
     )
     kinds = {"near": near, "far": ~near}
-    return Subject("walls", GaussianModel(gaussians, device), SCENE, kinds)
+    return Subject("walls", GaussianModel(gaussians, device), standpoints_of(SCENE), kinds=kinds)
 
 
 @pytest.fixture
@@ -102,6 +102,11 @@ def test_a_visitor_sees_the_scene_and_what_is_switched_on(viewer: Viewer, subjec
         change(page, received.controls["Ellipsoids"], True)
         serve_until(viewer, received, lambda: "/ellipsoids" in received.nodes)
         serve_until(viewer, received, lambda: received.picture is None)
+        assert "/crop_box" not in received.nodes
+        change(page, received.controls["Keep the inside alone"], True)
+        serve_until(viewer, received, lambda: "/crop_box" in received.nodes)
+        change(page, received.controls["Keep the inside alone"], False)
+        serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
@@ -121,5 +126,5 @@ def test_training_is_followed(viewer: Viewer, subject: Subject, device: Device) 
         serve_until(viewer, received, lambda: received.picture is not None)
         kept = {k: v[subject.kinds["near"]] for k, v in vars(subject.model.gaussians()).items()}
         later = GaussianModel(Gaussians(**kept), device)
-        viewer.show(Subject("walls", later, SCENE), 7)
+        viewer.show(Subject("walls", later, standpoints_of(SCENE)), 7)
         serve_until(viewer, received, lambda: green(received.picture) < 20)
