@@ -1,20 +1,19 @@
 """How long the engine takes: `python -m benchmarks.engine`, which `make bench-engine` runs.
 
 Prints tables and writes `benchmarks/out/engine.json`. Figures are medians of one run on one machine;
-only the ratios carry over to another.
+only ratios carry over to another: those of the engine to named baselines, and those of each time to what
+the machine takes for the bytes alone (`benchmarks.yardsticks`).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -26,6 +25,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
+from benchmarks.yardsticks import Yardsticks, all_torch_threads, milliseconds, yardsticks
 from core_rasterizer import (
     Adam,
     Device,
@@ -100,24 +100,6 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
     return steps | {"iteration": 1e3 * median(stamps[-1] - stamps[0] for stamps in times[2:])}
 
 
-def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
-    """Median of several runs after two that are not counted."""
-    times = []
-    for _ in range(repeats + 2):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return 1e3 * median(times[2:])
-
-
-@contextmanager
-def all_torch_threads() -> Iterator[None]:
-    """Give torch every core, as a baseline has it; beside the engine it runs with one (see `main`)."""
-    torch.set_num_threads(os.cpu_count() or 1)
-    yield
-    torch.set_num_threads(1)
-
-
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
     """Milliseconds of each kernel in an iteration, the device drained after each."""
     totals: dict[str, float] = {}
@@ -172,23 +154,18 @@ def ratios(device: Device) -> dict[str, float]:
     def loss(function: Callable[..., Tensor], **arguments: Any) -> Callable[[], None]:
         return lambda: function(rgb, workload.target, **arguments).backward()
 
-    parameters = torch.randn(59, count, requires_grad=True)
-    parameters.grad = torch.randn(59, count)
-    torch_adam = torch.optim.Adam([parameters], lr=1e-6, eps=1e-15, fused=True)
-
     def engine_adam() -> None:
         workload.optimizer.step(RATES, active_sh_degree=3)
         device.finish()
 
     with all_torch_threads():
         torch_ssim_ms = milliseconds(loss(torch_photometric))
-        torch_adam_ms = milliseconds(torch_adam.step)
     return {
         "gpu_variant_over_cpu_variant": milliseconds(other.forward_backward, 3)
         / milliseconds(workload.forward_backward),
         "torch_ssim_over_fused": torch_ssim_ms
         / milliseconds(loss(photometric_loss, device=device)),
-        "torch_fused_adam_over_ours": torch_adam_ms / milliseconds(engine_adam),
+        "torch_fused_adam_over_ours": yardsticks(count).adam / milliseconds(engine_adam),
     }
 
 
@@ -251,7 +228,9 @@ def measure(device: Device) -> dict[str, Any]:
     }
     for name in ("forward", "forward_backward", "iteration"):
         result[f"{name}_ms"] = {}
+    result["yardsticks_ms"] = {}
     for count in COUNTS:
+        result["yardsticks_ms"][str(count)] = asdict(yardsticks(count))
         workload = Workload(count, device)
         for name in ("forward", "forward_backward", "iteration"):
             result[f"{name}_ms"][str(count)] = milliseconds(getattr(workload, name))
@@ -274,9 +253,14 @@ def show(result: dict[str, Any]) -> None:
     """The figures as tables."""
     console = Console()
     console.print(f"[bold]{result['device']}[/], {WIDTH}x{HEIGHT}, SH degree 3, medians in ms")
-    table = Table("", *(f"N = {int(count):,}" for count in result["iteration_ms"]))
+    known = {count: Yardsticks(**ms) for count, ms in result["yardsticks_ms"].items()}
+    table = Table("", *(f"N = {int(count):,}" for count in known))
     for name in ("forward", "forward_backward", "iteration"):
-        table.add_row(name, *(f"{value:.1f}" for value in result[f"{name}_ms"].values()))
+        times = result[f"{name}_ms"]
+        table.add_row(name, *(f"{value:.1f}" for value in times.values()))
+        ratios = [known[count].ratios(value) for count, value in times.items()]
+        for unit, cells in zip(("copies", "Adam steps"), zip(*ratios, strict=True), strict=True):
+            table.add_row(f"  in {unit}", *cells)
     console.print(table)
     for name in (
         "fixed_cost_ms",
