@@ -41,11 +41,11 @@ def by_quality(quality: Quality, views: int) -> Taken:
         views: that train.
     """
     times = _times(views)
-    longer = f", {times:.1f} times as long for {views} views" if times > 1 else ""
+    longer = f", {times:.2g}x as long for {views} views" if times > 1 else ""
     if quality == "best":
         return Taken(LONG, times, f"the best in minutes without a network{longer}")
     if quality == "fast":
-        return Taken(SHORT, 0.5 * times, f"half of the best in seconds without a network{longer}")
+        return Taken(SHORT, 0.5 * times, f"half the best in seconds without a network{longer}")
     return Taken(SHORT, times, f"the best in seconds without a network{longer}")
 
 

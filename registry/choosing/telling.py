@@ -42,7 +42,7 @@ def tell_cost(cost: Cost, measured: Measured, count: int, seconds: float, say: S
     )
     say(
         f"  expected {cost.spent:.1f} s so far + {count * cost.iteration:.1f} s training + "
-        f"{cost.after:.1f} s scores and files = {cost.seconds(count):.1f} s"
+        f"{cost.after:.1f} s afterwards = {cost.seconds(count):.1f} s"
     )
     if cost.seconds(count) < 0.9 * seconds:
         say(f"  which is less than {seconds:g} s: more iterations are not known to help")

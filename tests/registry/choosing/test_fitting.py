@@ -16,7 +16,15 @@ from core_rasterizer import Device
 from registry import RunError
 from registry.choosing.cost import LEAST_ITERATIONS
 from registry.choosing.fitting import Budget, choose, fit_length
-from registry.choosing.table import LONG, MOST_TIMES, SHORT, SHORT_TIMES, by_length, by_quality
+from registry.choosing.table import (
+    LONG,
+    MOST_TIMES,
+    QUALITIES,
+    SHORT,
+    SHORT_TIMES,
+    by_length,
+    by_quality,
+)
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.evaluation import evaluate
@@ -167,4 +175,7 @@ def test_more_views_get_more_iterations_up_to_a_bound() -> None:
     assert times == [1, 1, 2, MOST_TIMES]
     assert by_quality("fast", 6).times == 1
     assert [by_length(3, views).name for views in (3, 6)] == [LONG, SHORT]
-    assert "2.0 times as long for 6 views" in by_quality("good", 6).because
+    assert "2x as long for 6 views" in by_quality("good", 6).because
+    for quality in QUALITIES:
+        for views in (3, 8, 100):
+            assert len(f"  because {by_quality(quality, views).because}") <= 80
