@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     )
     from .priors.epipolar import epipolar_distances
     from .priors.flow_geometry import flow_cycle_error, flow_in_size
+    from .priors.keypoint_networks import KeypointNetworks, Keypoints
     from .priors.learned_features import LearnedFeatures
     from .priors.model_file import Sha256, read_model_file
     from .priors.onnx_model import OnnxModel, OnnxTensor
@@ -105,6 +106,8 @@ __all__ = [
     "ImageMetricSettings",
     "Initializer",
     "IterationDone",
+    "KeypointNetworks",
+    "Keypoints",
     "LearnedFeatures",
     "LoggerSettings",
     "Matches",

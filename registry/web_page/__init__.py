@@ -11,7 +11,7 @@ functions take plain text, escape it and return HTML; only what is called *conte
 from .document import folded, note, page, section, subsection, verbatim
 from .line_plot import Axis, Line, Point, line_plot
 from .looking import choice, color_scale, pinned, wipe
-from .pictures import figure, grid, image
+from .pictures import figure, grid, headings, image
 from .tables import Cell, facts_table, score_table
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "figure",
     "folded",
     "grid",
+    "headings",
     "image",
     "line_plot",
     "note",

@@ -22,6 +22,8 @@ th, td { padding: .2rem .8rem .2rem 0; border-bottom: 1px solid #8884; text-alig
 .grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(21rem, 100%), 1fr)); gap: 1.4rem; }
 figure { margin: 0 0 1.2rem; } figcaption { font-size: .9rem; padding: .25rem 0; }
 img { max-width: 100%; height: auto; display: block; } .grid img { width: 100%; margin-bottom: 2px; }
+.headings { display: grid; grid-auto-flow: column; grid-auto-columns: minmax(0, 1fr); gap: .3rem;
+  font-size: .8rem; max-width: 1560px; overflow-wrap: anywhere; align-items: end; }
 .plot figcaption { font-weight: 600; }
 svg { width: 100%; height: auto; overflow: visible; }
 svg text { fill: currentColor; font-size: 11px; opacity: .75; } svg .rule { stroke: #8883; }

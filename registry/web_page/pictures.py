@@ -37,6 +37,12 @@ def figure(caption: str, content: str) -> str:
     return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
+def headings(names: Sequence[str]) -> str:
+    """Headings over a picture of as many columns, equally wide; nothing if there are none."""
+    cells = "".join(f"<span>{escape(name)}</span>" for name in names)
+    return f'<div class="headings">{cells}</div>' if names else ""
+
+
 def grid(figures: Sequence[str]) -> str:
     """Figures side by side, as many as fit into a row; nothing if there is none."""
     return f'<div class="grid">{"".join(figures)}</div>' if figures else ""

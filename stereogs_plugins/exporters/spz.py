@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from registry import Exporter, PluginError, Register, Scene, Settings, hookimpl
+from registry import Exporter, Register, Scene, Settings, hookimpl, optional_module
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,7 @@ class SpzExporter(Exporter[Settings]):
         Raises:
             PluginError: the package gsply is not installed.
         """
-        gsply = _gsply()
+        gsply = optional_module("gsply", "pip install 'stereogs-plugins[spz]'", then="")
         path = folder / "scene.spz"
         gaussians = half_turned(model.gaussians())
         fields = (
@@ -70,17 +70,6 @@ def _forget_time(path: Path) -> None:
     with path.open("r+b") as file:
         file.seek(4)
         file.write(bytes(4))
-
-
-def _gsply() -> Any:
-    try:
-        import gsply
-    except ImportError as error:
-        raise PluginError(
-            "spz files are written by the package gsply, which is not installed",
-            fix="pip install 'stereogs-plugins[spz]'",
-        ) from error
-    return gsply
 
 
 @hookimpl

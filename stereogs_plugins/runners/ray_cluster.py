@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import Field
 
-from registry import Context, PluginError, Register, Runner, RunningTask, Settings, hookimpl
+from registry import (
+    Context,
+    PluginError,
+    Register,
+    Runner,
+    RunningTask,
+    Settings,
+    hookimpl,
+    optional_module,
+)
 
 if TYPE_CHECKING:
     from registry import TrainingTask
@@ -65,13 +74,8 @@ class RayCluster(Runner[RayClusterSettings]):
 
     def __init__(self, settings: RayClusterSettings, context: Context) -> None:
         super().__init__(settings, context)
-        try:
-            import ray
-        except ImportError as error:
-            raise PluginError(
-                "Ray is not installed", fix="pip install 'stereogs-plugins[cluster]'"
-            ) from error
-        self._ray: Any = ray
+        ray = optional_module("ray", "pip install 'stereogs-plugins[cluster]'", then="")
+        self._ray = ray
         self._joined = not ray.is_initialized()
         if self._joined:
             try:

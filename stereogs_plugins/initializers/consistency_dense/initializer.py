@@ -229,6 +229,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         import torch
 
         from .layers import joined
+        from .view_depth import PICTURE_COLUMNS
 
         settings, points = self.settings, joined(list(layers.values()))
         chosen = self._chosen(len(points))
@@ -249,6 +250,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             facts={
                 **shown.facts(),
                 "points_by_kind": dict(zip(layers, counts, strict=True)),
+                "picture_columns": PICTURE_COLUMNS,
                 "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
                 "views": {view.view.name: view.facts() for view in views},
             },

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from .projection import DepthImage
 
 
+PICTURE_COLUMNS = ("photograph", "depth by the prior", "confirmed by other views", "completed")
+"""What `ViewDepth.picture` shows, from left to right."""
+
+
 @dataclass(frozen=True, eq=False)
 class ViewDepth:
     """One training view's depths; 0 marks pixels without.
@@ -67,7 +71,7 @@ class ViewDepth:
         }
 
     def picture(self) -> Tensor:
-        """Photograph | the prior's depth | confirmed | completed, one scale of colours for all."""
+        """The `PICTURE_COLUMNS` side by side, one scale of colours for all depths."""
         depths = torch.from_numpy(
             np.concatenate([self.prior, self.confirmed, self.completed], axis=1)
         )

@@ -18,6 +18,7 @@ from registry.web_page import (
     figure,
     folded,
     grid,
+    headings,
     image,
     page,
     score_table,
@@ -53,12 +54,14 @@ class HtmlReport(Report[HtmlReportSettings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
+        from .scene_view import remove_beside
         from .scores import scores
         from .training_plots import training_plots
         from .unseen_views import unseen_views
 
         run = read_run(folder)
         title = f"{scene.name}: {run.results['pipeline']}"
+        remove_beside(folder)
         view = self._scene_view(folder, scene, run)
         contents = [
             _summary(run),
@@ -118,8 +121,12 @@ def _summary(run: RunFiles) -> str:
 
 def _initialization(run: RunFiles) -> str:
     """Points by kind, the initializer's pictures, and what else it reports."""
-    facts = {name: value for name, value in run.initialization.items() if name != _BY_KIND}
-    pictures = "".join(figure(path.stem, image(path, path.stem)) for path in run.initial_pictures)
+    apart = (_BY_KIND, _COLUMNS)
+    facts = {name: value for name, value in run.initialization.items() if name not in apart}
+    columns = headings(run.initialization.get(_COLUMNS, ()))
+    pictures = "".join(
+        figure(path.stem, columns + image(path, path.stem)) for path in run.initial_pictures
+    )
     by_kind: Mapping[str, int] = run.initialization.get(_BY_KIND, {})
     return (
         subsection("Initial points by kind", _kinds(by_kind))
@@ -128,7 +135,7 @@ def _initialization(run: RunFiles) -> str:
     )
 
 
-_BY_KIND = "points_by_kind"
+_BY_KIND, _COLUMNS = "points_by_kind", "picture_columns"
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:

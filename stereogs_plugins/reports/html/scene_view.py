@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 BESIDE = "report_files"
 """The folder for what does not lie in the page."""
+_VIEWER_FILE, _DATA_FILE = "viewer.js", "scene.js"
 _VIEWER = files(__package__) / "viewer"
 _NEAR_ALL = 90.0
 """Per cent of the Gaussians that lie within the viewer's unit cube, ten wide."""
@@ -145,10 +146,23 @@ def _pose(view: View, center: NDArray[np.float64], factor: float) -> dict[str, A
     return {"pose": pose.flatten().tolist(), "fov": fov}
 
 
+def remove_beside(folder: Path) -> None:
+    """Take away what an earlier report put beside its page, and nothing else.
+
+    Args:
+        folder: the run's.
+    """
+    beside = folder / BESIDE
+    for name in (_VIEWER_FILE, _DATA_FILE):
+        (beside / name).unlink(missing_ok=True)
+    if beside.is_dir() and not any(beside.iterdir()):
+        beside.rmdir()
+
+
 def _write_beside(folder: Path, packed: bytes) -> tuple[Path, ...]:
     """As scripts: a page from a disk may load nothing else."""
     folder.mkdir(exist_ok=True)
-    viewer, data = folder / "viewer.js", folder / "scene.js"
+    viewer, data = folder / _VIEWER_FILE, folder / _DATA_FILE
     write_text(viewer, _read("viewer.js"))
     write_text(data, f'globalThis["scene-data"]="{_base64(packed)}";\n')
     return viewer, data

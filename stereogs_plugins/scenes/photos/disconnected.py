@@ -41,6 +41,7 @@ def require_one_piece(cameras: FoundCameras, names: Sequence[str], where: str) -
     if found.pieces:
         lines += [f"  group {n}: {_names(group, names)}" for n, group in enumerate(groups, start=1)]
     lines += _table(found, names)
+    lines.append(f"  matched by {', by '.join(found.tried)}")
     raise SceneError("\n".join(lines), where=where, fix=_advice(found, groups, names))
 
 

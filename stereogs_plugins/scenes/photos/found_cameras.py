@@ -17,10 +17,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from registry import KeypointNetworks
 from registry.cache import Cache, content_key, source_digest
 from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
 from .image_names import image_name
+from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
 from .structure_from_motion import Reconstruction, reconstruct
 from .support import agreeing_share
@@ -71,6 +73,8 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
             reconstruct,
             place_cameras,
             agreeing_share,
+            add_learned_matches,
+            KeypointNetworks,
             image_name,
             UnposedPhoto,
             Decoder,
@@ -90,6 +94,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
         "pieces": [{"members": p.members, "plausible": p.plausible} for p in found.pieces],
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
+        "tried": found.tried,
     }
     (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
 
@@ -100,7 +105,7 @@ def _read(folder: Path) -> FoundCameras:
         Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
     ]
     matches = {(first, second): count for first, second, count in summary["matches"]}
-    reconstruction = Reconstruction(pieces, matches, summary["features"])
+    reconstruction = Reconstruction(pieces, matches, summary["features"], tuple(summary["tried"]))
     return FoundCameras(reconstruction, _model(reconstruction))
 
 

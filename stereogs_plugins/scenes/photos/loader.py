@@ -99,13 +99,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
     def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
         from .disconnected import require_one_piece
         from .found_cameras import remembered_cameras
+        from .learned_matches import known_files
         from .structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
         cameras = remembered_cameras(
             found,
-            f"{settings.matching_size} {settings.share_lens}",
+            f"{settings.matching_size} {settings.share_lens} {known_files() is not None}",
             lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
         )
         names = [photo.name for photo in found]

@@ -63,8 +63,9 @@ def test_the_matcher_is_given_points_around_the_middle(
 ) -> None:
     prior = matching(tmp_path)
     given: dict[str, Tensor] = {}
-    run = prior._matcher.run
-    monkeypatch.setattr(prior._matcher, "run", lambda inputs: given.update(inputs) or run(inputs))
+    matcher = prior._networks._matcher
+    run = matcher.run
+    monkeypatch.setattr(matcher, "run", lambda inputs: given.update(inputs) or run(inputs))
     prior.matches(dotted(FIRST), dotted(SECOND))
     expected = torch.tensor([[(u - 20) / 20, (v - 12) / 20] for u, v in SECOND])
     assert torch.allclose(given["kpts1"], expected[None])

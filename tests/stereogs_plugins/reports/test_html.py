@@ -80,6 +80,7 @@ def run(tmp_path: Path) -> RunFolder:
     scene = tiny_scene()
     picture = torch.full((24, 32, 3), 0.5)
     facts = {"points": 60, "points_by_kind": {"back_layer": 15, "filled": 45}, "x": {"y": 0.5}}
+    facts["picture_columns"] = ["photograph", "depth <1>"]
     run.write_initialization(facts, {"depth of view0": picture})
     rendering = Rendering(picture, torch.linspace(2, 4, 768).view(24, 32), torch.ones(24, 32))
     save_view_pictures(rendering, scene.test[0], run.folder("renders"))
@@ -147,6 +148,9 @@ def test_initial_points_are_told_by_kind(run: RunFolder) -> None:
     page = written(run)
     assert "Initial points by kind" in texts(page, "h3")
     assert '<td class="name">back layer</td><td>15</td><td>25.0%</td>' in page
+    columns = '<div class="headings"><span>photograph</span><span>depth &lt;1&gt;</span></div><img'
+    assert columns in page
+    assert "picture_columns" not in page
 
 
 def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
@@ -217,7 +221,13 @@ def test_the_gaussians_lie_in_the_page_or_beside_it_or_are_too_large(run: RunFol
         "report_files/viewer.js",
         "report_files/scene.js",
     ]
+    own = data.with_name("notes.txt")
+    own.write_text("somebody's")
     small = written(run, largest_mb=1e-4)
+    assert [*data.parent.iterdir()] == [own], "what lay beside an earlier page is gone"
+    own.unlink()
+    assert not written(run).count("report_files")
+    assert not data.parent.exists()
     assert "stereogs report run --beside" in small
     assert "scene-data" not in small
 

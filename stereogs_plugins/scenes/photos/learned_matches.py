@@ -1,0 +1,97 @@
+"""Matches of photographs that SIFT does not know again, by the networks XFeat and LighterGlue.
+
+They are taken from the folder of models, by name and hash, where they are there (docs/prior_models.md);
+nothing is downloaded. Their matches are added to those of SIFT, which are more exact where there are any.
+"""
+
+from __future__ import annotations
+
+import os
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from registry import KeypointNetworks, OnnxModel
+
+from .image_names import image_index, image_name
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from registry import Keypoints
+
+FOLDER_VARIABLE = "STEREOGS_MODELS"
+"""Environment variable: the folder that is looked in."""
+FINDER = (
+    Path("xfeat", "xfeat_2048_640x360.onnx"),
+    "78038a53f1f095a67ed1a0be424a5a5e7e64df4cc572e269df9de5d60c564fba",
+)
+MATCHER = (
+    Path("xfeat", "lighterglue_L3.onnx"),
+    "4b57f744da904cf3d7f6e8f4787c6f8a0165e7be7d83ff460a747b9ca826e6e7",
+)
+"""Relative to the folder, with the SHA-256."""
+FEWEST = 3
+"""Photographs of a piece: the networks find matches in noise too, on which any two agree, but no three."""
+MIN_SCORE = 0.1
+"""Of a match; what is wrong in spite of it, the geometry of the two photographs leaves out."""
+
+
+def known_files() -> tuple[Path, Path] | None:
+    """The two networks in the folder of models, or None if one of them is not there."""
+    root = os.environ.get(FOLDER_VARIABLE)
+    if not root:
+        return None
+    finder, matcher = (Path(root, path) for path, _ in (FINDER, MATCHER))
+    return (finder, matcher) if finder.is_file() and matcher.is_file() else None
+
+
+def add_learned_matches(
+    colmap: Any, files: tuple[Path, Path], images: Path, sift: Path, database: Path
+) -> None:
+    """Fill a database with SIFT's keypoints and matches, and the networks'; they are still to be verified.
+
+    Args:
+        files: what `known_files` has found.
+        images: the folder of the photographs, named by their index.
+        sift: a database with SIFT's keypoints and matches of them.
+        database: has the same photographs, and nothing else.
+
+    Raises:
+        PluginError: a file is another than its hash says, or cannot be run.
+    """
+    import numpy as np
+
+    networks = KeypointNetworks(
+        *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True))
+    )
+    with colmap.Database.open(sift) as known, colmap.Database.open(database) as opened:
+        there = {image_index(image.name): image.image_id for image in known.read_all_images()}
+        here = {image_index(image.name): image.image_id for image in opened.read_all_images()}
+        found = {k: _keypoints(networks, images / image_name(k)) for k in sorted(here)}
+        before = {k: known.read_keypoints(there[k])[:, :2] for k in found}
+        for k, keypoints in found.items():
+            opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
+        for first, second in combinations(found, 2):
+            pairs, _ = networks.match(found[first], found[second], MIN_SCORE)
+            new = pairs.numpy() + np.array([len(before[first]), len(before[second])])
+            old = known.read_matches(there[first], there[second])
+            opened.write_matches(here[first], here[second], _joined(old, new))
+
+
+def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
+    import numpy as np
+    import torch
+    from PIL import Image
+
+    with Image.open(file) as opened:
+        image = torch.from_numpy(np.asarray(opened.convert("RGB"), np.float32) / 255)
+    # Each as it lies: photographs of both orientations match badly in any case.
+    return networks.keypoints(image, turned=networks.turns(image))
+
+
+def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.generic]:
+    import numpy as np
+
+    return np.concatenate([first, second.astype(first.dtype)])
