@@ -48,6 +48,11 @@ class Understanding:
         return cls(kind, cameras, backgrounds, tuple(map(safely_inside, backgrounds)))
 
     @property
+    def wide(self) -> bool:
+        """Whether views look from so many sides that chance agreements abound and others can outvote them."""
+        return self.kind != "forward-facing"
+
+    @property
     def background_share(self) -> float:
         """Of all pixels of all views."""
         pixels = sum(mask.size for mask in self.backgrounds)

@@ -20,9 +20,12 @@ from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.depth_scenes import (
+    camera_towards_origin,
     distance_to_surface,
+    plane_depth,
     prior_of,
     true_depth,
+    view_of,
 )
 
 COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
@@ -190,6 +193,30 @@ def test_a_prior_is_needed(scene: Scene) -> None:
     assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
 
 
+def test_of_several_priors_each_fills_what_the_others_leave(scene: Scene) -> None:
+    def half(start: int, stop: int) -> Any:
+        def depth_of(view: View) -> Tensor:
+            depth = torch.zeros(189, 252)
+            depth[start:stop] = true_depth(view)[start:stop]
+            return depth
+
+        return prior_of(depth_of)
+
+    priors = {"upper": half(0, 90), "lower": half(90, 189), "unasked": prior_of(true_depth)}
+
+    def confirmed(*names: str) -> float:
+        component = build(ConsistencyDense, prior=names, stride=3)
+        points = component.initialize(scene, priors)
+        assert distance_to_surface(scene, points).quantile(0.999) < 0.02
+        return float(points.facts["views"][scene.train[1].name]["consistent"])
+
+    upper, lower = confirmed("upper"), confirmed("lower")
+    assert min(upper, lower) > 0.2
+    assert confirmed("upper", "lower") == pytest.approx(upper + lower, abs=0.01)
+    with pytest.raises(PluginError, match="no prior named 'middle'"):
+        confirmed("upper", "middle")
+
+
 @pytest.mark.proof
 def test_three_real_photographs() -> None:
     scene = build(LLFFScene, path=data_folder("llff_fern")).load()
@@ -279,3 +306,33 @@ def test_on_objects_a_guess_needs_a_color_that_other_views_show(
     assert (points.facts["scene_kind"] == "object") == plain_background
     purple = ((points.colors - torch.tensor((1.0, 0.0, 1.0))).abs() < 0.1).all(dim=1)
     assert (int(purple.sum()) < 30) == plain_background
+
+
+@pytest.mark.parametrize(("widest", "stays"), [(30.0, True), (44.0, False)])
+def test_among_surrounding_views_a_chance_agreement_falls_that_others_see_past(
+    widest: float, stays: bool
+) -> None:
+    views = [
+        view_of(camera_towards_origin(angle * widest / 3), name=f"view{index}")
+        for index, angle in enumerate((-1.5, -0.5, 0.5, 1.5))
+    ]
+
+    def depth_of(view: View) -> Tensor:
+        wall = plane_depth(view.camera, 0.0)
+        if view.name not in ("view1", "view2"):
+            return wall
+        plate = plane_depth(view.camera, -1.5)
+        points = view.camera.unproject(*view.camera.pixel_centers(), plate.double())
+        return torch.where(points[..., 0].abs() < 0.2, plate, wall)
+
+    points = dense(
+        Scene("wall", tuple(views), (), (1.0, 10.0)),
+        depth_of,
+        min_consistent=1,
+        max_depth_error=0.05,
+    )
+    kind = "forward-facing" if stays else "surrounding"
+    assert points.facts["scene_kind"] == kind
+    before = points.positions[:, 2] < -1.4
+    assert (int(before.sum()) > 100) == stays
+    assert int((~before).sum()) > 1000
