@@ -8,9 +8,7 @@ coarse points behind foreground edges (`back_layer`) and around each image (`mar
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Annotated, Any
-
-from pydantic import Field
+from typing import TYPE_CHECKING, Any
 
 from registry import (
     Initializer,
@@ -19,10 +17,11 @@ from registry import (
     Prior,
     Register,
     SceneError,
-    Settings,
     TrainingScene,
     hookimpl,
 )
+
+from .settings import ConsistencyDenseSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,40 +38,6 @@ _log = logging.getLogger(__name__)
 
 PATCH_STEP = 0.05
 """Relative depth difference from which on neighbouring pixels belong to different patches."""
-
-
-class ConsistencyDenseSettings(Settings):
-    prior: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Which multi-view depth prior to ask; null takes the pipeline's only one. Of several in a list, each
-    pixel takes the depth that most other views confirm, the earlier prior's if as many do."""
-    max_reprojection_error: float = Field(1.0, gt=0)
-    """Pixels by which a pixel may miss itself on its way to another view and back."""
-    max_depth_error: float = Field(0.01, gt=0, lt=1)
-    """How much the two views' depths may differ, relative to the depth."""
-    min_consistent: int | None = Field(None, ge=1)
-    """How many other views must confirm a depth; null: half of them, three at most."""
-    min_component: int = Field(0, ge=0)
-    """Pixels; connected patches of confirmed surface that are smaller are dropped."""
-    stride: int = Field(1, ge=1)
-    """One point for each square of so many by so many pixels."""
-    merge: bool = False
-    """Leave out points on surfaces that an earlier view has confirmed: fewer points, sharper pictures."""
-    max_points: int | None = Field(150_000, ge=1)
-    """A random choice of so many points is kept; null keeps all."""
-    sigma: float | None = Field(None, gt=0)
-    """Size of the Gaussians, as a part of their spacing in the image; null: from the three nearest
-    neighbours."""
-    opacity: float | None = Field(None, gt=0, lt=1)
-    """First opacity; null: the pipeline's `training.initial_opacity`."""
-    fill: bool = False
-    """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
-    the scene's background."""
-    back_layer: bool = False
-    """Put coarse points of the background's colour behind the edges of the foreground."""
-    margin: bool = False
-    """Put a ring of coarse points around each image."""
-    hand_on_depth: bool = False
-    """Hand the confirmed depths on to components that train on them (`PointCloud.maps`)."""
 
 
 class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
@@ -114,7 +79,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .confirming.several_priors import most_confirmed
 
         settings, answers = self.settings, []
-        for name in settings.prior if isinstance(settings.prior, tuple) else (settings.prior,):
+        for name in self._names(scene):
             maps = MultiViewDepthPrior.choose(priors, name).depths(scene.train, scene.bounds)
             answers.append(
                 [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
@@ -126,6 +91,15 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             bounds=scene.bounds,
         )
         return most_confirmed([view.camera for view in scene.train], answers, limits)
+
+    def _names(self, scene: TrainingScene) -> tuple[str | None, ...]:
+        """Of the priors that this scene's depths are asked of; None: the pipeline's only one."""
+        from .understanding.understanding import Understanding
+
+        names = self.settings.prior
+        if isinstance(names, dict):
+            names = names[Understanding.at_first_sight(scene.train).kind]
+        return names if isinstance(names, tuple) else (names,)
 
     def _min_consistent(self, scene: TrainingScene) -> int:
         from .confirming.geometric_filter import default_min_consistent
