@@ -28,7 +28,8 @@ from benchmarks.results_plan import CASES, DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, MultiViewDepthPrior, Scene, View, grey
 from registry.session import build_pipeline, load_scene
-from stereogs_plugins.initializers.consistency_dense.geometric_filter import (
+from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
+    Limits,
     consistent_depths,
     without_small_patches,
 )
@@ -104,10 +105,7 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
     kept = consistent_depths(
         [view.camera for view in scene.train],
         depths,
-        max_reprojection_error=2,
-        max_depth_error=0.05,
-        min_consistent=1,
-        bounds=scene.bounds,
+        Limits(reprojection=2, depth=0.05, views=1, bounds=scene.bounds),
     )
     return [without_small_patches(depth, min_pixels=100, max_step=0.05) for depth in kept]
 

@@ -1,16 +1,14 @@
 """`consistency_dense`: a point for every pixel whose depth other training views confirm (StereoGS).
 
-A multi-view depth prior is asked for every training view's depth; what the views agree on is lifted to
-points. Three switches complete the picture where they do not: guessed depths in holes (`fill`), coarse
-points behind foreground edges (`back_layer`) and around each image (`margin`). The paper uses none.
+One or more multi-view depth priors are asked for every training view's depth; what the views agree on is
+lifted to points. Three switches complete the picture where they do not: guessed depths in holes (`fill`),
+coarse points behind foreground edges (`back_layer`) and around each image (`margin`). The paper uses none.
 """
 
 from __future__ import annotations
 
 import logging
 from typing import TYPE_CHECKING, Any
-
-from pydantic import Field
 
 from registry import (
     Initializer,
@@ -19,16 +17,18 @@ from registry import (
     Prior,
     Register,
     SceneError,
-    Settings,
     TrainingScene,
     hookimpl,
 )
 
+from .settings import ConsistencyDenseSettings
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from torch import Tensor
 
+    from .confirming.several_priors import Choice
     from .layers import Layer
     from .projection import DepthImage
     from .understanding.understanding import Understanding
@@ -38,39 +38,6 @@ _log = logging.getLogger(__name__)
 
 PATCH_STEP = 0.05
 """Relative depth difference from which on neighbouring pixels belong to different patches."""
-
-
-class ConsistencyDenseSettings(Settings):
-    prior: str | None = None
-    """Which multi-view depth prior to ask; null takes the pipeline's only one."""
-    max_reprojection_error: float = Field(1.0, gt=0)
-    """Pixels by which a pixel may miss itself on its way to another view and back."""
-    max_depth_error: float = Field(0.01, gt=0, lt=1)
-    """How much the two views' depths may differ, relative to the depth."""
-    min_consistent: int | None = Field(None, ge=1)
-    """How many other views must confirm a depth; null: half of them, three at most."""
-    min_component: int = Field(0, ge=0)
-    """Pixels; connected patches of confirmed surface that are smaller are dropped."""
-    stride: int = Field(1, ge=1)
-    """One point for each square of so many by so many pixels."""
-    merge: bool = False
-    """Leave out points on surfaces that an earlier view has confirmed: fewer points, sharper pictures."""
-    max_points: int | None = Field(150_000, ge=1)
-    """A random choice of so many points is kept; null keeps all."""
-    sigma: float | None = Field(None, gt=0)
-    """Size of the Gaussians, as a part of their spacing in the image; null: from the three nearest
-    neighbours."""
-    opacity: float | None = Field(None, gt=0, lt=1)
-    """First opacity; null: the pipeline's `training.initial_opacity`."""
-    fill: bool = False
-    """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
-    the scene's background."""
-    back_layer: bool = False
-    """Put coarse points of the background's colour behind the edges of the foreground."""
-    margin: bool = False
-    """Put a ring of coarse points around each image."""
-    hand_on_depth: bool = False
-    """Hand the confirmed depths on to components that train on them (`PointCloud.maps`)."""
 
 
 class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
@@ -83,30 +50,59 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         """Return at least one point, with facts, a picture and the confirmed depth of each training view.
 
         Raises:
-            PluginError: the pipeline has no multi-view depth prior, or several and `prior` is null.
+            PluginError: the pipeline has no multi-view depth prior of a name in `prior`, or `prior` is
+                null and there is none or more than one.
             SceneError: one training view, fewer other views than must agree, or views that agree on
                 nothing.
         """
-        import numpy as np
-
         from .understanding.contradictions import without_outvoted
         from .understanding.understanding import Understanding
 
         needed = self._min_consistent(scene)
-        prior = MultiViewDepthPrior.choose(priors, self.settings.prior)
-        answers = prior.depths(scene.train, scene.bounds)
-        raw = [np.where(a.valid.numpy(), a.depth.numpy(), np.float32(0)) for a in answers]
-        confirmed = self._confirmed(scene, raw, needed)
+        choices = self._choices(scene, priors, needed)
+        confirmed = self._confirmed(scene, choices)
         shown = Understanding.of(scene.train, confirmed)
         _log.info("%s: %s", scene.name, shown.sentence)
         confirmed = shown.without_background(confirmed)
-        if shown.kind == "object":
+        if shown.wide:
             confirmed = without_outvoted(scene.train, confirmed, scene.bounds)
-        views = self._completed(scene, raw, confirmed, shown)
+        views = self._completed(scene, choices, confirmed, shown)
         return self._point_cloud(self._layers(scene, views, shown), views, shown)
 
+    def _choices(
+        self, scene: TrainingScene, priors: Mapping[str, Prior[Any]], needed: int
+    ) -> list[Choice]:
+        """Each view's depths, of the priors that are asked."""
+        import numpy as np
+
+        from .confirming.geometric_filter import Limits
+        from .confirming.several_priors import most_confirmed
+
+        settings, answers = self.settings, []
+        for name in self._names(scene):
+            maps = MultiViewDepthPrior.choose(priors, name).depths(scene.train, scene.bounds)
+            answers.append(
+                [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
+            )
+        limits = Limits(
+            reprojection=settings.max_reprojection_error,
+            depth=settings.max_depth_error,
+            views=needed,
+            bounds=scene.bounds,
+        )
+        return most_confirmed([view.camera for view in scene.train], answers, limits)
+
+    def _names(self, scene: TrainingScene) -> tuple[str | None, ...]:
+        """Of the priors that this scene's depths are asked of; None: the pipeline's only one."""
+        from .understanding.understanding import Understanding
+
+        names = self.settings.prior
+        if isinstance(names, dict):
+            names = names[Understanding.at_first_sight(scene.train).kind]
+        return names if isinstance(names, tuple) else (names,)
+
     def _min_consistent(self, scene: TrainingScene) -> int:
-        from .geometric_filter import default_min_consistent
+        from .confirming.geometric_filter import default_min_consistent
 
         others = len(scene.train) - 1
         if others < 1:
@@ -124,23 +120,14 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             )
         return needed
 
-    def _confirmed(
-        self, scene: TrainingScene, raw: list[DepthImage], needed: int
-    ) -> list[DepthImage]:
-        from .geometric_filter import consistent_depths, without_small_patches
+    def _confirmed(self, scene: TrainingScene, choices: Sequence[Choice]) -> list[DepthImage]:
+        """Confirmed depths of each view, without small patches."""
+        from .confirming.geometric_filter import without_small_patches
 
-        settings = self.settings
-        confirmed = consistent_depths(
-            [view.camera for view in scene.train],
-            raw,
-            max_reprojection_error=settings.max_reprojection_error,
-            max_depth_error=settings.max_depth_error,
-            min_consistent=needed,
-            bounds=scene.bounds,
-        )
+        least = self.settings.min_component
         confirmed = [
-            without_small_patches(depth, min_pixels=settings.min_component, max_step=PATCH_STEP)
-            for depth in confirmed
+            without_small_patches(choice.confirmed, min_pixels=least, max_step=PATCH_STEP)
+            for choice in choices
         ]
         empty = [view.name for view, d in zip(scene.train, confirmed, strict=True) if not d.any()]
         if len(empty) == len(confirmed):
@@ -157,7 +144,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     def _completed(
         self,
         scene: TrainingScene,
-        raw: list[DepthImage],
+        choices: Sequence[Choice],
         confirmed: list[DepthImage],
         shown: Understanding,
     ) -> list[ViewDepth]:
@@ -174,7 +161,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
         cameras = [view.camera for view in scene.train]
         evidence: list[Evidence] = []
-        if self.settings.fill and shown.kind == "object":
+        if self.settings.fill and shown.wide:
             evidence = list(map(Evidence.of, scene.train, confirmed))
         views = []
         for index, view in enumerate(scene.train):
@@ -190,7 +177,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                     filled[miscolored(points, view.image.numpy(), view.camera, asked)] = 0
                 filled[is_background(view.image.numpy(), scene.background)] = 0
                 filled[shown.backgrounds[index]] = 0
-            views.append(ViewDepth(view, raw[index], confirmed[index], filled))
+            views.append(ViewDepth(view, choices[index].answer, confirmed[index], filled))
         return views
 
     def _layers(

@@ -23,6 +23,24 @@ def camera_at(
     return Camera(pose, 50.0, 50.0, cx, cy, width, height)
 
 
+def camera_towards_origin(angle: float) -> Camera:
+    """A camera 4 units from the origin, which it looks at, turned about the y axis by degrees."""
+    turn = torch.tensor(angle, dtype=torch.float64).deg2rad()
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[0, 0] = pose[2, 2] = turn.cos()
+    pose[0, 2], pose[2, 0] = turn.sin(), -turn.sin()
+    pose[2, 3] = 4.0
+    return Camera(pose, 50.0, 50.0, 30.0, 20.0, 60, 40)
+
+
+def plane_depth(camera: Camera, z: float) -> Tensor:
+    """`[H, W]` float32: how deep the plane of all points with that z lies."""
+    u, v = camera.pixel_centers()
+    at_one = camera.unproject(u, v, torch.ones_like(u))[..., 2]
+    center = camera.center[2]
+    return ((z - center) / (at_one - center)).float()
+
+
 def view_of(camera: Camera, image: Tensor | None = None, name: str = "view") -> View:
     """A view, grey unless an image is given."""
     if image is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera
 
     from ..projection import Mask
-
-SceneKind = Literal["forward-facing", "object", "surrounding"]
+    from .kinds import SceneKind
 
 WIDEST_FORWARD = 35.0
 """Degrees between the axes of two cameras; forward-facing captures stay below."""

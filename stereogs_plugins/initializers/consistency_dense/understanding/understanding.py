@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from .plain_background import plain_backgrounds
-from .scene_kind import SceneKind, scene_kind
+from .scene_kind import scene_kind
 from .silhouettes import outside_votes, safely_inside
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from registry import TrainingView
 
     from ..projection import DepthImage, Floats, Mask
+    from .kinds import SceneKind
 
 VOTES_AGAINST_CONFIRMED = 2
 """Views that must show background in place of a point that two views agree on; a guess falls by one."""
@@ -40,12 +41,22 @@ class Understanding:
     safe: tuple[Mask, ...]
 
     @classmethod
+    def at_first_sight(cls, views: Sequence[TrainingView]) -> Self:
+        """What cameras and photographs tell while no depth is known."""
+        return cls.of(views, [np.zeros(view.image.shape[:2], dtype=np.float32) for view in views])
+
+    @classmethod
     def of(cls, views: Sequence[TrainingView], confirmed: Sequence[DepthImage]) -> Self:
         """What cameras, photographs and the depths `[H, W]` that views agree on tell."""
         cameras = tuple(view.camera for view in views)
         backgrounds = tuple(plain_backgrounds(views, confirmed))
         kind = scene_kind(cameras, backgrounds)
         return cls(kind, cameras, backgrounds, tuple(map(safely_inside, backgrounds)))
+
+    @property
+    def wide(self) -> bool:
+        """Whether views look from so many sides that chance agreements abound and others can outvote them."""
+        return self.kind != "forward-facing"
 
     @property
     def background_share(self) -> float:

@@ -20,9 +20,12 @@ from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.depth_scenes import (
+    camera_towards_origin,
     distance_to_surface,
+    plane_depth,
     prior_of,
     true_depth,
+    view_of,
 )
 
 COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
@@ -190,6 +193,30 @@ def test_a_prior_is_needed(scene: Scene) -> None:
     assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
 
 
+def test_of_several_priors_each_fills_what_the_others_leave(scene: Scene) -> None:
+    def half(start: int, stop: int) -> Any:
+        def depth_of(view: View) -> Tensor:
+            depth = torch.zeros(189, 252)
+            depth[start:stop] = true_depth(view)[start:stop]
+            return depth
+
+        return prior_of(depth_of)
+
+    priors = {"upper": half(0, 90), "lower": half(90, 189), "unasked": prior_of(true_depth)}
+
+    def confirmed(*names: str) -> float:
+        component = build(ConsistencyDense, prior=names, stride=3)
+        points = component.initialize(scene, priors)
+        assert distance_to_surface(scene, points).quantile(0.999) < 0.02
+        return float(points.facts["views"][scene.train[1].name]["consistent"])
+
+    upper, lower = confirmed("upper"), confirmed("lower")
+    assert min(upper, lower) > 0.2
+    assert confirmed("upper", "lower") == pytest.approx(upper + lower, abs=0.01)
+    with pytest.raises(PluginError, match="no prior named 'middle'"):
+        confirmed("upper", "middle")
+
+
 @pytest.mark.proof
 def test_three_real_photographs() -> None:
     scene = build(LLFFScene, path=data_folder("llff_fern")).load()
@@ -279,3 +306,68 @@ def test_on_objects_a_guess_needs_a_color_that_other_views_show(
     assert (points.facts["scene_kind"] == "object") == plain_background
     purple = ((points.colors - torch.tensor((1.0, 0.0, 1.0))).abs() < 0.1).all(dim=1)
     assert (int(purple.sum()) < 30) == plain_background
+
+
+def fan_of_views(widest: float) -> Scene:
+    """Four grey views that look at the origin, those at the ends so many degrees apart."""
+    turns = (-0.5 * widest, -widest / 6, widest / 6, 0.5 * widest)
+    views = [view_of(camera_towards_origin(t), name=f"view{n}") for n, t in enumerate(turns)]
+    return Scene("wall", tuple(views), (), (1.0, 10.0))
+
+
+@pytest.mark.parametrize(("widest", "stays"), [(30.0, True), (44.0, False)])
+def test_among_surrounding_views_a_chance_agreement_falls_that_others_see_past(
+    widest: float, stays: bool
+) -> None:
+    def depth_of(view: View) -> Tensor:
+        wall = plane_depth(view.camera, 0.0)
+        if view.name not in ("view1", "view2"):
+            return wall
+        plate = plane_depth(view.camera, -1.5)
+        points = view.camera.unproject(*view.camera.pixel_centers(), plate.double())
+        return torch.where(points[..., 0].abs() < 0.2, plate, wall)
+
+    points = dense(
+        fan_of_views(widest),
+        depth_of,
+        min_consistent=1,
+        max_depth_error=0.05,
+    )
+    kind = "forward-facing" if stays else "surrounding"
+    assert points.facts["scene_kind"] == kind
+    before = points.positions[:, 2] < -1.4
+    assert (int(before.sum()) > 100) == stays
+    assert int((~before).sum()) > 1000
+
+
+def test_each_kind_of_scene_may_have_priors_of_its_own() -> None:
+    priors = {
+        f"wall at {z}": prior_of(lambda view, z=z: plane_depth(view.camera, z))  # type: ignore[misc]
+        for z in (0.0, 1.0, 2.0)
+    }
+    component = build(
+        ConsistencyDense,
+        prior={
+            "forward-facing": "wall at 0.0",
+            "object": "wall at 1.0",
+            "surrounding": ["wall at 2.0"],
+        },
+    )
+
+    def found(scene: Scene) -> float:
+        return float(component.initialize(scene, priors).positions[:, 2].mean())
+
+    def under_blue(rows: int, scene: Scene) -> Scene:
+        image = torch.rand(40, 60, 3, generator=torch.Generator().manual_seed(0))
+        image[:rows] = torch.tensor((0.2, 0.3, 0.6))
+        return replace(scene, train=tuple(replace(view, image=image) for view in scene.train))
+
+    narrow, wide = fan_of_views(30.0), fan_of_views(44.0)
+    assert found(under_blue(0, narrow)) == pytest.approx(0, abs=1e-3)
+    assert found(under_blue(20, narrow)) == pytest.approx(1, abs=1e-3)
+    assert found(under_blue(0, wide)) == pytest.approx(2, abs=1e-3)
+
+
+def test_a_mapping_names_priors_for_every_kind_of_scene() -> None:
+    with pytest.raises(ValueError, match="object, surrounding"):
+        build(ConsistencyDense, prior={"forward-facing": "plane_sweep"})

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from registry import Scene
-from stereogs_plugins.initializers.consistency_dense.geometric_filter import (
+from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
+    Limits,
     consistent_depths,
     default_min_consistent,
     without_small_patches,
@@ -35,10 +36,7 @@ def confirmed(
     return consistent_depths(
         [view.camera for view in scene.train],
         depths,
-        max_reprojection_error=pixels,
-        max_depth_error=relative,
-        min_consistent=1,
-        bounds=BOUNDS,
+        Limits(reprojection=pixels, depth=relative, views=1, bounds=BOUNDS),
     )
 
 
@@ -91,10 +89,7 @@ def test_a_frontal_plane_is_exact_with_off_center_principal_points() -> None:
     first, second = consistent_depths(
         cameras,
         depths,
-        max_reprojection_error=1e-6,
-        max_depth_error=1e-6,
-        min_consistent=1,
-        bounds=BOUNDS,
+        Limits(reprojection=1e-6, depth=1e-6, views=1, bounds=BOUNDS),
     )
     # A point moves by f * baseline / depth = 4 pixels, and with the principal point by 19 and -11.5.
     u, v = pixel_centers(cameras[0])
@@ -112,10 +107,7 @@ def test_depths_that_differ_are_told_apart_by_both_limits() -> None:
         found, _ = consistent_depths(
             cameras,
             depths,
-            max_reprojection_error=pixels,
-            max_depth_error=relative,
-            min_consistent=1,
-            bounds=BOUNDS,
+            Limits(reprojection=pixels, depth=relative, views=1, bounds=BOUNDS),
         )
         return float((found > 0).mean())
 
@@ -130,10 +122,7 @@ def test_fused_depth_is_the_mean() -> None:
     found, _ = consistent_depths(
         [camera_at(0.0), camera_at(0.5)],
         depths,
-        max_reprojection_error=1.0,
-        max_depth_error=0.05,
-        min_consistent=1,
-        bounds=BOUNDS,
+        Limits(reprojection=1.0, depth=0.05, views=1, bounds=BOUNDS),
     )
     np.testing.assert_allclose(found[found > 0], 5.05, rtol=1e-6)
 
@@ -144,10 +133,7 @@ def test_so_many_views_must_agree(needed: int, kept: bool) -> None:
     found = consistent_depths(
         [camera_at(x) for x in (0.0, 0.2, 0.4)],
         depths,
-        max_reprojection_error=1.0,
-        max_depth_error=0.01,
-        min_consistent=needed,
-        bounds=BOUNDS,
+        Limits(reprojection=1.0, depth=0.01, views=needed, bounds=BOUNDS),
     )
     assert (found[0] > 0).any() == kept
     assert not found[2].any()

@@ -7,17 +7,22 @@ pixel and depth come back to nearly the same values, the two views agree.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .projection import DepthImage, Floats, Mask, interpolate, lift, pixel_centers, project
-from .witnesses import witnesses
+from ..projection import DepthImage, Floats, Mask, interpolate, lift, pixel_centers, project
+from ..witnesses import witnesses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from core_rasterizer import Camera
+
+    Votes = NDArray[np.intp]
 
 
 def default_min_consistent(views: int) -> int:
@@ -25,38 +30,50 @@ def default_min_consistent(views: int) -> int:
     return min(3, math.ceil((views - 1) / 2))
 
 
+@dataclass(frozen=True)
+class Limits:
+    """How well two views' depths must agree.
+
+    Args:
+        reprojection: pixels between where a pixel started and where it came back to.
+        depth: between its depths then, relative to the first.
+        views: how many other views must agree.
+        bounds: (near, far) z-depth of the scene's content, world units; the views asked follow from it.
+    """
+
+    reprojection: float
+    depth: float
+    views: int
+    bounds: tuple[float, float]
+
+
 def consistent_depths(
-    cameras: Sequence[Camera],
-    depths: Sequence[DepthImage],
-    *,
-    max_reprojection_error: float,
-    max_depth_error: float,
-    min_consistent: int,
-    bounds: tuple[float, float],
+    cameras: Sequence[Camera], depths: Sequence[DepthImage], limits: Limits
 ) -> list[DepthImage]:
     """For each view the mean of its own depth and of those that confirm it; 0 where too few do.
 
     Asked are the `witnesses` of each view.
-
-    Args:
-        max_reprojection_error: pixels between where a pixel started and where it came back to.
-        max_depth_error: between its depths then, relative to the first.
-        min_consistent: how many other views must agree.
-        bounds: (near, far) z-depth of the scene's content, world units.
     """
-    fused = []
-    for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
-        u, v = pixel_centers(camera)
-        total, votes = depth.astype(np.float64), np.zeros(depth.shape, dtype=np.intp)
-        points = lift(camera, u, v, depth)
-        for other in witnesses(cameras, index, bounds):
-            back_u, back_v, back_z = _there_and_back(camera, points, cameras[other], depths[other])
-            agrees = (depth > 0) & (np.hypot(back_u - u, back_v - v) < max_reprojection_error)
-            agrees &= np.abs(back_z - depth) < max_depth_error * depth
-            total += np.where(agrees, back_z, 0.0)
-            votes += agrees
-        fused.append(np.where(votes >= min_consistent, total / (1 + votes), 0.0).astype(np.float32))
-    return fused
+    return [supported(cameras, depths, index, limits)[0] for index in range(len(cameras))]
+
+
+def supported(
+    cameras: Sequence[Camera], depths: Sequence[DepthImage], index: int, limits: Limits
+) -> tuple[DepthImage, Votes]:
+    """One view's `consistent_depths`, and how many other views confirm each: 0 where too few do."""
+    camera, depth = cameras[index], depths[index]
+    u, v = pixel_centers(camera)
+    total, votes = depth.astype(np.float64), np.zeros(depth.shape, dtype=np.intp)
+    points = lift(camera, u, v, depth)
+    for other in witnesses(cameras, index, limits.bounds):
+        back_u, back_v, back_z = _there_and_back(camera, points, cameras[other], depths[other])
+        agrees = (depth > 0) & (np.hypot(back_u - u, back_v - v) < limits.reprojection)
+        agrees &= np.abs(back_z - depth) < limits.depth * depth
+        total += np.where(agrees, back_z, 0.0)
+        votes += agrees
+    enough = votes >= limits.views
+    mean = np.where(enough, total / (1 + votes), 0.0).astype(np.float32)
+    return mean, np.where(enough, votes, 0)
 
 
 def _there_and_back(
