@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
+from core_rasterizer.device import Variant
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
@@ -39,7 +40,7 @@ def trainer_on(device: Device) -> Trainer:
 
 @pytest.mark.parametrize("variant", ["cpu", "gpu"])
 def test_an_iteration_moves_no_image_and_waits_four_times(
-    variant: str, monkeypatch: pytest.MonkeyPatch
+    variant: Variant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = open_device().as_variant(variant)
     trainer = trainer_on(engine.as_discrete())
