@@ -22,6 +22,7 @@ from .raster import (
     Block,
     Coverage,
     Footprint,
+    Images,
     Renderer,
     RenderRequest,
     pack,
@@ -104,7 +105,7 @@ def rasterize(
     outputs = _Rasterize.apply(
         means, scales, quaternions, opacities, sh, camera.world_to_camera, renderer, request
     )
-    return Rendering(*outputs)
+    return Rendering.on_device(*outputs)
 
 
 @cache
@@ -124,30 +125,28 @@ class _Rasterize(torch.autograd.Function):
         pose: Tensor,
         renderer: Renderer,
         request: RenderRequest,
-    ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Images, Coverage]:
         gaussians = Gaussians(means, scales, quaternions, opacities, sh)
         count, dtype = len(gaussians), means.dtype
         rows = pack(gaussians, dtype, padded(count))
         parameters = DeviceArray(renderer.device, tuple(rows.shape), dtype)
         parameters.write(rows)
         ctx.block = Block(parameters, count, activated=True)
-        rgb, depth, alpha, ctx.lease = renderer.forward(ctx.block, request)
+        images, ctx.lease = renderer.forward(ctx.block, request)
         ctx.set_materialize_grads(False)
-        ctx.renderer, ctx.sh_degree = renderer, gaussians.sh_degree
-        ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
-        return rgb, depth, alpha, ctx.lease.frame.coverage(count)
+        ctx.renderer, ctx.sh_degree, ctx.images = renderer, gaussians.sh_degree, images
+        return *images.outputs(), images, ctx.lease.frame.coverage(count)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        _ = ctx.saved_tensors
         block, renderer = ctx.block, ctx.renderer
         gradients = DeviceArray(renderer.device, block.parameters.shape, renderer.dtype)
-        d_rgb, d_depth, d_alpha, _ = image_gradients
+        d_rgb, d_depth, d_alpha, d_loss, *_ = image_gradients
         d_pose = renderer.backward(
             ctx.lease.frame,
             block,
-            (d_rgb, d_depth, d_alpha),
+            ctx.images.gradients(d_rgb, d_depth, d_alpha, d_loss),
             gradients,
             accumulate=False,
         )

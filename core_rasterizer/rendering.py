@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
 from .errors import ExplainedError
 
 if TYPE_CHECKING:
-    from .raster import Coverage
+    from .raster import Coverage, Images, Outputs
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """One rendered view; three tensors on the CPU that take part in autograd.
+
+    What the engine renders stays on its device: each image is fetched when it is first asked for, and
+    `photometric_loss` fetches none.
 
     With alpha_i the opacity that Gaussian i has at a pixel and T_i the light that the Gaussians in
     front of it let through, each field sums over the Gaussians in order of depth.
@@ -33,6 +37,64 @@ class Rendering:
     depth: Tensor
     alpha: Tensor
     coverage: Coverage | None = field(default=None, repr=False)
+
+    @classmethod
+    def on_device(
+        cls,
+        rgb: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        loss: Tensor,
+        images: Images,
+        coverage: Coverage,
+    ) -> Rendering:
+        """A rendering of the engine's.
+
+        Args:
+            rgb, depth, alpha, loss: what autograd made of `Images.outputs`.
+            images: where the device keeps them.
+        """
+        from .raster import Outputs
+
+        outputs = Outputs(images, (rgb, depth, alpha, loss))
+        rendering = cls.lazy(outputs.fetch, coverage)
+        vars(rendering)["outputs"] = outputs
+        return rendering
+
+    @classmethod
+    def lazy(cls, image: Callable[[str], Tensor], coverage: Coverage | None = None) -> Rendering:
+        """A rendering whose images are made when they are first asked for.
+
+        Args:
+            image: makes "rgb", "depth" or "alpha".
+        """
+        rendering = object.__new__(cls)
+        vars(rendering).update(coverage=coverage, image=image)
+        return rendering
+
+    if not TYPE_CHECKING:  # a type checker is to find misspelt names
+
+        def __getattr__(self, name: str) -> Any:
+            # Called only for what is not there yet.
+            if name not in ("rgb", "depth", "alpha") or "image" not in vars(self):
+                raise AttributeError(f"a Rendering has no {name!r}", name=name, obj=self)
+            made = vars(self)[name] = vars(self)["image"](name)
+            return made
+
+    @property
+    def fetched(self) -> dict[str, Tensor]:
+        """The images that somebody has asked for, by name."""
+        return {name: vars(self)[name] for name in ("rgb", "depth", "alpha") if name in vars(self)}
+
+    @property
+    def device_outputs(self) -> Outputs | None:
+        """The images on the device that rendered them, in autograd; None if it was no device."""
+        outputs: Outputs | None = vars(self).get("outputs")
+        return outputs
+
+    def detach(self) -> Rendering:
+        """The same images without gradients; writing into them is writing into these."""
+        return Rendering.lazy(lambda name: getattr(self, name).detach(), self.coverage)
 
     @property
     def visible(self) -> Tensor:

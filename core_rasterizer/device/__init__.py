@@ -1,6 +1,6 @@
 """OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
 
-from .array import DeviceArray, read_together
+from .array import DeviceArray
 from .choice import list_devices, open_device
 from .device import Device, Kind, Variant
 from .program import Program
@@ -15,5 +15,4 @@ __all__ = [
     "Variant",
     "list_devices",
     "open_device",
-    "read_together",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,6 +63,13 @@ class DeviceArray:
         """Bytes that the array's elements take."""
         return math.prod(self.shape) * self.dtype.itemsize
 
+    @property
+    def writes_through_torch(self) -> int:
+        """How often the contents were written to as a tensor; 0 where no tensor shares them."""
+        if self._host is None or self._host.is_inference():
+            return 0
+        return self._host._version
+
     def read(self, first: int = 0, last: int | None = None) -> Tensor:
         """Wait for the device and return rows `[first, last)` of the contents; by default all.
 
@@ -95,6 +102,27 @@ class DeviceArray:
                 cl.enqueue_copy(self.device.queue, self.buffer, values.numpy(), dst_offset=offset)
             self.device.bytes_moved += values.nbytes
 
+    def hand_over(self, values: Tensor, first: int = 0) -> None:
+        """Replace rows from `first` on without waiting, where memory is not shared.
+
+        Args:
+            values: on the CPU, of the array's type, contiguous; nobody may write to it any more.
+        """
+        if self._host is not None:
+            self.write(values, first, first + len(values))
+            return
+        _, offset, _ = self._rows(first, None)
+        event = cl.enqueue_copy(
+            self.device.queue,
+            self.buffer,
+            values.numpy(),
+            dst_offset=offset * self.dtype.itemsize,
+            is_blocking=False,
+        )
+        # The event holds the memory of `values`.
+        self.device.retired.copy_enqueued(event)
+        self.device.bytes_moved += values.nbytes
+
     def fill(self, value: int, first: int = 0, last: int | None = None) -> None:
         """Set every element of rows `[first, last)` to `value`; by default all."""
         _, begin, end = self._rows(first, last)
@@ -105,6 +133,26 @@ class DeviceArray:
             pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
             begin, end = begin * self.dtype.itemsize, end * self.dtype.itemsize
             cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, begin, end - begin)
+
+    def begin_reading(self) -> Callable[[], Tensor]:
+        """Ask for the contents as they are after what is enqueued so far, without waiting for them.
+
+        Returns:
+            What waits until they are there and returns them, as `read` does. What is enqueued
+            meanwhile is not waited for.
+        """
+        if self._host is not None:
+            host, event = self._host.reshape(self.shape), self._enqueue_map(cl.map_flags.READ)
+        else:
+            host = torch.empty(self.shape, dtype=self.dtype)
+            event = cl.enqueue_copy(self.device.queue, host.numpy(), self.buffer, is_blocking=False)
+            self.device.bytes_moved += host.nbytes
+
+        def result() -> Tensor:
+            event.wait()
+            return host
+
+        return result
 
     def _rows(self, first: int, last: int | None) -> tuple[tuple[int, ...], int, int]:
         """Shape of a range of rows, and where its elements begin and end."""
@@ -117,24 +165,16 @@ class DeviceArray:
         self._enqueue_map(flags)
         self.device.finish()
 
-    def _enqueue_map(self, flags: Any) -> None:
-        """The same, once the device has finished. It costs half of a call that waits itself."""
+    def _enqueue_map(self, flags: Any) -> Any:
+        """The same, once the device has finished. It costs half of a call that waits itself.
+
+        Returns:
+            The event of it.
+        """
         mapped: Any
         elements, dtype = max(1, math.prod(self.shape)), np.dtype(_NUMPY_TYPES[self.dtype])
-        mapped, _ = cl.enqueue_map_buffer(
+        mapped, event = cl.enqueue_map_buffer(
             self.device.queue, self.buffer, flags, 0, (elements,), dtype, is_blocking=False
         )
         mapped.base.release()
-
-
-def read_together(arrays: Sequence[DeviceArray]) -> list[Tensor]:
-    """The contents of several arrays of one device, as `DeviceArray.read` gives them, after one wait."""
-    hosts = [array._host for array in arrays]
-    for array, host in zip(arrays, hosts, strict=True):
-        if host is not None:
-            array._enqueue_map(cl.map_flags.READ)
-    arrays[0].device.finish()
-    return [
-        array.read() if host is None else host.reshape(array.shape)
-        for array, host in zip(arrays, hosts, strict=True)
-    ]
+        return event

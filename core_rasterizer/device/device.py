@@ -14,6 +14,7 @@ from ..errors import DeviceError, MemoryBudgetError
 from .program import Program
 from .retired import Retired
 from .unknown_cpu import correct_cpu_name
+from .uploads import Uploads
 
 CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
 """Environment variable: 1 tells the driver which processor it has before anything fails (`unknown_cpu`)."""
@@ -40,6 +41,7 @@ class Device:
         bytes_moved: bytes copied between host and a device that does not share memory.
         lock: held while a kernel is enqueued, and by the owner of scratch memory while work on it lasts.
         retired: memory that nobody holds any more, but that kernels under way may still use.
+        uploads: copies of what does not change on the host.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Device:
         self.bytes_moved = 0
         self.lock = RLock()
         self.retired = Retired()
+        self.uploads = Uploads(self)
         self._programs: dict[tuple[Any, ...], Program] = {}
         self._open: tuple[cl.Context, cl.CommandQueue] | None = None
 

@@ -17,28 +17,33 @@ class Retired:
 
     def __init__(self) -> None:
         self._enqueued = self._completed = 0
-        self._tensors: list[Tensor] = []
+        self._kept: list[object] = []
 
     def __len__(self) -> int:
-        return len(self._tensors)
+        return len(self._kept)
 
     def kernel_enqueued(self) -> None:
         """To be said after a kernel was enqueued, while its arguments are still held."""
         self._enqueued += 1
 
+    def copy_enqueued(self, source: object) -> None:
+        """Take over what holds the memory that a copy under way reads from."""
+        self._enqueued += 1
+        self._kept.append(source)
+
     def add(self, memory: Tensor) -> None:
         """Take over the last reference to the memory of an array."""
         if self._enqueued > self._completed:
-            self._tensors.append(memory)
+            self._kept.append(memory)
 
     @contextmanager
     def drained(self) -> Iterator[None]:
         """Around a wait for everything enqueued so far; what was retired before is let go after it."""
         enqueued = self._enqueued
-        before, self._tensors = self._tensors, []
+        before, self._kept = self._kept, []
         try:
             yield
         except BaseException:
-            self._tensors += before
+            self._kept += before
             raise
         self._completed = max(self._completed, enqueued)

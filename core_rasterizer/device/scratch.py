@@ -21,9 +21,10 @@ class Scratch:
     def __setitem__(self, name: str, array: DeviceArray) -> None:
         self._arrays[name] = array
 
-    def give_away(self, name: str) -> None:
-        """Forget an array, which is from now on somebody else's."""
-        del self._arrays[name]
+    def give_away(self, *names: str) -> None:
+        """Forget arrays, which are from now on somebody else's."""
+        for name in names:
+            self._arrays.pop(name, None)
 
     def reserve(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
         """An array of at least so many elements; grown with a margin, so that growth is rare."""

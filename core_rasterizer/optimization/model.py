@@ -24,6 +24,7 @@ from ..raster import (
     Coverage,
     Footprint,
     Frame,
+    Images,
     Renderer,
     RenderRequest,
     pack,
@@ -132,7 +133,7 @@ class GaussianModel:
         updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
         # numpy, because torch takes twenty times as long to copy what is transposed.
         updated.numpy()[:, : self.count] = values.detach().numpy().T
-        self.parameters.write(updated, first, last)
+        self.parameters.hand_over(updated, first)
 
     def gradient(self, name: str) -> Tensor:
         """The gradient of one parameter, summed over the backward passes since `zero_gradients`."""
@@ -320,7 +321,7 @@ class GaussianModel:
         for name in detach:
             self._rows_of(name)
         request = RenderRequest(camera, tuple(background), degree, near, opacity_scale, smoothing)
-        return Rendering(
+        return Rendering.on_device(
             *_Render.apply(
                 self._anchor,
                 camera.world_to_camera,
@@ -334,7 +335,7 @@ class GaussianModel:
     def add_gradients(
         self,
         frame: Frame,
-        image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
+        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
         collect: tuple[bool, bool],
         detach: frozenset[str],
     ) -> Tensor | None:
@@ -410,24 +411,22 @@ class _Render(torch.autograd.Function):
         request: RenderRequest,
         collect: tuple[bool, bool],
         detach: frozenset[str],
-    ) -> tuple[Tensor, Tensor, Tensor, Coverage]:
-        rgb, depth, alpha, lease = model.renderer.forward(model.block, request)
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Images, Coverage]:
+        images, lease = model.renderer.forward(model.block, request)
         ctx.set_materialize_grads(False)
-        ctx.model, ctx.lease = model, lease
+        ctx.model, ctx.lease, ctx.images = model, lease, images
         ctx.collect, ctx.detach = collect, detach
         ctx.parameters = model.parameters
-        ctx.save_for_backward(rgb, depth)  # so that torch notices changes in place
-        return rgb, depth, alpha, lease.frame.coverage(model.count)
+        return *images.outputs(), images, lease.frame.coverage(model.count)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        _ = ctx.saved_tensors
         ctx.model.check_unedited(ctx.parameters)
-        d_rgb, d_depth, d_alpha, _ = gradients
+        d_rgb, d_depth, d_alpha, d_loss, *_ = gradients
         d_pose = ctx.model.add_gradients(
             ctx.lease.frame,
-            (d_rgb, d_depth, d_alpha),
+            ctx.images.gradients(d_rgb, d_depth, d_alpha, d_loss),
             ctx.collect,
             ctx.detach,
         )

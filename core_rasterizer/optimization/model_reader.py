@@ -90,7 +90,11 @@ class ModelReader:
         """
         with torch.no_grad():
             rendering = self._model.render(camera, background=background)
-        return Rendering(rendering.rgb.clamp(0, 1), rendering.depth, rendering.alpha)
+
+        def image(name: str) -> Tensor:
+            return rendering.rgb.clamp(0, 1) if name == "rgb" else getattr(rendering, name)
+
+        return Rendering.lazy(image)
 
     def gaussians(self) -> Gaussians:
         """A copy of all of them on the host."""

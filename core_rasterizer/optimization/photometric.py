@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, open_device, read_together
+from ..device import Device, DeviceArray, Scratch, open_device
 from ..errors import ExplainedError
 from ..finite import undefined_places
+from ..raster import Images, Outputs
+from ..rendering import Rendering
 
 SSIM_WEIGHT = 0.2
 """The share of D-SSIM in the loss of 3DGS."""
@@ -34,7 +36,7 @@ _WORKSPACES = 4
 
 
 def photometric_loss(
-    rgb: Tensor,
+    rgb: Tensor | Rendering,
     target: Tensor,
     ssim_weight: float = SSIM_WEIGHT,
     *,
@@ -48,11 +50,13 @@ def photometric_loss(
     channels. Equal images give exactly 0, with a gradient of exactly 0.
 
     Args:
-        rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped.
-        target: `[H, W, 3]`, the photograph; no gradient flows to it.
+        rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped. Or a rendering
+            of the engine's, whose colours and their gradient then stay on its device.
+        target: `[H, W, 3]`, the photograph; no gradient flows to it. A device with memory of its own
+            keeps a copy for as long as the tensor lives and is not written to.
         ssim_weight: in [0, 1]; beside an `l1_weight` any number from 0.
         l1_weight: any number from 0; None is 1 - ssim_weight, as in 3DGS.
-        device: where to compute; None chooses (`open_device`).
+        device: where to compute; None is where it was rendered, or else chooses (`open_device`).
 
     Returns:
         A scalar of the type of `rgb`. Its gradient with respect to `rgb` is computed together with
@@ -61,6 +65,13 @@ def photometric_loss(
     Raises:
         ExplainedError: shapes, types or weights are not as above.
     """
+    weights = _weights(l1_weight, ssim_weight)
+    if isinstance(rgb, Rendering):
+        outputs = _on_device(rgb, target, device)
+        if outputs is not None:
+            there: Tensor = _LossOnDevice.apply(outputs.loss, outputs.images, target, weights)
+            return there
+        rgb = rgb.rgb
     if rgb.ndim != 3 or rgb.shape[2] != _CHANNELS or rgb.numel() == 0 or rgb.shape != target.shape:
         raise ExplainedError(
             f"the images have the shapes {tuple(rgb.shape)} and {tuple(target.shape)}",
@@ -71,9 +82,18 @@ def photometric_loss(
         raise ExplainedError(
             f"the image has the type {rgb.dtype}", where="photometric_loss", fix="use float32"
         )
-    weights = _weights(l1_weight, ssim_weight)
     loss: Tensor = _PhotometricLoss.apply(rgb, target, weights, device or open_device())
     return loss
+
+
+def _on_device(rendering: Rendering, target: Tensor, device: Device | None) -> Outputs | None:
+    """What a render left on the device that is to compute its loss, if it can do so there."""
+    outputs = rendering.device_outputs
+    if outputs is None or tuple(target.shape) != (*outputs.images.size, _CHANNELS):
+        return None
+    # There is room for the gradient of one loss.
+    fits = device in (None, outputs.images.device) and outputs.images.loss_gradient is None
+    return outputs if fits else None
 
 
 def _weights(l1_weight: float | None, ssim_weight: float) -> tuple[float, float]:
@@ -100,7 +120,9 @@ class _PhotometricLoss(torch.autograd.Function):
     ) -> Tensor:
         height, width, _ = rgb.shape
         workspace = _workspace(device, height, width, rgb.dtype)
-        loss, gradient = workspace.run(rgb, target, weights, ctx.needs_input_grad[0])
+        loss, gradient = workspace.run_on_host_image(rgb, target, weights, ctx.needs_input_grad[0])
+        if not math.isfinite(loss):
+            raise _undefined(rgb, target)
         ctx.save_for_backward(gradient)
         return rgb.new_tensor(loss)
 
@@ -111,6 +133,26 @@ class _PhotometricLoss(torch.autograd.Function):
         if float(upstream) != 1.0:  # an unweighted loss saves a pass over the image
             gradient = gradient * upstream
         return gradient, None, None, None
+
+
+class _LossOnDevice(torch.autograd.Function):
+    """The gradient waits beside the images for the render's backward pass, which is told its factor."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, stand_in: Tensor, images: Images, target: Tensor, weights: tuple[float, float]
+    ) -> Tensor:
+        workspace = _workspace(images.device, *images.size, images.dtype)
+        gradient = images.room_for_loss_gradient() if ctx.needs_input_grad[0] else None
+        loss = workspace.run(images["rgb"], target, weights, gradient)
+        if not math.isfinite(loss):
+            raise _undefined(images.read("rgb"), target)
+        return stand_in.new_tensor(loss)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+        return upstream, None, None, None
 
 
 class _Workspace:
@@ -132,22 +174,40 @@ class _Workspace:
         stride = row + 2 * _BORDER
         self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
         self._scratch = DeviceArray(device, (self._bands * _SCRATCH_ROWS, stride), dtype)
-        self._sums = DeviceArray(device, (height * self._items, 2), dtype)
-        if not device.shares_memory:
-            self._images = [DeviceArray(device, self._shape, dtype) for _ in range(3)]
+        self._sums = DeviceArray(device, (height, 2), dtype)
+        self._on_device = Scratch(device)
+
+    def run_on_host_image(
+        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
+    ) -> tuple[float, Tensor | None]:
+        """`run` for an image on the host, with its gradient there too if that is asked for."""
+        with self._device.lock:  # threads take turns
+            image = self._sent(rgb.detach().to("cpu", self._dtype).contiguous())
+            if not with_gradient:
+                return self._run(image, target, weights, None), None
+            gradient = self._room("gradient")
+            loss = self._run(image, target, weights, gradient)
+            return loss, gradient.read(0, math.prod(self._shape)).reshape(self._shape)
 
     def run(
-        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
-    ) -> tuple[float, Tensor | None]:
-        """The loss with weights of L1 and of D-SSIM and, if asked for, its gradient image."""
-        with self._device.lock:  # threads take turns
-            return self._run(rgb, target, weights, with_gradient)
+        self,
+        image: DeviceArray,
+        target: Tensor,
+        weights: tuple[float, float],
+        gradient: DeviceArray | None,
+    ) -> float:
+        """The loss with weights of L1 and of D-SSIM; its gradient is left in `gradient`, if given."""
+        with self._device.lock:
+            return self._run(image, target, weights, gradient)
 
     def _run(
-        self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
-    ) -> tuple[float, Tensor | None]:
+        self,
+        image: DeviceArray,
+        target: Tensor,
+        weights: tuple[float, float],
+        gradient: DeviceArray | None,
+    ) -> float:
         l1_weight, ssim_weight = weights
-        image, reference, result = self._bind(rgb, target)
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
         self._program.run(
@@ -155,32 +215,32 @@ class _Workspace:
             (self._items, self._bands),
             (self._items, 1),
             image,
-            reference,
+            self._device.uploads.of(target, self._dtype),
             self._scratch,
             self._sums,
-            result,
+            image if gradient is None else gradient,
             *self._size,
-            np.int32(with_gradient),
+            np.int32(gradient is not None),
             real(l1_weight / values),
             real(ssim_weight / values),
         )
-        # Without a gradient nothing was written to `result`.
-        sums, *gradient = read_together([self._sums, result] if with_gradient else [self._sums])
-        l1, dissimilarity = (sums.double().sum(dim=0) / values).tolist()
-        loss = l1_weight * l1 + ssim_weight * dissimilarity
-        if not math.isfinite(loss):
-            raise _undefined(rgb, target)
-        return loss, gradient[0] if gradient else None
+        l1, dissimilarity = map(float, self._sums.read().double().sum(dim=0) / values)
+        return l1_weight * l1 + ssim_weight * dissimilarity
 
-    def _bind(self, rgb: Tensor, target: Tensor) -> list[DeviceArray]:
-        """The two images and room for the gradient, as device arrays."""
-        images = [image.detach().to("cpu", self._dtype).contiguous() for image in (rgb, target)]
+    def _sent(self, values: Tensor) -> DeviceArray:
         if self._device.shares_memory:
-            images.append(torch.empty(self._shape, dtype=self._dtype))
-            return [DeviceArray(self._device, self._shape, self._dtype, over=t) for t in images]
-        for array, image in zip(self._images, images, strict=False):
-            array.write(image)
-        return self._images
+            return DeviceArray(self._device, self._shape, self._dtype, over=values)
+        array = self._room("image")
+        array.write(values, 0, values.numel())
+        return array
+
+    def _room(self, name: str) -> DeviceArray:
+        """For a result: memory of its own where that is handed out as a tensor."""
+        values = math.prod(self._shape)
+        if self._device.shares_memory:
+            memory = torch.empty(values, dtype=self._dtype)
+            return DeviceArray(self._device, (values,), self._dtype, over=memory)
+        return self._on_device.reserve(name, self._dtype, values)
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:

@@ -4,6 +4,7 @@ from .block import Block, pack, unpack, unpack_all
 from .coverage import Coverage
 from .footprint import DILATION, Footprint
 from .frame import Frame
+from .images import Images, Outputs
 from .renderer import Renderer
 from .request import NEAR_PLANE, RenderRequest
 
@@ -14,6 +15,8 @@ __all__ = [
     "Coverage",
     "Footprint",
     "Frame",
+    "Images",
+    "Outputs",
     "RenderRequest",
     "Renderer",
     "pack",

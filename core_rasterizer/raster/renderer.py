@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..device import Device, DeviceArray, Program, Scratch, read_together
+from ..device import Device, DeviceArray, Program, Scratch
 from ..errors import ExplainedError
 from ..finite import undefined_places
 from ..layout import PARAMETER_BITS, row_count
@@ -22,6 +21,7 @@ from .block import Block
 from .budget import RECORD, Budget
 from .footprint import Footprint
 from .frame import Frame, Lease
+from .images import Images
 from .pose import PoseSums
 from .request import RenderRequest
 from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
@@ -126,12 +126,11 @@ class Renderer:
         self._frames: list[Frame] = []
         self._pair_capacity = PAIRS_AT_FIRST
 
-    def forward(self, block: Block, request: RenderRequest) -> tuple[Tensor, Tensor, Tensor, Lease]:
-        """Render.
+    def forward(self, block: Block, request: RenderRequest) -> tuple[Images, Lease]:
+        """Render. The device may still be blending when this returns.
 
         Returns:
-            `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]` as new CPU tensors, and the frame that
-            `backward` wants.
+            The images on the device, and the frame that `backward` wants.
 
         Raises:
             MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
@@ -145,23 +144,24 @@ class Renderer:
             frame.request = request
             self._prepare(frame, block, request)
             self._project(frame, block, request)
+            images = frame.new_images(self.dtype)
             while True:
                 self._lists.build(self.program, frame, block.count, self._capacity_of(frame))
-                images = self._blend(frame, request.camera)
-                *tensors, counters = read_together([*images, frame.arrays["counters"]])
-                frame.visible, frame.pairs = int(counters[0]), int(counters[1])
+                # Blending is enqueued before its input's size is known, so that the device need not wait
+                # for the host. Without room for all pairs it does nothing, and is run again.
+                counters = frame.arrays["counters"].begin_reading()
+                self._blend(frame, images)
+                frame.visible, frame.pairs = counters()[:2].tolist()
                 if frame.pairs <= self._capacity_of(frame):
-                    break
+                    return images, lease
                 self._pair_capacity = max(self._pair_capacity, self.budget.grown(frame, block))
                 frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
-            rgb, depth, alpha = tensors
-            return rgb, depth, alpha, lease
 
     def backward(
         self,
         frame: Frame,
         block: Block,
-        image_gradients: tuple[Tensor | None, Tensor | None, Tensor | None],
+        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
         gradients: DeviceArray,
         *,
         accumulate: bool,
@@ -171,7 +171,8 @@ class Renderer:
         """Turn gradients of the images into gradients of the parameters.
 
         Args:
-            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero.
+            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero. One that
+                is on the device already must be finite.
             gradients: `[rows, capacity]`; the rows of active SH bands are written.
             accumulate: add to what `gradients` holds instead of replacing it.
             statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
@@ -200,11 +201,12 @@ class Renderer:
             if wants_pose:
                 program = self._projection(frame.request)
                 pose_gradient = self._poses.gradient(program, block, frame.request.camera)
-            self.device.finish()
             return pose_gradient
 
     def _image_gradients(
-        self, frame: Frame, gradients: tuple[Tensor | None, Tensor | None, Tensor | None]
+        self,
+        frame: Frame,
+        gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
     ) -> list[DeviceArray]:
         """The gradients of `rgb`, `depth` and `alpha` on the device."""
         camera = frame.request.camera
@@ -320,21 +322,18 @@ class Renderer:
         frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
         frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
-        frame.arrays["camera"] = self._camera(request)
+        self._send(frame, "camera", request.camera_block().to(self._wide))
         if request.is_modified:
-            rows = request.modifier_rows(capacity, self.dtype)
-            frame.arrays.reserve("modifiers", self.dtype, rows.numel())
-            frame.arrays["modifiers"].write(rows, 0, rows.numel())
+            self._send(frame, "modifiers", request.modifier_rows(capacity, self.dtype).flatten())
 
-    def _camera(self, request: RenderRequest) -> DeviceArray:
-        """A new array: kernels under way may still read the last render's."""
-        numbers = request.camera_block().to(self._wide)
-        shape = tuple(numbers.shape)
+    def _send(self, frame: Frame, name: str, values: Tensor) -> None:
+        """Hand new memory to the kernels, without waiting for those that still read the last render's."""
+        arrays = frame.arrays
         if self.device.shares_memory:
-            return DeviceArray(self.device, shape, self._wide, over=numbers)
-        array = DeviceArray(self.device, shape, self._wide)
-        array.write(numbers)
-        return array
+            shape = tuple(values.shape)
+            arrays[name] = DeviceArray(self.device, shape, values.dtype, over=values)
+        else:
+            arrays.reserve(name, values.dtype, values.numel()).hand_over(values)
 
     def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays
@@ -357,10 +356,8 @@ class Renderer:
             np.int32(request.modifiers is not None),
         )
 
-    def _blend(self, frame: Frame, camera: Camera) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
-        arrays, size = frame.arrays, (camera.height, camera.width)
-        rgb, depth, alpha = (self._image(shape) for shape in ((*size, 3), size, size))
-        arrays["rgb"], arrays["depth"] = rgb, depth
+    def _blend(self, frame: Frame, images: Images) -> None:
+        arrays = frame.arrays
         self._run_raster(
             self.raster_program,
             "raster",
@@ -370,26 +367,22 @@ class Renderer:
             arrays["tile_starts"],
             arrays["counters"],
             arrays["camera"],
-            rgb,
-            depth,
-            alpha,
+            images["rgb"],
+            images["depth"],
+            images["alpha"],
             arrays["transmittance"],
             np.int32(frame.tiles[0]),
             np.uint32(self._capacity_of(frame)),
         )
-        return rgb, depth, alpha
 
     def _capacity_of(self, frame: Frame) -> int:
         return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
 
-    def _image(self, shape: tuple[int, ...]) -> DeviceArray:
-        if self.device.shares_memory:
-            return DeviceArray(
-                self.device, shape, self.dtype, over=torch.empty(shape, dtype=self.dtype)
-            )
-        return DeviceArray(self.device, shape, self.dtype)
-
-    def _image_gradient(self, gradient: Tensor | None, size: int, name: str) -> DeviceArray:
+    def _image_gradient(
+        self, gradient: Tensor | DeviceArray | None, size: int, name: str
+    ) -> DeviceArray:
+        if isinstance(gradient, DeviceArray):
+            return gradient
         if gradient is None:
             return self._scratch.reserve(f"no_{name}", self.dtype, size)
         gradient = gradient.to(self.dtype).contiguous()

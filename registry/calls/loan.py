@@ -34,15 +34,24 @@ class Loan:
     Args:
         tensors: by what they are called in messages.
         models: Gaussians, compared around each call.
+        renderings: whose images are not fetched for this.
     """
 
     def __init__(
-        self, tensors: Mapping[str, Tensor] | None = None, models: tuple[GaussianModel, ...] = ()
+        self,
+        tensors: Mapping[str, Tensor] | None = None,
+        models: tuple[GaussianModel, ...] = (),
+        renderings: tuple[Rendering, ...] = (),
     ) -> None:
         self._tensors, self._models = dict(tensors or {}), models
+        self._renderings = renderings
 
     def __add__(self, other: Loan) -> Loan:
-        return Loan(self._tensors | other._tensors, self._models + other._models)
+        return Loan(
+            self._tensors | other._tensors,
+            self._models + other._models,
+            self._renderings + other._renderings,
+        )
 
     @contextmanager
     def kept(self) -> Iterator[None]:
@@ -51,16 +60,28 @@ class Loan:
         Raises:
             Overwritten: names the first.
         """
-        marks = [_mark(tensor) for tensor in self._tensors.values()]
-        copies = _copies(self._tensors) if are_checked() else {}
+        tensors = self._tensors | self._images(fetch=are_checked())
+        marks = {name: _mark(tensor) for name, tensor in tensors.items()}
+        copies = _copies(tensors) if are_checked() else {}
         gaussians = [model.parameters.read().clone() for model in self._models]
         yield
-        for (name, tensor), mark in zip(self._tensors.items(), marks, strict=True):
+        for name, tensor in (self._tensors | self._images()).items():
+            # An image that was fetched meanwhile had never been written to.
+            mark = marks.get(name, (0, tensor.requires_grad))
             if _mark(tensor) != mark or (copies and not _same(tensor, copies[name])):
                 raise _written(name)
         for model, before in zip(self._models, gaussians, strict=True):
             if not _same(model.parameters.read(), before):
                 raise _written("the Gaussians")
+
+    def _images(self, fetch: bool = False) -> dict[str, Tensor]:
+        """The images of the renderings: those that somebody has asked for, or all."""
+        images: dict[str, Tensor] = {}
+        for rendering in self._renderings:
+            if fetch:
+                _ = rendering.rgb, rendering.depth, rendering.alpha
+            images |= {f"the rendered {name}": image for name, image in rendering.fetched.items()}
+        return images
 
 
 NOTHING = Loan()
@@ -103,7 +124,7 @@ def of_view(view: TrainingView) -> Loan:
 
 def of_rendering(rendering: Rendering) -> Loan:
     """What was rendered."""
-    return Loan({f"the rendered {name}": getattr(rendering, name) for name in _RENDERED})
+    return Loan(renderings=(rendering,))
 
 
 def of_maps(maps: Mapping[str, DepthMap]) -> Loan:
@@ -117,7 +138,6 @@ def of_maps(maps: Mapping[str, DepthMap]) -> Loan:
     )
 
 
-_RENDERED = ("rgb", "depth", "alpha")
 _OF_VIEW = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
 
 

@@ -181,7 +181,7 @@ class Field:
         return OtherField(
             index=self.index,
             model=self._reader,
-            rendering=_looked_at(self._rendering),
+            rendering=self._rendering.detach(),
             render=StepRenderer(self.model, self._step.sample, gradients=False),
         )
 
@@ -201,7 +201,7 @@ class Field:
             learning_rates=self._step.learning_rates,
             view=self._step.view,
             target=self._step.sample.target,
-            rendering=_looked_at(self._rendering),
+            rendering=self._rendering.detach(),
             model=self._reader,
         )
 
@@ -219,7 +219,7 @@ class Field:
         step = self._step
         step.rendered(lambda: self._rendering, others)
         colors, log = self._colors(), self._log_number
-        shown = colors[-1].after if colors else self._rendering.rgb
+        shown = colors[-1].after if colors else self._rendering
         photometric = photometric_term(self._settings, shown, step, self.model.device, log)
         terms = [photometric, *regularizing_terms(self.parts, step, self._lent, log)]
         return self._backward(terms, colors)
@@ -291,12 +291,11 @@ class Field:
     def _colors(self) -> list[Recolored]:
         """The rendered colours, as one appearance after the other changes them."""
         steps: list[Recolored] = []
-        before = self._rendering.rgb
         for part in self.parts.due("appearances", self._step.iteration):
+            before = steps[-1].after if steps else self._rendering.rgb
             with part.at_work(self._step.iteration, self._lent):
                 after = check_colors(part.component.colors(self._step, before), before.shape)
             steps.append(Recolored(part.item, before, after))
-            before = after
         return steps
 
     def _backward(self, terms: Sequence[Term], colors: Sequence[Recolored] = ()) -> float:
@@ -414,13 +413,3 @@ class Field:
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))
         self.kinds = dict(part("kinds"))
-
-
-def _looked_at(rendering: Rendering) -> Rendering:
-    """A render without gradients; writing into it is seen as writing into the render."""
-    return replace(
-        rendering,
-        rgb=rendering.rgb.detach(),
-        depth=rendering.depth.detach(),
-        alpha=rendering.alpha.detach(),
-    )

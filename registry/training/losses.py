@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError, photometric_loss
+from core_rasterizer import Device, ExplainedError, Rendering, photometric_loss
 from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.loan import Loan
@@ -22,16 +22,16 @@ Log = Callable[[str, float], None]
 
 
 def photometric_term(
-    settings: TrainingSettings, colors: Tensor, step: Step, device: Device, log: Log
+    settings: TrainingSettings, shown: Tensor | Rendering, step: Step, device: Device, log: Log
 ) -> Term:
-    """L1 and D-SSIM between the colours and the iteration's target.
+    """L1 and D-SSIM between colours, or those of a render, and the iteration's target.
 
     Raises:
         RunError: the colours are not finite.
     """
     try:
         loss = photometric_loss(
-            colors,
+            shown,
             step.sample.target,
             settings.ssim_weight,
             l1_weight=settings.l1_weight,

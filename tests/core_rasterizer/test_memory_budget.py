@@ -50,11 +50,11 @@ def test_too_many_pairs_are_refused_and_the_next_render_is_whole(device: Device)
     large, view = block_of(device, 3000, log_scale=6.0), view_of(500, 400)
     renderer = Renderer(device, memory_budget=12 * 2**20)
     small = block_of(device, 50)
-    before = renderer.forward(small, view)[0].clone()
+    before = renderer.forward(small, view)[0].read("rgb").clone()
     for _ in range(2):
         with pytest.raises(MemoryBudgetError, match=r"more than .* pairs"):
             renderer.forward(large, view)
-        assert torch.equal(renderer.forward(small, view)[0], before)
+        assert torch.equal(renderer.forward(small, view)[0].read("rgb"), before)
 
 
 def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(device: Device) -> None:
@@ -63,10 +63,10 @@ def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(devi
     small, wide = view_of(300, 200), view_of(900, 800)
     fills = block_of(device, 60 if renderer.on_cpu else 12, log_scale=6.0)
     many = block_of(device, 4000 if renderer.on_cpu else 900, log_scale=6.0)
-    *_, lease = renderer.forward(many, small)
+    _, lease = renderer.forward(many, small)
     capacity, limit = lease.frame.arrays["pairs"].shape[0] // 2, lease.frame.pair_limit
     del lease
-    *_, lease = renderer.forward(fills, wide)
+    _, lease = renderer.forward(fills, wide)
     assert lease.frame.pair_limit < capacity <= limit * 9 // 8
     with pytest.raises(MemoryBudgetError, match="more than"):
         renderer.forward(many, wide)
@@ -105,7 +105,7 @@ def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     values[:3, 0] = torch.tensor([(width - 0.5) / 1e5, (height - 0.5) / 1e5, 1.0])
     values[3:6, 0], values[10, 0] = -20.0, 4.0
     block.parameters.write(values)
-    _, _, alpha, _ = renderer.forward(block, RenderRequest(camera, BLACK, 0))
+    alpha = renderer.forward(block, RenderRequest(camera, BLACK, 0))[0].read("alpha")
     assert alpha[-1, -1] > 0.9
     assert alpha.count_nonzero() == 4
 

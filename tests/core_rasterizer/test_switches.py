@@ -46,7 +46,7 @@ def pairs(device: Device, overrides: Overrides) -> int:
     """How many (tile, Gaussian) pairs a render has."""
     model = GaussianModel(parameters(), device)
     renderer = Renderer(device, overrides=overrides)
-    lease = renderer.forward(model.block, RenderRequest(view(), (0.0, 0.0, 0.0), 3))[3]
+    lease = renderer.forward(model.block, RenderRequest(view(), (0.0, 0.0, 0.0), 3))[1]
     return lease.frame.pairs
 
 

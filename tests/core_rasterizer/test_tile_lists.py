@@ -32,7 +32,7 @@ class Lists(NamedTuple):
 def lists_of(device: Device, model: GaussianModel | None = None) -> Lists:
     model, camera = model or GaussianModel(parameters(300), device), view()
     renderer = model.renderer
-    frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[3].frame
+    frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[1].frame
     tiles = frame.tiles[0] * frame.tiles[1]
     arrays = {
         name: frame.arrays[name].read().numpy() for name in ("records", "pairs", "tile_starts")

@@ -46,8 +46,10 @@ __constant real window[TAPS] = {
 /* GROUP work-items share a row: one on a CPU, where a barrier would only be in the way. */
 #if GROUP == 1
 #define STEP_TOGETHER()
+#define SHARE_SUMS()
 #else
 #define STEP_TOGETHER() barrier(CLK_GLOBAL_MEM_FENCE)
+#define SHARE_SUMS() barrier(CLK_LOCAL_MEM_FENCE)
 #endif
 
 /* Where this work-item's next block starts; see the note on a row's last block. */
@@ -139,10 +141,26 @@ static inline void filter_columns(
         filter_columns_of(image, target, lines, top, height, row, stride, 0);
 }
 
-/* Row y. Writes this work-item's two partial sums, of |x - y| and of 1 - SSIM, unless sums is null. */
+/* Adds up a row's two sums over the work-items that share it, in their order. */
+static inline void write_sums(__local real *found, real absolute, real structural, __global real *sums)
+{
+    const int item = get_local_id(0);
+    found[2 * item] = absolute;
+    found[2 * item + 1] = structural;
+    SHARE_SUMS();
+    for (int which = item; which < 2; which += GROUP) {
+        real sum = found[which];
+        for (int other = 1; other < GROUP; other++)
+            sum += found[2 * other + which];
+        sums[which] = sum;
+    }
+    SHARE_SUMS();
+}
+
+/* Row y. Writes two sums over the row, of |x - y| and of 1 - SSIM, unless sums is null. */
 static inline void dissimilarity(
     __global const real *image, __global const real *target, __global const real *lines,
-    __global real *derivatives, __global real *sums, int row, int stride)
+    __global real *derivatives, __global real *sums, __local real *found, int row, int stride)
 {
     const lane last = lanes_of_last_block(row);
     lane absolute = (lane)0, structural = (lane)0;
@@ -175,10 +193,8 @@ static inline void dissimilarity(
         absolute += own * lane_abs(d);
         structural += own * lost;
     }
-    if (sums) {
-        sums[0] = sum_lanes(absolute);
-        sums[1] = sum_lanes(structural);
-    }
+    if (sums) /* for all of the group or for none */
+        write_sums(found, sum_lanes(absolute), sum_lanes(structural), sums);
 }
 
 static inline __attribute__((always_inline)) void filter_derivatives_of(
@@ -247,7 +263,7 @@ static inline void gradient(
     }
 }
 
-/* One work-group a band of band_rows rows. `sums` gets two partial sums a row and work-item; `result`
+/* One work-group a band of band_rows rows. `sums` gets two sums a row; `result`
  * the gradient, if with_gradient; the scales are the weights of the two terms over the number of
  * reals in the image. `scratch` holds the lines and the ring of every band. */
 __kernel void photometric(
@@ -255,6 +271,7 @@ __kernel void photometric(
     __global real *sums, __global real *result, int height, int row, int stride, int band_rows,
     int with_gradient, real l1_scale, real ssim_scale)
 {
+    __local real found[2 * GROUP];
     const int first = get_group_id(1) * band_rows;
     const int end = first + band_rows < height ? first + band_rows : height;
     const int around = with_gradient ? RADIUS : 0;
@@ -269,11 +286,10 @@ __kernel void photometric(
             filter_columns(image, target, lines, top, height, row, stride);
             STEP_TOGETHER();
             for (int r = 0, y = top; r < ROWS && y < beyond; r++, y++) {
-                __global real *own = sums + 2 * (y * GROUP + get_local_id(0));
                 dissimilarity(
                     image + (size_t)y * row, target + (size_t)y * row, lines + r * MAPS * stride,
-                    ring + (y % RING) * DERIVATIVES * stride, y >= first && y < end ? own : 0,
-                    row, stride);
+                    ring + (y % RING) * DERIVATIVES * stride,
+                    y >= first && y < end ? sums + 2 * y : 0, found, row, stride);
             }
             STEP_TOGETHER();
         }

@@ -1,9 +1,10 @@
 /* Rasterization on a GPU: a work-group owns a tile, a work-item a pixel; records are staged through
- * local memory. The pair buffer is the same as on a CPU. Sums over a tile's pixels are a tree of fixed
- * shape, so they are repeatable. */
+ * local memory. The pair buffer is the same as on a CPU. Sums over a tile's pixels are taken in a fixed
+ * order, so they are repeatable. */
 
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 #define BATCH 32 /* records staged at a time */
+#define SEGMENTS 16 /* sums that are taken side by side; a divisor of GROUP */
 
 /* Copies the records of pairs [p, p + BATCH) into local memory. */
 static inline void stage(
@@ -98,22 +99,31 @@ void raster(
     final_transmittance[pixel] = left;
 }
 
-/* Sums PAIR_LAST + 1 values over the group; work-item 0 writes them to `out`. */
-static inline void sum_group(__local real *scratch, const real *values, __global real *out)
+/* Sums PAIR_LAST + 1 values over the group into `out`: first SEGMENTS sums side by side of every so many
+ * work-items, then the sum of these. Two barriers, where a tree would want one for each of its levels.
+ * None is wanted at the end: who reads `parts` is not past the first barrier of the next call when others
+ * have passed it and write there. */
+static inline void sum_group(
+    __local real *scratch, __local real *parts, const real *values, __global real *out)
 {
     const uint id = get_local_id(0);
     for (int k = 0; k <= PAIR_LAST; k++)
         scratch[k * GROUP + id] = values[k];
-    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (id < half_size)
-            for (int k = 0; k <= PAIR_LAST; k++)
-                scratch[k * GROUP + id] += scratch[k * GROUP + id + half_size];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint part = id; part < (PAIR_LAST + 1) * SEGMENTS; part += GROUP) {
+        __local const real *all = scratch + part / SEGMENTS * GROUP + part % SEGMENTS;
+        real sum = all[0];
+        for (uint k = SEGMENTS; k < GROUP; k += SEGMENTS)
+            sum += all[k];
+        parts[part] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (id <= PAIR_LAST)
-        out[id] = scratch[id * GROUP];
-    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint k = id; k <= PAIR_LAST; k += GROUP) {
+        real sum = parts[k * SEGMENTS];
+        for (uint part = 1; part < SEGMENTS; part++)
+            sum += parts[k * SEGMENTS + part];
+        out[k] = sum;
+    }
 }
 
 /* See raster_cpu.cl for the formula. */
@@ -126,7 +136,7 @@ void raster_backward(
     int tiles_x, int with_depth)
 {
     __local real staged[BATCH * RECORD];
-    __local real scratch[(PAIR_LAST + 1) * GROUP];
+    __local real scratch[(PAIR_LAST + 1) * GROUP], parts[(PAIR_LAST + 1) * SEGMENTS];
     __local int flag;
     const uint tile = get_group_id(0), local_id = get_local_id(0);
     const int x = (int)(tile % tiles_x) * TILE_WIDTH + (int)(local_id % TILE_WIDTH);
@@ -188,7 +198,7 @@ void raster_backward(
                 sums[PAIR_Z] = m.weight * z;
                 sums[PAIR_TOUCHED] = m.weight;
             }
-            sum_group(scratch, sums, pair_sums + (size_t)pairs[p + k].y * PAIR);
+            sum_group(scratch, parts, sums, pair_sums + (size_t)pairs[p + k].y * PAIR);
         }
     }
 }

@@ -7,7 +7,7 @@ import torch
 
 from core_rasterizer import Device, GaussianModel
 from registry import DepthMap, PluginError, Scene
-from registry.calls.loan import Loan, checked_plugins, of_maps, of_scene
+from registry.calls.loan import Loan, checked_plugins, of_maps, of_rendering, of_scene
 from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
@@ -94,3 +94,19 @@ def test_gaussians_are_compared(device: Device) -> None:
         model.read("means").clone()
     with pytest.raises(PluginError, match="wrote into the Gaussians"), lent.kept():
         model.write("opacity_logits", torch.zeros(model.count))
+
+
+def test_images_are_lent_from_when_they_are_fetched(device: Device) -> None:
+    scene = tiny_scene()
+    assert scene.points is not None
+    model = GaussianModel(initial_gaussians(scene.points, TrainingSettings()), device)
+    rendering = model.render(scene.train[0].camera)
+    lent = of_rendering(rendering)
+    with lent.kept():
+        assert rendering.rgb.isfinite().all()
+    assert list(rendering.fetched) == ["rgb"]
+    for name in ("rgb", "depth"):  # fetched before, and within the block
+        with pytest.raises(PluginError, match=f"the rendered {name}"), lent.kept():
+            getattr(rendering, name).detach().zero_()
+    with checked_plugins(), pytest.raises(PluginError, match="rendered alpha"), lent.kept():
+        rendering.alpha.detach().numpy().fill(0)

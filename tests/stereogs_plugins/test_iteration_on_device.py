@@ -1,0 +1,70 @@
+"""What an iteration of `weightfree_fast`'s kind asks of a device that has memory of its own."""
+
+from __future__ import annotations
+
+import pytest
+
+from core_rasterizer import Device, GaussianModel, open_device
+from core_rasterizer.device import Variant
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import parse_pipeline
+from registry.plugins.discovery import Plugins
+from registry.testing import tiny_scene
+from registry.training.initial_model import initial_gaussians
+from registry.training.trainer import Trainer
+from tests.core_rasterizer.traffic import Traffic, counted
+
+PIPELINE = """\
+name: t
+scene: procedural
+initializer: consistency_dense
+modifiers: [{use: dropout, rate: 0.2, compensate: false}]
+densification: {use: gradient_threshold, start: 4, every: 4}
+opacity: {use: gradient_aware_decay, scope: contributing}
+training: {iterations: 6, sh_degree: 1, sh_every: 2}
+"""
+HEIGHT = 24
+"""Of the images, in pixels."""
+FLOAT, CAMERA, COUNTERS = 4, 32 * 8, 4 * 8
+
+LAUNCHES = {"cpu": 7, "gpu": 23}
+
+
+def trainer_on(device: Device) -> Trainer:
+    pipeline = parse_pipeline(PIPELINE, Plugins(), source="t.yaml")
+    scene = tiny_scene()
+    assert scene.points is not None
+    model = GaussianModel(initial_gaussians(scene.points, pipeline.training), device)
+    return Trainer(pipeline.training, Parts(pipeline, device), scene, model)
+
+
+@pytest.mark.parametrize("variant", ["cpu", "gpu"])
+def test_an_iteration_moves_no_image_and_waits_four_times(
+    variant: Variant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = open_device().as_variant(variant)
+    trainer = trainer_on(engine.as_discrete())
+    counts: dict[int, Traffic] = {}
+    iterations = trainer.run()
+    for number in range(1, 7):
+        with counted(monkeypatch) as counts[number]:
+            assert next(iterations).number == number
+
+    # Both views have been seen, scratch memory has its size, and no policy of densification is due.
+    traffic = counts[3]
+    gaussians = FLOAT * 64
+    # Dropout's factors and decayed opacities; what decay wants to know, opacities and their gradient.
+    assert sorted(traffic.uploads) == [CAMERA, gaussians, gaussians], traffic
+    assert sorted(traffic.downloads) == [COUNTERS, 2 * FLOAT * HEIGHT, gaussians, gaussians], (
+        traffic
+    )
+    assert traffic.waits <= 4, traffic
+    assert traffic.launches <= LAUNCHES[variant], traffic
+    assert not traffic.fills, traffic
+    # An edit of the Gaussians moves none of their parameters but what its policy looks at.
+    assert trainer.model.count > 60
+    assert sum(counts[4].uploads) + sum(counts[4].downloads) < 40 * gaussians
+
+    shared = trainer_on(engine)
+    assert [done.number for done in shared.run()][-1] == 6
+    assert shared.model.digest() == trainer.model.digest()
