@@ -156,7 +156,7 @@ def test_a_quality_is_a_pipeline_and_a_length(
     assert max(map(len, said)) <= 80
 
 
-@pytest.mark.parametrize(("seconds", "name"), [(15.0, SHORT), (60.0, LONG), (600.0, LONG)])
+@pytest.mark.parametrize(("seconds", "name"), [(15.0, SHORT), (100.0, LONG), (600.0, LONG)])
 def test_seconds_decide_between_the_short_and_the_long(
     toys: Plugins,
     device: Device,
@@ -175,7 +175,7 @@ def test_more_views_get_more_iterations_up_to_a_bound() -> None:
     times = [by_quality("good", views).times for views in (1, 3, 6, 24)]
     assert times == [1, 1, 2, MOST_TIMES]
     assert by_quality("fast", 6).times == 1
-    assert [by_length(3, views).name for views in (3, 6)] == [LONG, SHORT]
+    assert [by_length(4, views).name for views in (3, 6)] == [LONG, SHORT]
     assert "2x as long for 6 views" in by_quality("good", 6).because
     for quality in QUALITIES:
         for views in (3, 8, 100):
