@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..pipeline.pipeline import Pipeline
 from .cost import LEAST_ITERATIONS, Cost
 from .scaling import scaled
-from .table import Quality, Taken, by_length, by_quality
+from .table import GROWTH, Quality, by_length, by_quality
 from .telling import Say, tell_choice, tell_cost
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 REHEARSED = 0.04
 """Of the seconds, for measuring iterations."""
-MOST_GROWTH = 1.4
-"""Gaussians at most in a run with a budget, over those that it begins with: what it takes stays known."""
+GROWN = 100_000
+"""Gaussians that a pipeline of unknown growth is expected to end with, if it begins with fewer."""
 
 Load = Callable[[str], Pipeline]
 """A ready pipeline by name, for the scene at hand, with the user's changes."""
@@ -52,11 +52,13 @@ def fit_length(beginning: Beginning, budget: Budget, say: Say) -> Pipeline:
     Raises:
         RunError: there are too few seconds.
     """
-    own = beginning.pipeline
-    cost, measured = _cost(beginning, budget)
-    cost.refuse_too_little(budget.seconds, min(LEAST_ITERATIONS, own.training.iterations))
+    own, first = beginning.pipeline, len(beginning.gaussians)
+    last = max(first, GROWN) if own.items["densification"] else first
+    growth = _growth(own, (first + last) / 2, last)
+    least = min(LEAST_ITERATIONS, own.training.iterations)
+    cost, measured = _cost(beginning, budget, growth, least)
     count = min(cost.iterations(budget.seconds), own.training.iterations)
-    fitted = _within_budget(own, count, beginning)
+    fitted = _within_budget(own, count, growth)
     tell_choice(fitted, "", beginning, say)
     tell_cost(cost, measured, count, budget.seconds, say)
     return fitted
@@ -76,44 +78,60 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     views = len(beginning.scene.train)
     if not isinstance(wanted, Budget):
         taken = by_quality(wanted, views)
-        pipeline = _loaded(taken, beginning, load)
+        own = taken.name == beginning.pipeline.name
+        pipeline = beginning.pipeline if own else load(taken.name)
         chosen = scaled(pipeline, round(taken.times * pipeline.training.iterations))
         tell_choice(chosen, taken.because, beginning, say)
         return chosen
-    cost, measured = _cost(beginning, wanted)
-    cost.refuse_too_little(wanted.seconds, LEAST_ITERATIONS)
+    growth = _known_growth(beginning)
+    cost, measured = _cost(beginning, wanted, growth, LEAST_ITERATIONS)
     affordable = cost.iterations(wanted.seconds)
     taken = by_length(affordable / beginning.pipeline.training.iterations, views)
-    pipeline = _loaded(taken, beginning, load)
-    count = min(affordable, round(taken.times * pipeline.training.iterations))
-    chosen = _within_budget(pipeline, count, beginning)
+    if taken.name != beginning.pipeline.name:
+        beginning = replace(beginning, pipeline=load(taken.name))
+        growth = _known_growth(beginning)
+        cost, measured = _cost(beginning, wanted, growth, LEAST_ITERATIONS)
+        affordable = cost.iterations(wanted.seconds)
+    count = min(affordable, round(taken.times * beginning.pipeline.training.iterations))
+    chosen = _within_budget(beginning.pipeline, count, growth)
     tell_choice(chosen, taken.because, beginning, say)
     tell_cost(cost, measured, count, wanted.seconds, say)
     return chosen
 
 
-def _loaded(taken: Taken, beginning: Beginning, load: Load) -> Pipeline:
-    return beginning.pipeline if taken.name == beginning.pipeline.name else load(taken.name)
+class _Growth(NamedTuple):
+    """How many Gaussians a run has on average, and at most."""
+
+    mean: int
+    most: int
 
 
-def _cost(beginning: Beginning, budget: Budget) -> tuple[Cost, Measured]:
+def _growth(pipeline: Pipeline, mean: float, most: float) -> _Growth:
+    """Within the pipeline's own limit."""
+    limit = pipeline.training.max_gaussians or int(most)
+    return _Growth(max(1, min(int(mean), limit)), max(1, min(int(most), limit)))
+
+
+def _known_growth(beginning: Beginning) -> _Growth:
+    mean, most = GROWTH[beginning.pipeline.name]
+    first = len(beginning.gaussians)
+    return _growth(beginning.pipeline, mean * first, most * first)
+
+
+def _cost(
+    beginning: Beginning, budget: Budget, growth: _Growth, least: int
+) -> tuple[Cost, Measured]:
+    """What the pipeline costs, if so many iterations at least fit in."""
     from .rehearsal import rehearse
 
-    measured = rehearse(beginning, budget.clock, REHEARSED * budget.seconds)
-    return Cost(budget.spent, measured.iteration, measured.after), measured
+    measured = rehearse(beginning, growth.mean, budget.clock, REHEARSED * budget.seconds)
+    cost = Cost(budget.spent, measured.iteration, measured.after)
+    cost.refuse_too_little(budget.seconds, least)
+    return cost, measured
 
 
-def _within_budget(pipeline: Pipeline, count: int, beginning: Beginning) -> Pipeline:
+def _within_budget(pipeline: Pipeline, count: int, growth: _Growth) -> Pipeline:
     """Scaled, with a bound on what may grow, and without scores on the way."""
     fitted = scaled(pipeline, count)
-    training = fitted.training
-    limit = max(int(MOST_GROWTH * len(beginning.gaussians)), 1)
-    return replace(
-        fitted,
-        training=training.model_copy(
-            update={
-                "max_gaussians": min(limit, training.max_gaussians or limit),
-                "evaluate_every": 0,
-            }
-        ),
-    )
+    changes = {"max_gaussians": growth.most, "evaluate_every": 0}
+    return replace(fitted, training=fitted.training.model_copy(update=changes))

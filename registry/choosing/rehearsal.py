@@ -27,8 +27,6 @@ from .cost import CLOSING
 Clock = Callable[[], float]
 """Gives seconds; only differences count."""
 
-MEAN_GROWTH = 1.2
-"""Gaussians on average over a run, over those that it begins with: about so on llff_fern and dtu_scan24."""
 WARM_UP = 3
 """Iterations that are not counted: kernels are loaded, buffers find their sizes."""
 MOST_MEASURED = 40
@@ -50,14 +48,15 @@ class Measured(NamedTuple):
     gaussians: int
 
 
-def rehearse(beginning: Beginning, clock: Clock, seconds: float) -> Measured:
+def rehearse(beginning: Beginning, count: int, clock: Clock, seconds: float) -> Measured:
     """Measure a pipeline on its scene.
 
     Args:
+        count: Gaussians that a run has on average; the first ones are repeated until there are so many.
         seconds: about how long iterations are done; at least one beyond the warm-up is.
     """
     pipeline, scene = beginning.pipeline, beginning.scene
-    gaussians = _grown(beginning.gaussians)
+    gaussians = _grown(beginning.gaussians, count)
     model = new_model(gaussians, pipeline.training, beginning.device)
     parts = Parts(pipeline, beginning.device)
     trainer = Trainer(pipeline.training, parts, scene, model, beginning.points.maps)
@@ -92,10 +91,6 @@ def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Cloc
     return len(test) * whole + len(train) * light + CLOSING * (len(test) + len(train)) * light
 
 
-def _grown(gaussians: Gaussians) -> Gaussians:
-    """With the first ones once more, so that there are as many as on average over a run."""
-    more = int((MEAN_GROWTH - 1) * len(gaussians))
-    parameters = {name: getattr(gaussians, name) for name in PARAMETERS}
-    return Gaussians(
-        **{name: torch.cat([values, values[:more]]) for name, values in parameters.items()}
-    )
+def _grown(gaussians: Gaussians, count: int) -> Gaussians:
+    which = torch.arange(count) % len(gaussians)
+    return Gaussians(**{name: getattr(gaussians, name)[which] for name in PARAMETERS})
