@@ -19,9 +19,9 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         lines: list[str] = []
         for is_prose, block in groupby(text.splitlines(), _is_prose):
             if is_prose:
-                lines += _wrapped(" ".join(block), width)
+                lines += wrapped(" ".join(block), width)
             else:
-                lines += (part for line in block for part in _wrapped(line, width) or [""])
+                lines += (part for line in block for part in wrapped(line, width) or [""])
         return "\n".join(indent + line for line in lines)
 
 
@@ -29,7 +29,11 @@ def _is_prose(line: str) -> bool:
     return bool(line.strip()) and not line.startswith(" ")
 
 
-def _wrapped(line: str, width: int) -> list[str]:
+def wrapped(line: str, width: int) -> list[str]:
+    """The line in pieces of at most so many characters, words and paths whole; none if it is empty.
+
+    What goes on stands below the explanation that two or more spaces set apart, else two spaces further in.
+    """
     indented = re.match(r"( +)(?:\S+(?: \S+)*  +(?=\S))?", line)
     further = min(indented.end(), width // 2) if indented else 0
     if indented and indented.end() == len(indented[1]):
