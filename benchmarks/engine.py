@@ -60,16 +60,16 @@ class Workload:
     def forward(self) -> None:
         with torch.no_grad():
             self.model.render(self.camera)
+        self.model.device.finish()
 
     def forward_backward(self) -> None:
         self.model.zero_gradients()
         torch.autograd.backward([self.model.render(self.camera).rgb], [self.weights])
+        self.model.device.finish()
 
     def iteration(self) -> None:
         self.model.zero_gradients()
-        photometric_loss(
-            self.model.render(self.camera).rgb, self.target, device=self.model.device
-        ).backward()
+        photometric_loss(self.model.render(self.camera), self.target).backward()
         self.optimizer.step(RATES, active_sh_degree=3)
         self.model.device.finish()
 
@@ -84,11 +84,13 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
     for _ in range(repeats + 2):
         begin = time.perf_counter()
         model.zero_gradients()
-        rgb = model.render(camera).rgb
+        rendering = model.render(camera)
+        device.finish()
         rendered = time.perf_counter()
-        loss = photometric_loss(rgb, workload.target, device=device)
+        loss = photometric_loss(rendering, workload.target)
         compared = time.perf_counter()
         loss.backward()
+        device.finish()
         returned = time.perf_counter()
         workload.optimizer.step(RATES, active_sh_degree=3)
         device.finish()
@@ -191,8 +193,10 @@ def options(device: Device, rounds: int = 45) -> dict[str, float]:
                 model.zero_gradients()
             begin = time.perf_counter()
             rendering = render()
+            device.finish()
             middle = time.perf_counter()
             torch.autograd.backward([rendering.rgb], [workload.weights])
+            device.finish()
             if number >= 2:
                 times.setdefault((name, "forward"), []).append(middle - begin)
                 times.setdefault((name, "backward"), []).append(time.perf_counter() - middle)

@@ -86,12 +86,14 @@ class Subject:
         self.model.zero_gradients()
         begin = time.perf_counter()
         rendering = self.model.render(self.camera, sh_degree=self.setting.sh_degree)
+        self.model.device.finish()
         middle = time.perf_counter()
         images, gradients = [rendering.rgb], [self.weights]
         if self.setting.depth_gradient:
             images.append(rendering.depth)
             gradients.append(self.no_depth)
         torch.autograd.backward(images, gradients)
+        self.model.device.finish()
         self.rgb = rendering.rgb.detach()
         return middle - begin, time.perf_counter() - middle
 

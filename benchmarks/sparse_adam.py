@@ -52,8 +52,8 @@ class Training:
         view = number % len(targets)
         begin = time.perf_counter()
         self.model.zero_gradients()
-        rgb = self.model.render(self.cameras[view]).rgb
-        photometric_loss(rgb, targets[view], device=self.model.device).backward()
+        photometric_loss(self.model.render(self.cameras[view]), targets[view]).backward()
+        self.model.device.finish()
         middle = time.perf_counter()
         self.optimizer.step(RATES, active_sh_degree=3)
         self.model.device.finish()

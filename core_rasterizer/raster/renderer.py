@@ -24,7 +24,7 @@ from .frame import Frame, Lease
 from .images import Images
 from .pose import PoseSums
 from .request import RenderRequest
-from .tile_lists import BUCKETS, SOURCES, TileLists, chunks_of
+from .tile_lists import BUCKETS, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
@@ -112,7 +112,7 @@ class Renderer:
         self.program = device.program(
             *_PROJECTION,
             _BACKWARD,
-            *SOURCES,
+            *self._lists.sources,
             dtype=dtype,
             **self._projection_macros,
             **self._lists.macros,

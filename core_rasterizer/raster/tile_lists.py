@@ -10,8 +10,10 @@ import torch
 from ..device import Device, DeviceArray, Program, Scratch
 from .frame import Frame
 
-SOURCES = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
-"""The kernels of this module; they build on "raster/scene" and "raster/cover"."""
+_ON_CPU = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
+_ON_GPU = ("raster/scan", "raster/sort_gpu", "raster/bin_gpu")
+_GPU_CHUNK_GROUP = 64
+"""Work-items that share a chunk on a GPU: each looks at all those before it to find its place among them."""
 
 _DIGIT_BITS = 11
 BUCKETS = 1 << _DIGIT_BITS
@@ -22,13 +24,14 @@ fourteen. Beyond twice as many, work shared by two cores outweighs what the laun
 
 
 def chunks_of(device: Device) -> int:
-    """How many runs of neighbouring Gaussians are sorted and binned side by side, a work-item each.
+    """How many runs of neighbouring Gaussians are sorted and binned side by side.
 
-    On a GPU many must wait for memory at once; how many is an estimate, not a measurement.
+    Each belongs to a work-item of a CPU, or to a work-group of a GPU. There are enough of them for every
+    unit, and few enough for the sums over them; on a GPU that is an estimate, not a measurement.
     """
     if device.variant == "cpu":
         return min(16, 2 * device.compute_units)
-    return min(1024, 8 * device.compute_units)
+    return min(256, 2 * device.compute_units)
 
 
 class TileLists:
@@ -38,6 +41,7 @@ class TileLists:
         device: where to run; its variant decides how work is shared out.
 
     Attributes:
+        sources: the kernels' files; they build on "raster/scene" and "raster/cover".
         macros: what the kernels must be built with.
     """
 
@@ -46,11 +50,14 @@ class TileLists:
         self._chunks = chunks_of(device)
         on_cpu = device.variant == "cpu"
         self._few = FEW if on_cpu else 0
+        self._chunk_group = 1 if on_cpu else _GPU_CHUNK_GROUP
+        self.sources = _ON_CPU if on_cpu else _ON_GPU
         self._group, self._items = (16, 1) if on_cpu else (64, 256)
         self.macros = {
             "DIGIT_BITS": _DIGIT_BITS,
             "SCAN_GROUP": self._group,
             "SCAN_ITEMS": self._items,
+            "CHUNK_GROUP": self._chunk_group,
         }
         self._scratch = Scratch(device)
 
@@ -207,4 +214,5 @@ class TileLists:
         )
 
     def _run_chunks(self, program: Program, kernel: str, *arguments: Any) -> None:
-        program.run(kernel, (self._chunks,), (1,), *arguments)
+        group = self._chunk_group
+        program.run(kernel, (self._chunks * group,), (group,), *arguments)

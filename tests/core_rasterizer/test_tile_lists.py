@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Device, GaussianModel
+from core_rasterizer import Camera, Device, GaussianModel
 from core_rasterizer.raster import RenderRequest
 from core_rasterizer.raster.budget import RECORD
 from tests.core_rasterizer.test_model import parameters, view
@@ -29,8 +30,10 @@ class Lists(NamedTuple):
     tiles_across: int
 
 
-def lists_of(device: Device, model: GaussianModel | None = None) -> Lists:
-    model, camera = model or GaussianModel(parameters(300), device), view()
+def lists_of(
+    device: Device, model: GaussianModel | None = None, camera: Camera | None = None
+) -> Lists:
+    model, camera = model or GaussianModel(parameters(300), device), camera or view()
     renderer = model.renderer
     frame = renderer.forward(model.block, RenderRequest(camera, (0.0, 0.0, 0.0), 3))[1].frame
     tiles = frame.tiles[0] * frame.tiles[1]
@@ -84,6 +87,8 @@ def test_one_launch_for_few_gives_the_lists_of_many(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After each other in the same scratch memory, too: neither leaves anything that the other reads."""
+    if device.variant == "gpu":
+        pytest.skip("a GPU always shares the work")
     expected = lists_of(device)
     model = GaussianModel(parameters(300), device)
     for few in (0, 300, 0, 300):
@@ -104,3 +109,28 @@ def test_the_number_of_chunks_changes_nothing(
     lists = lists_of(device)
     assert np.array_equal(lists.pairs, expected.pairs)
     assert np.array_equal(lists.starts, expected.starts)
+
+
+def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With more chunks than Gaussians nobody has a neighbour to make room for; with one chunk all have."""
+    gaussians = parameters(200)
+    gaussians.means[:, 2] = gaussians.means[:, 2].round().clamp(min=1)
+    gaussians.log_scales[::20] = 0.0
+    camera = Camera(torch.eye(4), 200.0, 200.0, 160.0, 120.0, 320, 240)
+    monkeypatch.setattr("core_rasterizer.raster.tile_lists.FEW", 0)
+    lists = []
+    for chunks in (1, 256):
+        for module in ("tile_lists", "renderer"):
+            monkeypatch.setattr(
+                f"core_rasterizer.raster.{module}.chunks_of", lambda device, n=chunks: n
+            )
+        lists.append(lists_of(device, GaussianModel(gaussians, device), camera))
+    together, alone = lists
+    assert np.array_equal(together.pairs, alone.pairs)
+    assert np.array_equal(together.starts, alone.starts)
+    boxes = together.records[:, 10:14]
+    spans = np.maximum(boxes[:, 1] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 2], 0)
+    if device.variant == "gpu":
+        assert (spans > 64 * 16 * 16).any()
