@@ -272,6 +272,7 @@ class TestExplanation:
         assert "group 2: d.jpg, e.jpg" in error.what
         assert "    c.jpg  b.jpg 150, a.jpg 90, d.jpg 12" in error.what.splitlines()
         assert "between d.jpg and c.jpg, which share only 12 matches" in error.fix
+        assert error.what.splitlines()[-1] == "  matched by SIFT"
 
     def test_a_photograph_that_two_pieces_have_is_counted_once(self) -> None:
         assert "group 2: d.jpg, e.jpg" in self.explain([[0, 1, 2], [2, 3, 4]]).what
