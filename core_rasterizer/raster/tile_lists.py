@@ -49,7 +49,7 @@ class TileLists:
         self._device = device
         self._chunks = chunks_of(device)
         on_cpu = device.variant == "cpu"
-        self._few = FEW if on_cpu else 0
+        self._few = FEW if on_cpu else -1  # not even none
         self._chunk_group = 1 if on_cpu else _GPU_CHUNK_GROUP
         self.sources = _ON_CPU if on_cpu else _ON_GPU
         self._group, self._items = (16, 1) if on_cpu else (64, 256)
