@@ -237,7 +237,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             facts={
                 **shown.facts(),
                 "points_by_kind": dict(zip(layers, counts, strict=True)),
-                "picture_columns": PICTURE_COLUMNS,
+                "picture_columns": list(PICTURE_COLUMNS),
                 "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
                 "views": {view.view.name: view.facts() for view in views},
             },
