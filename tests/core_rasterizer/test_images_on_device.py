@@ -101,7 +101,7 @@ def test_two_losses_of_one_render_add_up(model: GaussianModel) -> None:
     rendering = model.render(view())
     model.zero_gradients()
     losses = [photometric_loss(rendering, target(seed)) for seed in range(2)]
-    sum(losses, torch.zeros(())).backward()
+    torch.stack(losses).sum().backward()
     both = gradients(model)
     model.zero_gradients()
     rgb = model.render(view()).rgb
