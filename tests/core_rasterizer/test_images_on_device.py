@@ -101,11 +101,12 @@ def test_two_losses_of_one_render_add_up(model: GaussianModel) -> None:
     rendering = model.render(view())
     model.zero_gradients()
     losses = [photometric_loss(rendering, target(seed)) for seed in range(2)]
-    sum(losses, torch.zeros(())).backward()
+    torch.stack(losses).sum().backward()
     both = gradients(model)
     model.zero_gradients()
     rgb = model.render(view()).rgb
-    sum(photometric_loss(rgb, target(seed), device=model.device) for seed in range(2)).backward()
+    losses = [photometric_loss(rgb, target(seed), device=model.device) for seed in range(2)]
+    torch.stack(losses).sum().backward()
     for ours, theirs in zip(both, gradients(model), strict=True):
         assert torch.allclose(ours, theirs, rtol=1e-4, atol=1e-9)
 
