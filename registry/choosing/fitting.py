@@ -55,8 +55,8 @@ def fit_length(beginning: Beginning, budget: Budget, say: Say) -> Pipeline:
     own, first = beginning.pipeline, len(beginning.gaussians)
     last = max(first, GROWN) if own.items["densification"] else first
     growth = _growth(own, (first + last) / 2, last)
-    least = min(LEAST_ITERATIONS, own.training.iterations)
-    cost, measured = _cost(beginning, budget, growth, least)
+    cost, measured = _cost(beginning, budget, growth)
+    cost.refuse_too_little(budget.seconds, min(LEAST_ITERATIONS, own.training.iterations))
     count = min(cost.iterations(budget.seconds), own.training.iterations)
     fitted = _within_budget(own, count, growth)
     tell_choice(fitted, "", beginning, say)
@@ -84,14 +84,15 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
         tell_choice(chosen, taken.because, beginning, say)
         return chosen
     growth = _known_growth(beginning)
-    cost, measured = _cost(beginning, wanted, growth, LEAST_ITERATIONS)
+    cost, measured = _cost(beginning, wanted, growth)
     affordable = cost.iterations(wanted.seconds)
     taken = by_length(affordable / beginning.pipeline.training.iterations, views)
     if taken.name != beginning.pipeline.name:
         beginning = replace(beginning, pipeline=load(taken.name))
         growth = _known_growth(beginning)
-        cost, measured = _cost(beginning, wanted, growth, LEAST_ITERATIONS)
+        cost, measured = _cost(beginning, wanted, growth)
         affordable = cost.iterations(wanted.seconds)
+    cost.refuse_too_little(wanted.seconds, LEAST_ITERATIONS)
     count = min(affordable, round(taken.times * beginning.pipeline.training.iterations))
     chosen = _within_budget(beginning.pipeline, count, growth)
     tell_choice(chosen, taken.because, beginning, say)
@@ -118,16 +119,11 @@ def _known_growth(beginning: Beginning) -> _Growth:
     return _growth(beginning.pipeline, mean * first, most * first)
 
 
-def _cost(
-    beginning: Beginning, budget: Budget, growth: _Growth, least: int
-) -> tuple[Cost, Measured]:
-    """What the pipeline costs, if so many iterations at least fit in."""
+def _cost(beginning: Beginning, budget: Budget, growth: _Growth) -> tuple[Cost, Measured]:
     from .rehearsal import rehearse
 
     measured = rehearse(beginning, growth.mean, budget.clock, REHEARSED * budget.seconds)
-    cost = Cost(budget.spent, measured.iteration, measured.after)
-    cost.refuse_too_little(budget.seconds, least)
-    return cost, measured
+    return Cost(budget.spent, measured.iteration, measured.after), measured
 
 
 def _within_budget(pipeline: Pipeline, count: int, growth: _Growth) -> Pipeline:

@@ -1,6 +1,6 @@
 """What iterations and scores cost on this machine, measured on what is about to be trained.
 
-Iterations from the middle of the pipeline are done on copies and forgotten. Nothing of the run changes:
+Iterations from all parts of the pipeline are done on copies and forgotten. Nothing of the run changes:
 its components are built anew afterwards, as they are when a run is resumed.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
@@ -27,9 +28,12 @@ from .cost import CLOSING
 Clock = Callable[[], float]
 """Gives seconds; only differences count."""
 
+MOMENTS = (1 / 8, 3 / 8, 5 / 8, 7 / 8)
+"""Parts of the run in whose middle iterations are measured: photographs may be small at first."""
 WARM_UP = 3
 """Iterations that are not counted: kernels are loaded, buffers find their sizes."""
-MOST_MEASURED = 40
+MOST_MEASURED = 10
+"""Iterations at each moment."""
 
 
 class Measured(NamedTuple):
@@ -60,18 +64,26 @@ def rehearse(beginning: Beginning, count: int, clock: Clock, seconds: float) -> 
     model = new_model(gaussians, pipeline.training, beginning.device)
     parts = Parts(pipeline, beginning.device)
     trainer = Trainer(pipeline.training, parts, scene, model, beginning.points.maps)
-    trainer.iteration = max(0, pipeline.training.iterations // 2 - WARM_UP)
-    measured, begin = 0, clock()
+    spans = []
+    for moment in MOMENTS:
+        trainer.iteration = max(0, int(moment * pipeline.training.iterations) - WARM_UP)
+        spans.append(_measured(trainer, clock, seconds / len(MOMENTS)))
+    iteration = fmean(took / done for took, done in spans)
+    done = sum(done for _, done in spans)
+    return Measured(iteration, _after(beginning, model, parts, clock), done, len(gaussians))
+
+
+def _measured(trainer: Trainer, clock: Clock, seconds: float) -> tuple[float, int]:
+    """Seconds of some iterations from where the trainer is, and how many they were."""
+    done, begin = 0, clock()
     for count, _ in enumerate(trainer.run(), 1 - WARM_UP):
-        now = clock()
         if count <= 0:
-            begin = now
-        elif now - begin >= seconds or count == MOST_MEASURED:
-            measured = count
+            begin = clock()
+            continue
+        done = count
+        if clock() - begin >= seconds or done == MOST_MEASURED:
             break
-        measured = max(count, 0)
-    iteration = (clock() - begin) / max(measured, 1)
-    return Measured(iteration, _after(beginning, model, parts, clock), measured, len(gaussians))
+    return clock() - begin, max(done, 1)
 
 
 def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Clock) -> float:

@@ -20,6 +20,8 @@ from registry.choosing.table import (
     LONG,
     MOST_TIMES,
     QUALITIES,
+    QUICK,
+    QUICK_TIMES,
     SHORT,
     SHORT_TIMES,
     by_length,
@@ -127,8 +129,8 @@ def chosen(
         pass
 
     def load(name: str) -> Pipeline:
-        assert name == LONG, "the short one is at hand"
-        return pipeline(toys, LONG, 2000)
+        assert name != SHORT, "it is at hand"
+        return pipeline(toys, name, {QUICK: 160, LONG: 2000}[name])
 
     found: list[Pipeline] = []
 
@@ -143,7 +145,7 @@ def chosen(
 
 @pytest.mark.parametrize(
     ("quality", "name", "iterations"),
-    [("fast", SHORT, 200), ("good", SHORT, 400), ("best", LONG, 2000)],
+    [("fast", QUICK, 160), ("good", SHORT, 400), ("best", LONG, 2000)],
 )
 def test_a_quality_is_a_pipeline_and_a_length(
     toys: Plugins, device: Device, quality: str, name: str, iterations: int
@@ -156,8 +158,10 @@ def test_a_quality_is_a_pipeline_and_a_length(
     assert max(map(len, said)) <= 80
 
 
-@pytest.mark.parametrize(("seconds", "name"), [(15.0, SHORT), (100.0, LONG), (600.0, LONG)])
-def test_seconds_decide_between_the_short_and_the_long(
+@pytest.mark.parametrize(
+    ("seconds", "name"), [(12.0, QUICK), (30.0, SHORT), (100.0, LONG), (600.0, LONG)]
+)
+def test_seconds_decide_among_the_three(
     toys: Plugins,
     device: Device,
     monkeypatch: pytest.MonkeyPatch,
@@ -166,16 +170,17 @@ def test_seconds_decide_between_the_short_and_the_long(
 ) -> None:
     found = chosen(toys, device, Machine(monkeypatch).budget(seconds))
     assert found.name == name
-    assert (found.training.iterations > SHORT_TIMES * 400) == (name == LONG)
-    assert found.training.iterations <= 2000
+    most = {QUICK: QUICK_TIMES * 160, SHORT: SHORT_TIMES * 400, LONG: 2000}[name]
+    assert LEAST_ITERATIONS <= found.training.iterations <= most
     assert found.training.max_gaussians is not None
 
 
 def test_more_views_get_more_iterations_up_to_a_bound() -> None:
     times = [by_quality("good", views).times for views in (1, 3, 6, 24)]
     assert times == [1, 1, 2, MOST_TIMES]
-    assert by_quality("fast", 6).times == 1
-    assert [by_length(4, views).name for views in (3, 6)] == [LONG, SHORT]
+    assert by_quality("fast", 6).times == 2
+    assert [by_length(1.8, views).name for views in (3, 6, 9, 24)] == [LONG, SHORT, SHORT, SHORT]
+    assert [by_length(0.7, views).name for views in (3, 6)] == [SHORT, QUICK]
     assert "2x as long for 6 views" in by_quality("good", 6).because
     for quality in QUALITIES:
         for views in (3, 8, 100):
