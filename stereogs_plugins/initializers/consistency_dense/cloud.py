@@ -13,7 +13,6 @@ from .witnesses import witnesses
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .projection import Mask
     from .view_depth import ViewDepth
 
 
@@ -50,17 +49,11 @@ def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Laye
     return joined(layers)
 
 
-def margins(
-    views: Sequence[ViewDepth], plain: Sequence[Mask], bounds: tuple[float, float]
-) -> Layer:
-    """The margins of all views, outside the images of all others.
-
-    Args:
-        plain: `[H, W]` for each view the pixels of plain background.
-    """
+def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
+    """The margins of all views, outside the images of all others."""
     layers = []
-    for index, (view, background) in enumerate(zip(views, plain, strict=True)):
-        layer = margin(view, background)
+    for index, view in enumerate(views):
+        layer = margin(view)
         others = [views[k] for k in _witnesses(views, index, bounds)]
         cameras, depths = [o.camera for o in others], [o.completed for o in others]
         layers.append(layer.without(overlooked(layer.positions, cameras, depths)))

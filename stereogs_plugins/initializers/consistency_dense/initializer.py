@@ -193,7 +193,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         if settings.back_layer:
             coarse["back_layer"] = back_layers(views, bounds)
         if settings.margin:
-            coarse["margin"] = margins(views, shown.backgrounds, bounds)
+            coarse["margin"] = margins(views, bounds)
         for kind, layer in coarse.items():
             layers[kind] = layer.without(is_background(layer.colors, scene.background))
         return {

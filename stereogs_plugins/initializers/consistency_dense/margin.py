@@ -14,7 +14,6 @@ from .layers import Layer, layer_at
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from .projection import Mask
     from .view_depth import ViewDepth
 
 WIDTH = 0.5
@@ -29,12 +28,8 @@ WINDOW = 15
 """So many points in a row make up a point's surroundings."""
 
 
-def margin(view: ViewDepth, plain: Mask) -> Layer:
-    """Points outside the image, none where the border nearby has no depth.
-
-    Args:
-        plain: `[H, W]` pixels of plain background, beside which there is only more of it.
-    """
+def margin(view: ViewDepth) -> Layer:
+    """Points outside the image, none where the border nearby has no depth."""
     from scipy.ndimage import (  # type: ignore[attr-defined]
         gaussian_filter,
         percentile_filter,
@@ -48,7 +43,7 @@ def margin(view: ViewDepth, plain: Mask) -> Layer:
     # Unknown depths count as near, so that the low percentile passes over them.
     nearness = np.divide(1.0, seen, out=np.full(seen.shape, np.inf), where=seen > 0)
     background = percentile_filter(nearness, PERCENTILE, size=WINDOW, mode="nearest")
-    keep = outside & np.isfinite(background) & ~plain[row, column]
+    keep = outside & np.isfinite(background)
     blurred = gaussian_filter(view.image, (BLUR, BLUR, 0), mode="nearest")
     colors = blurred[row[keep], column[keep]]
     return layer_at(view.camera, u[keep], v[keep], 1 / background[keep], colors, STRIDE)
