@@ -54,8 +54,10 @@ def find_pipeline(given: Path) -> Path:
             where="the command line",
             fix="give the path of the file that is meant",
         )
+    folders = {found.partition("/")[0]: None for found in ready if "/" in found}
     raise PipelineError(
         f"there is no pipeline file and no ready pipeline {name!r}{did_you_mean(name, ready)}",
         where="the command line",
-        fix=f"give the path of a YAML file, or one of: {listing(ready)}",
+        fix="give the path of a YAML file (to train, also of a folder that is there), or one of: "
+        f"{listing(found for found in ready if '/' not in found)}; more are in {listing(folders)}",
     )
