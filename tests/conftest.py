@@ -1,10 +1,17 @@
 """What holds for all tests."""
 
+import os
+
 import pytest
 import torch
 
 # As the command line does: torch's own threads would wait in a spin beside the OpenCL device's.
 torch.set_num_threads(1)
+
+# readline gives these to the processes that it starts, of pytest too; what the command line tells would be
+# broken into lines of 80 columns.
+for name in ("COLUMNS", "LINES"):
+    os.environ.pop(name, None)
 
 
 @pytest.fixture(autouse=True)

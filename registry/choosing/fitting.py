@@ -88,7 +88,7 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     affordable = cost.iterations(wanted.seconds)
     taken = by_length(affordable / beginning.pipeline.training.iterations, views)
     if taken.name != beginning.pipeline.name:
-        beginning = replace(beginning, pipeline=load(taken.name))
+        beginning = beginning.of(load(taken.name))
         growth = _known_growth(beginning)
         cost, measured = _cost(beginning, wanted, growth)
         affordable = cost.iterations(wanted.seconds)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 
@@ -64,6 +64,11 @@ class Beginning:
     points: PointCloud
     gaussians: Gaussians
     device: Device
+
+    def of(self, pipeline: Pipeline) -> Beginning:
+        """The same points as the first Gaussians of another pipeline."""
+        gaussians = initial_gaussians(self.points, pipeline.training)
+        return replace(self, pipeline=pipeline, gaussians=gaussians)
 
 
 Fit = Callable[[Beginning], Pipeline]
@@ -259,6 +264,7 @@ def _begun(
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     if fit is not None:
         pipeline = fit(Beginning(pipeline, scene, points, gaussians, device))
+        gaussians = initial_gaussians(points, pipeline.training)
         parts = Parts(pipeline, device)
     model = new_model(gaussians, pipeline.training, device)
     facts = {

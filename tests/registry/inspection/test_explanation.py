@@ -90,7 +90,7 @@ def shipped(monkeypatch: pytest.MonkeyPatch) -> Plugins:
 def test_a_prior_that_is_needed_is_looked_for(shipped: Plugins) -> None:
     path = ROOT / "pipelines" / "weightfree.yaml"
     assert not [fault for fault in faults(load_pipeline(path, shipped)) if "prior" in fault]
-    without = faults(load_pipeline(path, shipped, disabled=["plane_sweep"]))
+    without = faults(load_pipeline(path, shipped, disabled=["plane_sweep", "patch_match"]))
     assert [fault for fault in without if MultiViewDepthPrior.capability in fault]
 
 

@@ -28,8 +28,7 @@ def plugins() -> Plugins:
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
     pipeline = parse_pipeline(example, plugins, source=PAGE.name)
-    (prior,) = pipeline.items["priors"]
-    assert prior.name in NAMES
+    assert pipeline.items["priors"]
 
 
 def test_there_is_an_example_of_each_prior() -> None:
