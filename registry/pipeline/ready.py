@@ -55,9 +55,10 @@ def find_pipeline(given: Path) -> Path:
             fix="give the path of the file that is meant",
         )
     folders = {found.partition("/")[0]: None for found in ready if "/" in found}
+    more = f"; more are in {listing(folders)}" if folders else ""
     raise PipelineError(
         f"there is no pipeline file and no ready pipeline {name!r}{did_you_mean(name, ready)}",
         where="the command line",
         fix="give the path of a YAML file (to train, also of a folder that is there), or one of: "
-        f"{listing(found for found in ready if '/' not in found)}; more are in {listing(folders)}",
+        f"{listing(found for found in ready if '/' not in found)}{more}",
     )
