@@ -87,10 +87,7 @@ SWITCHES = (
     Switch("colours without direction (SH degree 0)", overrides=("training.sh_degree=0",)),
     Switch("a point every 4th pixel, not every 3rd", overrides=("initializer.stride=4",)),
     Switch("no margin around the views", overrides=("initializer.margin=false",)),
-    Switch(
-        "photographs blurred at first",
-        overrides=("samplers=[{use: coarse_to_fine, until: 0.5, bands: false}]",),
-    ),
+    Switch("photographs of full size from the start", disabled=("resolution_schedule",)),
     Switch("L1 alone in the loss", overrides=("training.ssim_weight=0",)),
 )
 

@@ -56,14 +56,23 @@ class StageClock:
             self._charge()
             self._open.pop()
 
-    def wrap(self, owner: Any, attribute: str, name: str) -> None:
-        """Count every call of a function or method as a stage."""
+    def wrap(
+        self, owner: Any, attribute: str, name: str, settle: Callable[[Any], object] | None = None
+    ) -> None:
+        """Count every call of a function or method as a stage.
+
+        Args:
+            settle: is given the call's first argument before the stage ends.
+        """
         inner: Callable[..., Any] = getattr(owner, attribute)
 
         @functools.wraps(inner)
         def timed(*arguments: Any, **options: Any) -> Any:
             with self.stage(name):
-                return inner(*arguments, **options)
+                result = inner(*arguments, **options)
+                if settle is not None:
+                    settle(arguments[0])
+                return result
 
         setattr(owner, attribute, timed)
 
@@ -108,7 +117,8 @@ def wrap_stages(clock: StageClock) -> None:
         ("step_optimizer", "iteration: Adam"),
         ("perturb", "iteration: perturbations"),
     ):
-        clock.wrap(Field, method, name)
+        # What a stage has only enqueued would be charged to the next one that waits.
+        clock.wrap(Field, method, name, lambda field: field.model.device.finish())
     clock.wrap(Run, "keep_in", "run folder and checkpoints")
     clock.wrap(run, "save_checkpoint", "run folder and checkpoints")
     clock.wrap(results, "_write_with_outputs", "results and export")

@@ -184,9 +184,9 @@ class _Workspace:
         with self._device.lock:  # threads take turns
             image = self._sent(rgb.detach().to("cpu", self._dtype).contiguous())
             if not with_gradient:
-                return self._run(image, target, weights, None), None
+                return self.run(image, target, weights, None), None
             gradient = self._room("gradient")
-            loss = self._run(image, target, weights, gradient)
+            loss = self.run(image, target, weights, gradient)
             return loss, gradient.read(0, math.prod(self._shape)).reshape(self._shape)
 
     def run(
@@ -197,34 +197,25 @@ class _Workspace:
         gradient: DeviceArray | None,
     ) -> float:
         """The loss with weights of L1 and of D-SSIM; its gradient is left in `gradient`, if given."""
-        with self._device.lock:
-            return self._run(image, target, weights, gradient)
-
-    def _run(
-        self,
-        image: DeviceArray,
-        target: Tensor,
-        weights: tuple[float, float],
-        gradient: DeviceArray | None,
-    ) -> float:
         l1_weight, ssim_weight = weights
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
-        self._program.run(
-            "photometric",
-            (self._items, self._bands),
-            (self._items, 1),
-            image,
-            self._device.uploads.of(target, self._dtype),
-            self._scratch,
-            self._sums,
-            image if gradient is None else gradient,
-            *self._size,
-            np.int32(gradient is not None),
-            real(l1_weight / values),
-            real(ssim_weight / values),
-        )
-        l1, dissimilarity = map(float, self._sums.read().double().sum(dim=0) / values)
+        with self._device.lock:
+            self._program.run(
+                "photometric",
+                (self._items, self._bands),
+                (self._items, 1),
+                image,
+                self._device.uploads.of(target, self._dtype),
+                self._scratch,
+                self._sums,
+                image if gradient is None else gradient,
+                *self._size,
+                np.int32(gradient is not None),
+                real(l1_weight / values),
+                real(ssim_weight / values),
+            )
+            l1, dissimilarity = map(float, self._sums.read().double().sum(dim=0) / values)
         return l1_weight * l1 + ssim_weight * dissimilarity
 
     def _sent(self, values: Tensor) -> DeviceArray:
