@@ -15,14 +15,15 @@ def test_a_stage_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(stage_clock, "time", clocked)
     clock = StageClock(born=9.0)
     worker = SimpleNamespace()
+    device, settled = object(), []
 
-    def inner() -> int:
+    def inner(device: object) -> int:
         now[0] += 3
         return 7
 
     def outer() -> int:
         now[0] += 1
-        answer: int = worker.inner()
+        answer: int = worker.inner(device)
         now[0] += 2
         return answer
 
@@ -30,8 +31,12 @@ def test_a_stage_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> 
         now[0] += 4
         raise ValueError("it failed")
 
+    def settle(device: object) -> None:
+        settled.append(device)
+        now[0] += 1
+
     worker.inner, worker.outer, worker.failing = inner, outer, failing
-    clock.wrap(worker, "inner", "inside")
+    clock.wrap(worker, "inner", "inside", settle=settle)
     clock.wrap(worker, "outer", "outside")
     clock.wrap(worker, "failing", "inside")
     assert worker.outer() == 7
@@ -39,7 +44,8 @@ def test_a_stage_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> 
         worker.failing()
     now[0] += 5
     taken = clock.finish()
-    assert taken == {INTERPRETER: [1, 20], REST: [5, 10], "outside": [3, 6], "inside": [7, 14]}
+    assert taken == {INTERPRETER: [1, 20], REST: [5, 10], "outside": [3, 6], "inside": [8, 16]}
+    assert settled == [device]
 
 
 def test_every_stage_of_a_run_is_there_to_be_wrapped() -> None:
@@ -47,7 +53,7 @@ def test_every_stage_of_a_run_is_there_to_be_wrapped() -> None:
     wrapped = []
 
     class Listing(StageClock):
-        def wrap(self, owner: object, attribute: str, name: str) -> None:
+        def wrap(self, owner: object, attribute: str, name: str, settle: object = None) -> None:
             assert callable(getattr(owner, attribute)), (owner, attribute)
             wrapped.append(name)
 
