@@ -99,8 +99,9 @@ class Bench:
     @one_torch_thread()
     def trial(self, case: str, pipeline: Pipeline) -> Record:
         """Train one pipeline on one case."""
-        settings = pipeline.training
         scene = self._scene(case)
+        pipeline = pipeline.for_views(len(scene.train))
+        settings = pipeline.training
         parts = Parts(pipeline, self.device)
         begin = process_time()
         points = self._first_points(case, pipeline, parts, scene)

@@ -16,6 +16,7 @@ import os
 import resource
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +35,6 @@ from registry.ablation.running.folder import AblationFolder
 from registry.ablation.running.runner import train_all
 from registry.ablation.showing.page import as_page
 from registry.cache import FOLDER_VARIABLE
-from registry.choosing.scaling import scaled
 from registry.choosing.table import SHORT
 from registry.pipeline.pipeline import load_pipeline
 from registry.pipeline.yaml_source import Node, parse
@@ -102,8 +102,11 @@ def variant(switch: Switch, iterations: int | None, plugins: Plugins) -> Node:
     pipeline = load_pipeline(
         Path(SHORT), plugins, overrides=[*overrides, *switch.overrides], disabled=switch.disabled
     )
-    length = round(switch.length * (iterations or pipeline.training.iterations))
-    return parse(scaled(pipeline, length).to_yaml(), switch.label)
+    made = pipeline.scaled(round(switch.length * (iterations or pipeline.training.iterations)))
+    each = pipeline.iterations_per_view
+    if iterations is None and each is not None:
+        made = replace(made, iterations_per_view=round(switch.length * each))
+    return parse(made.to_yaml(), switch.label)
 
 
 def make_plan(scenes: Sequence[str], seeds: int, iterations: int | None) -> Plan:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..pipeline.pipeline import Pipeline
 from .cost import LEAST_ITERATIONS, Cost
-from .scaling import scaled
 from .table import GROWTH, Quality, by_length, by_quality
 from .telling import Say, tell_choice, tell_cost
 
@@ -75,20 +74,17 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     Raises:
         RunError: there are too few seconds.
     """
-    views = len(beginning.scene.train)
     if not isinstance(wanted, Budget):
-        taken = by_quality(wanted, views)
-        own = taken.name == beginning.pipeline.name
-        pipeline = beginning.pipeline if own else load(taken.name)
-        chosen = scaled(pipeline, round(taken.times * pipeline.training.iterations))
+        taken = by_quality(wanted)
+        chosen = _ready(taken.name, beginning, load)
         tell_choice(chosen, taken.because, beginning, say)
         return chosen
     growth = _known_growth(beginning)
     cost, measured = _cost(beginning, wanted, growth)
     affordable = cost.iterations(wanted.seconds)
-    taken = by_length(affordable / beginning.pipeline.training.iterations, views)
+    taken = by_length(affordable / beginning.pipeline.training.iterations)
     if taken.name != beginning.pipeline.name:
-        beginning = beginning.of(load(taken.name))
+        beginning = beginning.of(_ready(taken.name, beginning, load))
         growth = _known_growth(beginning)
         cost, measured = _cost(beginning, wanted, growth)
         affordable = cost.iterations(wanted.seconds)
@@ -98,6 +94,13 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     tell_choice(chosen, taken.because, beginning, say)
     tell_cost(cost, measured, count, wanted.seconds, say)
     return chosen
+
+
+def _ready(name: str, beginning: Beginning, load: Load) -> Pipeline:
+    """A pipeline of the table, for the scene's views."""
+    if name == beginning.pipeline.name:
+        return beginning.pipeline
+    return load(name).for_views(len(beginning.scene.train))
 
 
 class _Growth(NamedTuple):
@@ -128,6 +131,6 @@ def _cost(beginning: Beginning, budget: Budget, growth: _Growth) -> tuple[Cost, 
 
 def _within_budget(pipeline: Pipeline, count: int, growth: _Growth) -> Pipeline:
     """Scaled, with a bound on what may grow, and without scores on the way."""
-    fitted = scaled(pipeline, count)
+    fitted = pipeline.scaled(count)
     changes = {"max_gaussians": growth.most, "evaluate_every": 0}
     return replace(fitted, training=fitted.training.model_copy(update=changes))

@@ -44,7 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     output = console()
     training = pipeline.training
-    output.print(f"{pipeline.name}: {training.iterations} iterations, seed {training.seed}")
+    each = pipeline.iterations_per_view
+    length = f"{training.iterations} iterations" + (f", {each} per training view" if each else "")
+    output.print(f"{pipeline.name}: {length}, seed {training.seed}")
     for stage, components in explained(pipeline):
         output.print(f"\n{stage}")
         for component in components:

@@ -260,7 +260,6 @@ class TrainingTask:
 
     Args:
         pipeline: YAML, complete; equal pipelines give equal bits on equal devices, wherever they run.
-        iterations: how many it has.
         folder: where the finished run folder is to lie. It may hold a run of this pipeline that was
             stopped; a runner that does not go on with it puts a whole one in its place.
         log: the file for what the training prints.
@@ -268,7 +267,6 @@ class TrainingTask:
     """
 
     pipeline: str
-    iterations: int
     folder: Path
     log: Path
     device: str | None = None

@@ -16,7 +16,7 @@ from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..pipeline.protocol_rules import ProtocolChoice
 from ..pipeline.protocols import protocol_names
 from ..pipeline.schedule import HostSettings
-from ..pipeline.training_settings import TrainingSettings
+from ..pipeline.training_settings import PER_VIEW, TrainingSettings
 from ..plugins.discovery import Offer
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -29,6 +29,11 @@ _SHARE = {
     "type": "string",
     "pattern": r"^[0-9]+(\.[0-9]+)?%$",
     "description": "A share of the run.",
+}
+_PER_VIEW = {
+    "type": "string",
+    "pattern": f"^{PER_VIEW.pattern}$",
+    "description": "So many for each training view.",
 }
 _NOTES = ("description", "default", "title")
 """What a schema says about a value beside its shape."""
@@ -43,7 +48,10 @@ def pipeline_schema(offers: Iterable[Offer]) -> Schema:
         offers: for example `Plugins().all()`.
     """
     definitions: dict[str, Schema] = {"training": {}}
-    definitions["training"] = _described(TrainingSettings, "training", definitions)
+    training = _described(TrainingSettings, "training", definitions)
+    length = training["properties"]["iterations"]
+    training["properties"]["iterations"] = _or_text(length, _PER_VIEW)
+    definitions["training"] = training
     protocol = _described(ProtocolChoice, "protocol", definitions)
     protocol["properties"]["use"]["enum"] = list(protocol_names())
     names = {"enum": [*protocol_names(), None]}
@@ -118,11 +126,14 @@ def _lent(point: HookPoint, definitions: dict[str, Schema]) -> Iterator[tuple[st
     for name in point.host_settings:
         schema = {k: v for k, v in described[name].items() if name != "use" or k != "type"}
         if name in _SHARES:
-            schema = {
-                "anyOf": [{k: v for k, v in schema.items() if k not in _NOTES}, _SHARE],
-                **{k: v for k, v in schema.items() if k in _NOTES},
-            }
+            schema = _or_text(schema, _SHARE)
         yield name, schema
+
+
+def _or_text(schema: Schema, text: Schema) -> Schema:
+    """What may be written in words too."""
+    notes = {key: value for key, value in schema.items() if key in _NOTES}
+    return {"anyOf": [{k: v for k, v in schema.items() if k not in notes}, text], **notes}
 
 
 def _described(model: type[Settings], key: str, definitions: dict[str, Schema]) -> Schema:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from .protocol_rules import AppliedProtocol, apply_protocol
 from .ready import find_pipeline
 from .schedule import HostSettings, Schedule, in_iterations
 from .settings_check import escape_variables, plain, validate_settings
-from .training_settings import TrainingSettings
+from .training_settings import TrainingSettings, iterations_of_a_run, per_view
 from .yaml_source import Node, Place, parse, read, to_yaml
 
 
@@ -54,6 +55,10 @@ class Item:
         """Unique in the pipeline, for example "regularizers.stereo_depth"."""
         return f"{self.point.section}.{self.name}"
 
+    def scaled(self, factor: Fraction) -> Item:
+        """The same in a run of another length."""
+        return replace(self, host=self.host.scaled(factor)) if self.point.scheduled else self
+
 
 @dataclass(frozen=True)
 class Pipeline:
@@ -64,12 +69,14 @@ class Pipeline:
         items: the components of each section, in the order of the file.
         training: the loop's settings.
         protocol: what fixes the split, the images and the metrics; None leaves them to the pipeline.
+        iterations_per_view: what `for_views` goes by; None: the scene has no say in the length.
     """
 
     name: str
     items: dict[str, tuple[Item, ...]]
     training: TrainingSettings
     protocol: AppliedProtocol | None = None
+    iterations_per_view: int | None = None
 
     def __iter__(self) -> Iterator[Item]:
         """All components, section by section."""
@@ -79,6 +86,39 @@ class Pipeline:
         """The component of a section that holds exactly one: "scene" or "initializer"."""
         (item,) = self.items[section]
         return item
+
+    def scaled(self, iterations: int) -> Pipeline:
+        """The pipeline with so many iterations, and its schedules in proportion, rounded down.
+
+        `--set training.iterations=N` moves only what is written as a share. Here moments that are written
+        as numbers move too: what begins in iteration 100 of 400 begins in 50 of 200. What holds for the
+        first iteration or for each one stays so.
+
+        Args:
+            iterations: >= 1.
+        """
+        factor = Fraction(iterations, self.training.iterations)
+        if factor == 1:
+            return replace(self, iterations_per_view=None)
+        items = {
+            section: tuple(item.scaled(factor) for item in items)
+            for section, items in self.items.items()
+        }
+        training = self.training.scaled(iterations)
+        return replace(self, items=items, training=training, iterations_per_view=None)
+
+    def for_views(self, views: int) -> Pipeline:
+        """The pipeline for a scene with so many training views: as long as it says for them."""
+        if self.iterations_per_view is None:
+            return self
+        return self.scaled(self.iterations_per_view * views)
+
+    def wrote(self, text: str) -> bool:
+        """Whether a run of it, with however many training views, has such a pipeline file in its folder."""
+        if self.iterations_per_view is None:
+            return text == self.to_yaml()
+        views = iterations_of_a_run(text) // self.iterations_per_view
+        return views > 0 and text == self.for_views(views).to_yaml()
 
     def plain(self) -> dict[str, Any]:
         """The pipeline as plain values, every default written out; of observers nothing if it has none."""
@@ -92,6 +132,8 @@ class Pipeline:
             bare = point.holds == "one" or (point.holds == "one or list" and len(written) < 2)
             tree[point.section] = (written[0] if written else None) if bare else written
         tree["training"] = self.training.model_dump(mode="json")
+        if self.iterations_per_view is not None:
+            tree["training"]["iterations"] = f"{self.iterations_per_view} per view"
         return tree
 
     def to_yaml(self) -> str:
@@ -160,14 +202,15 @@ def build_pipeline(
     written = sections.get("training", Node({}, root.place))
     if written.content is None:
         written = Node({}, written.place)
-    training = validate_settings(TrainingSettings, _mapping(written, "training"), "training")
+    own, each = per_view(_mapping(written, "training"))
+    training = validate_settings(TrainingSettings, Node(own, written.place), "training")
     items = {
         point.section: _section(
             point, sections.get(point.section), root.place, plugins, training.iterations
         )
         for point in PIPELINE_POINTS
     }
-    return Pipeline(_name(sections.get("name"), root.place), items, training, protocol)
+    return Pipeline(_name(sections.get("name"), root.place), items, training, protocol, each)
 
 
 def _name(node: Node | None, start: Place) -> str:
@@ -273,14 +316,14 @@ def _label(point: HookPoint, mapping: dict[str, Node]) -> str:
     return f"{point.section}.{name}" if isinstance(name, str) else point.section
 
 
-def _mapping(node: Node, name: str) -> Node:
+def _mapping(node: Node, name: str) -> dict[str, Node]:
     if not isinstance(node.content, dict):
         raise PipelineError(
             f"{name} must be a mapping of settings, not {node.kind}",
             where=str(node.place),
             fix=f"write each setting in a line of its own below `{name}:`",
         )
-    return node
+    return node.content
 
 
 def _written(item: Item) -> dict[str, Any]:

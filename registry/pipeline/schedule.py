@@ -56,6 +56,14 @@ class Schedule(Settings):
         return self.stop is not None and iteration > self.stop
 
 
+def moved(moment: int, factor: Fraction) -> int:
+    """A moment of a run in one of another length, rounded down.
+
+    The first iteration stays the first, and what is due in each one stays due in each.
+    """
+    return max(1, int(moment * factor)) if moment > 1 else moment
+
+
 class HostSettings(Schedule):
     """What the host lends to a component beside the component's own settings."""
 
@@ -70,6 +78,16 @@ class HostSettings(Schedule):
     step: Literal["together", "alone"] = "together"
     """A regularizer's term joins the loss, or has a backward pass and an optimizer step of its own,
     before the iteration's own render, in the order of the pipeline."""
+
+    def scaled(self, factor: Fraction) -> Self:
+        """The same in a run of another length."""
+        changes = {
+            "start": moved(self.start, factor),
+            "stop": None if self.stop is None else moved(self.stop, factor),
+            "every": moved(self.every, factor),
+            "phase": int(self.phase * factor),
+        }
+        return self.model_validate({**self.model_dump(), **changes})
 
 
 def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:

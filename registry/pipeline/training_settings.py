@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Annotated, Self
 
 from pydantic import Field
 
 from ..contract.component import Settings
+from .schedule import moved
+from .yaml_source import Node
+
+VIEWS = 3
+"""What a pipeline with iterations for each training view counts with until its scene is loaded."""
+PER_VIEW = re.compile(r"([1-9][0-9]{0,6}) per view")
+"""How such iterations are written."""
+_IN_A_RUN = re.compile(r"^  iterations: ([0-9]{1,9})$", re.MULTILINE)
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
@@ -40,7 +51,8 @@ class TrainingSettings(Settings):
     """The training loop."""
 
     iterations: Positive = 30_000
-    """How many training views are rendered and learnt from, one each."""
+    """How many training views are rendered and learnt from, one each. A pipeline may say `100 per view`: the
+    scene's training views then give the number, and all schedules go with it."""
     seed: Count = 0
     """Every random number of the run derives from it."""
     sh_degree: Annotated[int, Field(ge=0, le=3)] = 3
@@ -72,3 +84,33 @@ class TrainingSettings(Settings):
     evaluate_every: Count | None = None
     """Iterations between evaluations of the test views, which are no training time; 0 evaluates at the
     end only; null after each quarter, if a quarter has 50 iterations or more."""
+
+    def scaled(self, iterations: int) -> Self:
+        """The same with so many iterations, and what is due during them in proportion."""
+        factor = Fraction(iterations, self.iterations)
+        steps = self.learning_rates.position_steps
+        rates = self.learning_rates.model_dump() | {
+            "position_steps": None if steps is None else moved(steps, factor)
+        }
+        changes = {
+            "iterations": iterations,
+            "sh_every": moved(self.sh_every, factor),
+            "learning_rates": rates,
+        }
+        return self.model_validate({**self.model_dump(), **changes})
+
+
+def per_view(settings: Mapping[str, Node]) -> tuple[dict[str, Node], int | None]:
+    """The `training` section with a number of iterations, and how many each view brings if it says that."""
+    node = settings.get("iterations")
+    found = PER_VIEW.fullmatch(node.content) if node and isinstance(node.content, str) else None
+    if node is None or found is None:
+        return dict(settings), None
+    each = int(found[1])
+    return {**settings, "iterations": Node(VIEWS * each, node.place)}, each
+
+
+def iterations_of_a_run(text: str) -> int:
+    """Their number in a run folder's pipeline file, which `Pipeline.to_yaml` wrote; 0 in other texts."""
+    found = _IN_A_RUN.search(text)
+    return int(found[1]) if found else 0

@@ -252,6 +252,9 @@ def _begun(
     begin = monotonic()
     parts = Parts(pipeline, device)
     scene = scene or load_scene(parts)
+    if pipeline.iterations_per_view is not None:
+        pipeline = pipeline.for_views(len(scene.train))
+        parts = Parts(pipeline, device)
     console.print(summary(scene))
     for warning in warnings(scene):
         console.print(f"warning: {warning}")

@@ -41,7 +41,7 @@ class AblationFolder:
         """What a finished run measured; empty if it is not finished, not that pipeline's, or not believed."""
         run = self.run(planned)
         try:
-            if run.pipeline.read_text("utf-8") != planned.pipeline.to_yaml():
+            if not planned.pipeline.wrote(run.pipeline.read_text("utf-8")):
                 return {}
             return read_results(run.path / RESULTS)
         except (OSError, UnicodeDecodeError, RunError):

@@ -8,12 +8,17 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import cached_property
 
 from pydantic import Field
 
+from core_rasterizer.errors import ExplainedError
+
 from ...contract.component import Context, Settings
 from ...contract.components import Runner, RunningTask, TrainingTask
-from ...errors import RunError
+from ...pipeline.pipeline import parse_pipeline
+from ...pipeline.training_settings import iterations_of_a_run
+from ...plugins.discovery import Plugins
 from ...runs.folder import METRICS, RunFolder
 from ...system.files import write_text
 from ...training.checkpoint import CHECKPOINT, load_checkpoint
@@ -95,9 +100,14 @@ class TrainingProcess(RunningTask):
                 file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
                 last = file.read().splitlines()[-1]
             done = int(json.loads(last)["iteration"])
-        except (OSError, ValueError, KeyError, IndexError, TypeError):
+            return done / self._iterations
+        except (OSError, ValueError, KeyError, IndexError, TypeError, ZeroDivisionError):
             return 0.0  # not begun, or in the middle of a line
-        return done / self._task.iterations
+
+    @cached_property
+    def _iterations(self) -> int:
+        """How many the run has; its scene may have had a say in it."""
+        return iterations_of_a_run(RunFolder(self._task.folder).pipeline.read_text("utf-8"))
 
     def failure(self) -> str:
         """What went wrong, in the child's own words; empty if nothing did."""
@@ -134,8 +144,9 @@ def training_arguments(task: TrainingTask) -> list[str]:
 def _can_resume(task: TrainingTask) -> bool:
     run = RunFolder(task.folder)
     try:
-        same = run.pipeline.read_text("utf-8") == task.pipeline
+        text = run.pipeline.read_text("utf-8")
         load_checkpoint(run.path / CHECKPOINT)
-    except (OSError, UnicodeDecodeError, RunError):
+        # Only a pipeline whose length follows the scene has to be understood for that.
+        return text == task.pipeline or parse_pipeline(task.pipeline, Plugins()).wrote(text)
+    except (OSError, UnicodeDecodeError, ExplainedError):
         return False
-    return same

@@ -106,7 +106,6 @@ class _Crew:
         run = self._folder.run(planned).path
         task = TrainingTask(
             planned.pipeline.to_yaml(),
-            planned.pipeline.training.iterations,
             run,
             run.with_name(f"{run.name}.log"),
             self._device,

@@ -30,6 +30,7 @@ from registry.pipeline.parts import Part
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.runs.observing.metrics_log import MetricsLog
 from registry.runs.training_run import start
+from registry.session import open_run
 from tests.html_page import Page
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 
@@ -143,7 +144,7 @@ def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:
 
 def task_of(run: PlannedRun, folder: AblationFolder) -> TrainingTask:
     place = folder.run(run).path
-    return TrainingTask(run.pipeline.to_yaml(), 5, place, place.with_name("log"))
+    return TrainingTask(run.pipeline.to_yaml(), place, place.with_name("log"))
 
 
 def local(device: Device, lock: int | None = None) -> Part:
@@ -193,6 +194,22 @@ def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
     assert not place.path.exists()
     train_here(run, folder, device)
     assert folder.results(run)["iterations"] == 5
+
+
+def test_a_run_whose_length_follows_its_scene_is_known_again(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
+    pipeline = tmp_path / "tiny.yaml"
+    pipeline.write_text(TINY.replace("iterations: 5", "iterations: 2 per view"))
+    folder = AblationFolder(tmp_path / "out")
+    run = plan(pipeline, Plugins(), toggles="dropout").runs[0]
+    train_here(run, folder, device, stop_at=3)
+    place = folder.run(run).path
+    assert training_arguments(task_of(run, folder)) == ["resume", str(place)]
+    shutil.rmtree(place)
+    train_here(run, folder, device)
+    assert folder.results(run)["iterations"] == 2 * len(open_run(place, device=device).scene.train)
 
 
 def test_ctrl_c_stops_those_at_work_and_begins_no_other(

@@ -18,7 +18,6 @@ from registry.choosing.cost import LEAST_ITERATIONS
 from registry.choosing.fitting import Budget, choose, fit_length
 from registry.choosing.table import (
     LONG,
-    MOST_TIMES,
     QUALITIES,
     QUICK,
     QUICK_TIMES,
@@ -70,7 +69,7 @@ class Machine:
         return Budget(seconds, self.now, lambda: self.now)
 
 
-def pipeline(toys: Plugins, name: str = SHORT, iterations: int = 400) -> Pipeline:
+def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> Pipeline:
     return parse_pipeline(TEXT.format(name=name, iterations=iterations), toys)
 
 
@@ -121,7 +120,13 @@ def test_too_few_seconds_leave_nothing_behind(
 
 
 def chosen(
-    toys: Plugins, device: Device, wanted: object, said: Callable[[str], None] = print
+    toys: Plugins,
+    device: Device,
+    wanted: object,
+    said: Callable[[str], None] = print,
+    *,
+    own: int | str = 400,
+    quick: int | str = 160,
 ) -> Pipeline:
     """The pipeline that would be trained, for the toys' scene."""
 
@@ -130,7 +135,7 @@ def chosen(
 
     def load(name: str) -> Pipeline:
         assert name != SHORT, "it is at hand"
-        return pipeline(toys, name, {QUICK: 160, LONG: 2000}[name])
+        return pipeline(toys, name, {QUICK: quick, LONG: 2000}[name])
 
     found: list[Pipeline] = []
 
@@ -139,7 +144,7 @@ def chosen(
         raise Chosen
 
     with pytest.raises(Chosen):
-        trained(pipeline(toys), device, Path("nowhere"), fit)
+        trained(pipeline(toys, iterations=own), device, Path("nowhere"), fit)
     return found[0]
 
 
@@ -175,13 +180,24 @@ def test_seconds_decide_among_the_three(
     assert found.training.max_gaussians is not None
 
 
-def test_more_views_get_more_iterations_up_to_a_bound() -> None:
-    times = [by_quality("good", views).times for views in (1, 3, 6, 24)]
-    assert times == [1, 1, 2, MOST_TIMES]
-    assert by_quality("fast", 6).times == 2
-    assert [by_length(1.8, views).name for views in (3, 6, 9, 24)] == [LONG, SHORT, SHORT, SHORT]
-    assert [by_length(0.7, views).name for views in (3, 6)] == [SHORT, QUICK]
-    assert "2x as long for 6 views" in by_quality("good", 6).because
+def test_the_scenes_views_bring_their_iterations(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    """The toy scene has two training views."""
+    run = trained(pipeline(toys, iterations="4 per view"), device, tmp_path / "run")
+    assert run.iteration == 8
+    written = run.folder_or_refuse().pipeline.read_text("utf-8")
+    assert "  iterations: 8\n" in written
+    again = trained(parse_pipeline(written, toys), device, tmp_path / "again")
+    assert again.hash == run.hash
+
+
+def test_what_is_chosen_has_the_scenes_length(toys: Plugins, device: Device) -> None:
+    assert chosen(toys, device, "good", own="150 per view").training.iterations == 300
+    assert chosen(toys, device, "fast", quick="30 per view").training.iterations == 60
+
+
+def test_the_length_decides_among_the_three() -> None:
+    assert [by_length(times).name for times in (0.5, 0.7, 1.7, 1.8)] == [QUICK, SHORT, SHORT, LONG]
     for quality in QUALITIES:
-        for views in (3, 8, 100):
-            assert len(f"  because {by_quality(quality, views).because}") <= 80
+        assert len(f"  because {by_quality(quality).because}") <= 80
