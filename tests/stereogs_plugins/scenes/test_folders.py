@@ -117,4 +117,4 @@ def test_the_pipelines_that_are_chosen_from_begin_alike() -> None:
         for section in ("priors", "initializer"):
             assert first.items[section] == other.items[section]
         assert first.training.seed == other.training.seed
-    assert {by_quality(quality, 3).name for quality in QUALITIES} == {QUICK, SHORT, LONG}
+    assert {by_quality(quality).name for quality in QUALITIES} == {QUICK, SHORT, LONG}
