@@ -168,6 +168,21 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> No
     assert caught.value.where == str(path)
 
 
+def test_no_name_of_a_file_reaches_the_terminal(
+    path: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path.write_bytes(path.read_bytes().replace(b"\x22\x03Add", b"\x22\x03A\xf3\x1b"))
+    with pytest.raises(PluginError, match="no ONNX model"):
+        OnnxModel(path, provider="cpu")
+    model = addition()
+    model.graph.node[2].name = "\x1b[2J"
+    network = OnnxModel(saved(tmp_path, model), provider="cpu")
+    with pytest.raises(PluginError, match="the model failed"):
+        network._answers({"x": np.zeros((2, 3), np.float32), "y": np.zeros(7, np.float32)})
+    said = capfd.readouterr()
+    assert said.out + said.err == ""
+
+
 def test_a_truncated_file_is_refused(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(PluginError, match="no ONNX model"):
@@ -356,8 +371,8 @@ def test_falling_back_to_the_processor_is_not_silent(
     )
     monkeypatch.setattr(
         "onnxruntime.InferenceSession",
-        lambda content, options, providers: start(
-            content, options, providers=["CPUExecutionProvider"]
+        lambda content, options, providers, **more: start(
+            content, options, providers=["CPUExecutionProvider"], **more
         ),
     )
     with pytest.raises(PluginError, match="could not start 'cuda'"):
