@@ -80,8 +80,8 @@ def _peak_bytes() -> float:
 
 
 def _check_cost(seconds: float, grown: float, size: int) -> None:
-    assert seconds < SLOWEST, f"it took {seconds:.1f} s of a core"
     assert grown <= MEMORY_TIMES * size + MEMORY_PLUS, f"memory grew by {grown / 1e6:.0f} MB"
+    assert seconds < SLOWEST, f"it took {seconds:.1f} s of a core"
 
 
 def folder_for(name: str, root: Path) -> Path:
