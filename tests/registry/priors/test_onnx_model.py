@@ -358,9 +358,8 @@ def test_a_provider_that_is_not_installed_is_refused(
     assert "choose one of cpu" in caught.value.fix
 
 
-def test_falling_back_to_the_processor_is_not_silent(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def without_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a machine whose onnxruntime was built for CUDA and finds no driver."""
     import onnxruntime
 
@@ -375,9 +374,42 @@ def test_falling_back_to_the_processor_is_not_silent(
             content, options, providers=["CPUExecutionProvider"], **more
         ),
     )
+
+
+@pytest.mark.usefixtures("without_driver")
+def test_falling_back_to_the_processor_is_not_silent(path: Path) -> None:
     with pytest.raises(PluginError, match="could not start 'cuda'"):
         OnnxModel(path, provider="cuda")
     assert OnnxModel(path).provider == "cpu"
+
+
+class Lost:
+    """The inside of a session whose provider is lost in its first answer."""
+
+    def __init__(self, inside: Any) -> None:
+        self._inside = inside
+        self._answers = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inside, name)
+
+    def set_providers(self, *arguments: object) -> None:
+        self._answers = True
+
+    def run(self, *arguments: Any) -> Any:
+        from onnxruntime.capi.onnxruntime_pybind11_state import EPFail
+
+        if self._answers:
+            return self._inside.run(*arguments)
+        raise EPFail("the device is gone")
+
+
+@pytest.mark.usefixtures("without_driver")
+def test_no_other_provider_goes_on(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = OnnxModel(path)
+    monkeypatch.setattr(network._session, "_sess", Lost(network._session._sess))
+    with pytest.raises(PluginError, match="the device is gone"):
+        network.run({"x": torch.zeros(2, 3), "y": torch.zeros(3)})
 
 
 def test_the_same_question_gets_the_same_bits(tmp_path: Path) -> None:
