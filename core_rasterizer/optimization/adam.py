@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from ..device import DeviceArray
-from ..errors import ExplainedError
-from ..layout import PARAMETER_GROUPS, padded, row_count
+from ..errors import ExplainedError, GaussianError
+from ..finite import undefined_places
+from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count
 
 if TYPE_CHECKING:
     from .model import GaussianModel
@@ -21,6 +22,8 @@ _BETA1, _BETA2 = 0.9, 0.999
 _CPU_SPAN = 4096
 """Neighbouring columns that a work-item of a CPU steps through."""
 _GPU_GROUP = 64
+_LARGEST_RATE = 1e37
+"""Over the first bias correction, which is a tenth at first, it is still a number."""
 
 
 class Adam:
@@ -40,6 +43,8 @@ class Adam:
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
+        self._undefined = DeviceArray(model.device, (1,), torch.int32)
+        self._told: Callable[[], Tensor] | None = None
         self._steps = dict.fromkeys(PARAMETER_GROUPS, 0)
 
     @property
@@ -67,7 +72,7 @@ class Adam:
 
         Raises:
             ExplainedError: a group without a learning rate, a rate for an unknown group, one that is
-                not finite, or an unknown group to skip.
+                not below 1e37, or an unknown group to skip.
         """
         if set(learning_rates) != set(PARAMETER_GROUPS):
             wrong = sorted(set(learning_rates) ^ set(PARAMETER_GROUPS))
@@ -77,9 +82,11 @@ class Adam:
                 fix=f"give one for each of {', '.join(PARAMETER_GROUPS)}",
             )
         for name, rate in learning_rates.items():
-            if not math.isfinite(rate):
+            if not abs(rate) < _LARGEST_RATE:
                 raise ExplainedError(
-                    f"the learning rate of {name} is {rate}", where=f"Adam.step: {name}"
+                    f"the learning rate of {name} is {rate}",
+                    where=f"Adam.step: {name}",
+                    fix=f"give one below {_LARGEST_RATE:g}",
                 )
         moving = _groups_without(skip)
         model = self._model
@@ -110,7 +117,30 @@ class Adam:
             np.int32(columns),
             np.int32(model.capacity),
             np.int32(span),
+            self._undefined,
         )
+        self._told = self._undefined.begin_reading()
+
+    def check_parameters(self) -> None:
+        """Refuse parameters that a step so far has left undefined.
+
+        Each step looks at the numbers that it moves and sends one of its own, so that this costs nothing
+        once the device has been waited for; else it waits for the last step.
+
+        Raises:
+            GaussianError: a parameter is not finite; names the first.
+        """
+        if self._told is None or not int(self._told()):
+            return
+        for name in PARAMETERS:
+            undefined = undefined_places(self._model.read(name))
+            if len(undefined):
+                raise GaussianError(
+                    f"{len(undefined)} values are not finite after the optimizer's step",
+                    field=name,
+                    index=int(undefined[0, 0]),
+                    fix="lower the learning rate, or what else moves this parameter",
+                )
 
     def reset_moments(self, name: str) -> None:
         """Set both moments of one group to zero; 3DGS does so when it resets opacities.

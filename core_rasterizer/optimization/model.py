@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -200,14 +199,6 @@ class GaussianModel:
     def reader(self) -> ModelReader:
         """These Gaussians for those who may look and not touch."""
         return ModelReader(self)
-
-    def not_finite(self) -> Tensor:
-        """Which Gaussians have a parameter that is not finite, bool `[N]`."""
-        rows = self.parameters.read()
-        # Usually one pass: only a sum that is not finite is worth a closer look.
-        if math.isfinite(rows.sum()):
-            return torch.zeros(self.count, dtype=torch.bool)
-        return ~torch.isfinite(rows[:, : self.count]).all(dim=0)
 
     def zero_gradients(self) -> None:
         """Forget the gradients. Costs nothing: the next backward pass overwrites them."""

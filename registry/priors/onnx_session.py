@@ -66,13 +66,16 @@ def open_session(
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.log_severity_level = 3
+    # Exceptions say the same; the log would print names out of the file, escape codes and all.
+    options.log_severity_level = 4
     # Between two calls the threads sleep instead of spinning: OpenCL needs the processor then.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     if _bound_memory():
         options.add_session_config_entry("session.use_env_allocators", "1")
     try:
-        return onnxruntime.InferenceSession(content, options, providers=providers)
+        session = onnxruntime.InferenceSession(
+            content, options, providers=providers, enable_fallback=len(providers) > 1
+        )
     except Exception as error:  # onnxruntime's exceptions have no base of their own
         raise PluginError(
             f"the file is no ONNX model that onnxruntime can load: {first_line(error)}",
@@ -80,6 +83,8 @@ def open_session(
             fix="export the model to ONNX again, with an opset that onnxruntime "
             f"{onnxruntime.__version__} knows",
         ) from error
+    session.disable_fallback()  # else a failure later on is answered by another provider, unasked
+    return session
 
 
 @cache

@@ -23,10 +23,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from ..errors import RunError
 from ..system.files import new_folder, remove_leftovers, write_json, write_text
 from .lock import locked
-from .results_file import read_results
+from .results_file import Amount, read_results
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,6 +41,26 @@ INPUTS = "inputs.json"
 RESULTS = "results.json"
 
 _log = logging.getLogger(__name__)
+
+
+class _Record(BaseModel):
+    """What is read of a small JSON file; more may stand there."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class _Provenance(_Record):
+    run: str = ""
+    resumed: list[dict[str, Any]] = []
+
+
+class _Inputs(_Record):
+    digests: dict[str, str] | None = None
+    changed: list[str] = []
+
+
+class _Facts(_Record):
+    seconds: Amount = 0.0
 
 
 class RunFolder:
@@ -140,11 +162,11 @@ class RunFolder:
     @property
     def identity(self) -> str:
         """What tells this run from others that were made alike; "" for one of an older version."""
-        return str(_read_json(self.path / PROVENANCE).get("run", ""))
+        return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))
 
     def note_resumption(self, facts: dict[str, Any]) -> None:
         """Add to provenance.json what a run goes on with."""
-        origin = _read_json(self.path / PROVENANCE)
+        origin = _read_json(self.path / PROVENANCE, _Provenance)
         if origin:
             origin["resumed"] = [*origin.get("resumed", []), facts]
             write_json(self.path / PROVENANCE, origin)
@@ -168,9 +190,9 @@ class RunFolder:
         """The digests of the inputs, None if an older version kept none, and what has changed.
 
         Raises:
-            RunError: they are not JSON.
+            RunError: they are none.
         """
-        content = _read_json(self.path / INPUTS)
+        content = _read_json(self.path / INPUTS, _Inputs)
         return content.get("digests"), content.get("changed", [])
 
     def write_results(self, results: dict[str, Any]) -> None:
@@ -200,8 +222,12 @@ class RunFolder:
         in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:
-        """The facts that `write_initialization` kept; empty if there are none."""
-        return _read_json(self.path / INITIALIZATION / "facts.json")
+        """The facts that `write_initialization` kept; empty if there are none.
+
+        Raises:
+            RunError: they are none.
+        """
+        return _read_json(self.path / INITIALIZATION / "facts.json", _Facts)
 
     def append_metrics(self, line: dict[str, Any]) -> None:
         """Add one line to metrics.jsonl.
@@ -225,22 +251,34 @@ class RunFolder:
         path = self.path / METRICS
         if not path.is_file():
             return
-        kept = [line for line in path.read_text("utf-8").splitlines() if _until(line, iteration)]
+        lines = path.read_text("utf-8", errors="replace").splitlines()
+        kept = [line for line in lines if _until(line, iteration)]
         write_text(path, "".join(f"{line}\n" for line in kept))
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    """The content of a JSON file; empty if there is none."""
+def _read_json(path: Path, record: type[_Record]) -> dict[str, Any]:
+    """The content of a JSON file; empty if there is none.
+
+    Raises:
+        RunError: it is no JSON, or not what the record says.
+    """
     if not path.is_file():
         return {}
-    fix = "bring it back from a copy"
     try:
         content = json.loads(path.read_text("utf-8"))
+        record.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "all of it"
+        raise _damaged(path, f"{place}: {first['msg']}") from error
     except (ValueError, RecursionError) as error:
-        raise RunError(f"{path.name} is damaged: {error}", where=str(path), fix=fix) from error
-    if not isinstance(content, dict):
-        raise RunError(f"{path.name} is damaged: it holds no JSON object", where=str(path), fix=fix)
-    return content
+        raise _damaged(path, str(error)) from error
+    return dict(content)
+
+
+def _damaged(path: Path, what: str) -> RunError:
+    fix = "bring it back from a copy"
+    return RunError(f"{path.name} is damaged: {what}", where=str(path), fix=fix)
 
 
 def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Path:
@@ -260,5 +298,5 @@ def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Pa
 def _until(line: str, iteration: int) -> bool:
     try:
         return bool(json.loads(line)["iteration"] <= iteration)
-    except (ValueError, KeyError, TypeError):  # a line cut off by a power failure
+    except (ValueError, KeyError, TypeError, RecursionError):  # cut off by a power failure
         return False

@@ -11,7 +11,7 @@ from time import monotonic
 
 from rich.console import Console
 
-from core_rasterizer import Device, Gaussians
+from core_rasterizer import Device, ExplainedError, Gaussians
 
 from ..calls.loan import of_scene
 from ..contract.scene import PointCloud, Scene
@@ -364,7 +364,12 @@ class _Autosave:
 
 
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
-    state = trainer.state()
+    """The moment between two iterations; one that cannot be saved is kept as a failure of the next."""
+    try:
+        state = trainer.state()
+    except ExplainedError as error:
+        keep_failure(run, trainer.iteration + 1, error)
+        raise
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
     )

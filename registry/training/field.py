@@ -47,13 +47,8 @@ from .step_rendering import StepRenderer
 OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, so that their logits stay finite."""
 
-HOST_NUMBERS = frozenset(
-    ("iteration", "seconds", "gaussians", "loss", "photometric", "removed_not_finite", "test")
-)
+HOST_NUMBERS = frozenset(("iteration", "seconds", "gaussians", "loss", "photometric", "test"))
 """Names in metrics.jsonl that are not for components to log, beside those of the loss's terms."""
-
-HEALTH_CHECK_EVERY = 100
-"""Iterations between two looks for Gaussians that are not finite."""
 
 _log = logging.getLogger(__name__)
 
@@ -237,9 +232,8 @@ class Field:
                 self._reset |= update.reset_moments
 
     def change_topology(self) -> None:
-        """Ask the densification policies, and remove what is broken."""
-        edited = self._refine()
-        self._edited = self._remove_broken() or edited
+        """Ask the densification policies."""
+        self._edited = self._refine()
 
     def step_optimizer(self) -> None:
         """Adam, for the Gaussians and for the components' parameters."""
@@ -259,8 +253,9 @@ class Field:
         for part in self.parts.due("perturbations", self._step.iteration):
             with part.at_work(self._step.iteration, self._lent):
                 offsets = check_offsets(part.component.offsets(self._step), self.model.read)
-            for name, offset in offsets.items():
-                self.model.write(name, self.model.read(name) + offset)
+            with blame(part.item, self._step.iteration):
+                for name, offset in offsets.items():
+                    self.model.write(name, self.model.read(name) + offset)
 
     @property
     def _bands(self) -> int:
@@ -341,30 +336,6 @@ class Field:
                 self._settings.max_gaussians,
             )
         return edit
-
-    def _remove_broken(self) -> bool:
-        """Now and then, remove Gaussians that are not finite; whether there were any.
-
-        The engine draws none of them, so nothing hurries.
-        """
-        iteration = self._step.iteration
-        if iteration % HEALTH_CHECK_EVERY and iteration < self._settings.iterations:
-            return False
-        broken = self.model.not_finite()
-        number = int(broken.sum())
-        if not number:
-            return False
-        if number == self.model.count:
-            raise RunError(
-                f"all {number} Gaussians have become something that is not finite",
-                where=f"iteration {iteration}",
-                fix="lower the learning rates; the last checkpoint, if any, is whole",
-            )
-        _log.warning("iteration %d: removing %d Gaussians that are not finite", iteration, number)
-        self._log_number("removed_not_finite", number)
-        carried = apply_edit(self.model, self.optimizer, Edit(prune=broken), self._topology)
-        self._carry(carried, len(broken))
-        return True
 
     def _carry(self, carried: Carried, count: int) -> None:
         """What belongs to single Gaussians follows an edit of `count` of them."""

@@ -19,7 +19,7 @@ from functools import partial
 
 from torch import Tensor
 
-from core_rasterizer import Adam, GaussianModel, Gaussians
+from core_rasterizer import Adam, GaussianError, GaussianModel, Gaussians
 
 from ..contract.maps import DepthMap
 from ..contract.scene import Scene
@@ -125,6 +125,8 @@ class Trainer:
         for one in self.fields:
             one.render()
         losses = [one.differentiate(self._others(one)) for one in self.fields]
+        # The loss was waited for, so that this waits for nothing more.
+        self._check_parameters()
         for one in self.fields:
             one.update_opacities()
         for one in self.fields:
@@ -133,7 +135,18 @@ class Trainer:
             one.step_optimizer()
         for one in self.fields:
             one.perturb()
+        if iteration == self.settings.iterations:
+            self._check_parameters()
         return losses[0]
+
+    def _check_parameters(self) -> None:
+        """Refuse to go on with Gaussians that the last step has left undefined."""
+        for one in self.fields:
+            try:
+                one.optimizer.check_parameters()
+            except GaussianError as error:
+                error.fix += "; --check-plugins finds a component that writes into the Gaussians"
+                raise
 
     def _others(self, one: Field) -> tuple[OtherField, ...]:
         return tuple(other.seen_by_others() for other in self.fields if other is not one)
@@ -146,7 +159,14 @@ class Trainer:
         return logged
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that the next iterations depend on, by slashed names."""
+        """Everything that the next iterations depend on, by slashed names.
+
+        Raises:
+            ExplainedError: a component's state cannot be saved, or the next iteration would refuse the
+                Gaussians.
+        """
+        with in_iteration(self.iteration + 1):
+            self._check_parameters()
         kinds: dict[str, Mapping[str, Tensor]] = {"views": self._views.state()}
         for one in self.fields:
             state = one.state(self.iteration)

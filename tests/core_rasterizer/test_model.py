@@ -190,15 +190,3 @@ def test_undefined_parameters_and_unknown_names_are_refused(device: Device) -> N
         model.read("opacity")
     with pytest.raises(GaussianError, match="expected"):
         model.write("means", torch.zeros(3, 3))
-
-
-def test_gaussians_that_are_not_finite_are_found(device: Device) -> None:
-    model = GaussianModel(parameters(), device)
-    assert not model.not_finite().any()
-    rows = model.parameters.read().clone()
-    rows[0] = 3e38  # finite, though their sum is not
-    rows[0, model.count - 1] = float("nan")
-    rows[58, 3] = -float("inf")
-    model.parameters.write(rows)
-    assert model.not_finite().shape == (model.count,)
-    assert model.not_finite().nonzero()[:, 0].tolist() == [3, model.count - 1]

@@ -16,7 +16,7 @@ from core_rasterizer import (
     GaussianModel,
     apply_edit,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, rows_of
 from tests.core_rasterizer.test_model import parameters, view
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
@@ -169,7 +169,7 @@ def test_duplicates_are_set_apart_by_a_split(device: Device) -> None:
     assert len(model.read("means").unique(dim=0)) == 10
 
 
-@pytest.mark.parametrize("rate", [math.nan, math.inf])
+@pytest.mark.parametrize("rate", [math.nan, math.inf, -math.inf, 1e38])
 def test_an_undefined_learning_rate_is_named(device: Device, rate: float) -> None:
     model = GaussianModel(parameters(5), device)
     digest = model.digest()
@@ -190,3 +190,33 @@ def test_an_undefined_value_is_not_written(device: Device, name: str, value: flo
         model.write(name, values)
     assert (error.value.field, error.value.index) == (name, 17)
     assert model.digest() == digest
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_parameter_that_a_step_finds_undefined_is_named(device: Device, name: str) -> None:
+    """Whatever put it there: the step looks at every number as it moves it."""
+    model = GaussianModel(parameters(30), device)
+    optimizer = Adam(model)
+    optimizer.step(RATES, active_sh_degree=3)
+    optimizer.check_parameters()
+    first, last = rows_of(name, model.sh_degree)
+    rows = model.parameters.read(first, last).clone()
+    rows[-1, 17] = math.nan
+    model.parameters.write(rows, first, last)
+    optimizer.check_parameters()
+    optimizer.step(RATES, active_sh_degree=3)
+    with pytest.raises(GaussianError, match="1 values are not finite") as error:
+        optimizer.check_parameters()
+    assert (error.value.field, error.value.index) == (name, 17)
+
+
+def test_a_parameter_that_a_step_makes_infinite_is_named(device: Device) -> None:
+    gaussians = parameters(30)
+    gaussians.means[4, 1] = 3.4e38
+    model = GaussianModel(gaussians, device)
+    optimizer = Adam(model)
+    model.parameter("means")[4, 1].neg().backward()
+    optimizer.step(RATES | {"means": 9e36}, active_sh_degree=3)
+    with pytest.raises(GaussianError, match="not finite") as error:
+        optimizer.check_parameters()
+    assert (error.value.field, error.value.index) == ("means", 4)

@@ -18,6 +18,7 @@ from registry.calls.watchdog import WATCHDOG
 from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
+from registry.runs.replay import replay
 from registry.runs.training_run import open_run
 
 from .conftest import TOYS
@@ -44,6 +45,7 @@ IN_THE_LOOP = {
     "error_at_iteration": "a view that is not there",
     "exit_in_loss": "SystemExit: 0",
     "nan_loss": "the loss is not finite",
+    "nan_gradient": "undefined gradient",
     "constant_loss": "has no gradient",
     "wrong_shape": "expected one floating-point number",
     "wrong_dtype": "the opacity scale is torch.int64",
@@ -63,6 +65,7 @@ IN_THE_LOOP = {
 ONLY_WHERE_CHECKED = {
     "writes_past_torch": "it wrote into the photograph of view",
     "writes_model": "it wrote into the Gaussians",
+    "spoils_model": "it wrote into the Gaussians",
     "missing_carry": "the state 'ages' has the shape (60,) after an edit",
 }
 ELSEWHERE = (
@@ -161,6 +164,23 @@ def test_what_hides_is_found_where_plugins_are_checked(
     error = refusal(make(component(name)), tmp_path / "run", device, check_plugins=True)
     assert ONLY_WHERE_CHECKED[name] in error.what
     blamed(error, name)
+
+
+@pytest.mark.parametrize("start", [5, 6, 8])
+def test_gaussians_that_are_spoilt_are_never_saved_and_replay_spoils_them_again(
+    make: Make, plugins: Plugins, device: Device, tmp_path: Path, start: int
+) -> None:
+    """In between, where a checkpoint is due (after every second iteration), and in the last one."""
+    out = tmp_path / "run"
+    text = component("spoils_model").replace("start: 5", f"start: {start}")
+    error = refusal(make(text), out, device)
+    assert "1 values are not finite" in error.what
+    failed = min(start + 1, 8)
+    assert error.where == f"log_scales[7]; iteration {failed}"
+    assert open_run(out, plugins=plugins, device=device).iteration == 2 * ((start - 1) // 2)
+    with pytest.raises(ExplainedError, match="not finite") as again:
+        replay(out / "failures" / f"iteration-{failed:07d}", plugins=plugins, device=device)
+    assert again.value.where == error.where
 
 
 def test_what_cannot_be_saved_is_told_before_the_first_iteration(

@@ -39,7 +39,7 @@ def trainer_on(device: Device) -> Trainer:
 
 
 @pytest.mark.parametrize("variant", ["cpu", "gpu"])
-def test_an_iteration_moves_no_image_and_waits_four_times(
+def test_an_iteration_moves_no_image_and_waits_five_times(
     variant: Variant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = open_device().as_variant(variant)
@@ -53,12 +53,12 @@ def test_an_iteration_moves_no_image_and_waits_four_times(
     # Both views have been seen, scratch memory has its size, and no policy of densification is due.
     traffic = counts[3]
     gaussians = FLOAT * 64
-    # Dropout's factors and decayed opacities; what decay wants to know, opacities and their gradient.
+    # Dropout's factors and decayed opacities; what decay wants to know, opacities and their gradient;
+    # Adam's word on the parameters, for which the iteration after it no longer stands still.
     assert sorted(traffic.uploads) == [CAMERA, gaussians, gaussians], traffic
-    assert sorted(traffic.downloads) == [COUNTERS, 2 * FLOAT * HEIGHT, gaussians, gaussians], (
-        traffic
-    )
-    assert traffic.waits <= 4, traffic
+    downloads = [FLOAT, COUNTERS, 2 * FLOAT * HEIGHT, gaussians, gaussians]
+    assert sorted(traffic.downloads) == downloads, traffic
+    assert traffic.waits <= 5, traffic
     assert traffic.launches <= LAUNCHES[variant], traffic
     assert not traffic.fills, traffic
     # An edit of the Gaussians moves none of their parameters but what its policy looks at.

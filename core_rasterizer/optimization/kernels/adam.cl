@@ -5,7 +5,8 @@
  * reads four arrays and writes three.
  *
  * Six groups of rows have a learning rate, over the first bias correction, and 1 / sqrt of the second
- * each; a group that is not among the bits of `moving` is left alone.
+ * each; a group that is not among the bits of `moving` is left alone. `undefined` becomes 1 where a
+ * parameter is not finite after the step.
  */
 
 #define BETA1 ((real)0.9)
@@ -25,12 +26,14 @@
 #endif
 #define BLOCK (LANES == 1 ? 1 : 16)
 
-/* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. */
-static inline void step_values(
+/* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. Returns whether
+ * a parameter is not finite then. */
+static inline int step_values(
     __global real *restrict parameters, __global const real *restrict gradients,
     __global real *restrict first_moments, __global real *restrict second_moments, size_t begin,
     size_t end, real rate, real correction)
 {
+    int undefined = 0;
     for (size_t at = begin; at < end; at++) {
         const real given = gradients[at];
         const int defined = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT);
@@ -41,8 +44,11 @@ static inline void step_values(
         first_moments[at] = still ? first_moments[at] : m;
         second_moments[at] = still ? second_moments[at] : v;
         const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
-        parameters[at] -= still ? 0 : change;
+        const real moved = parameters[at] - (still ? 0 : change);
+        parameters[at] = moved;
+        undefined |= !((moved > -INFINITY) & (moved < INFINITY)); /* no NaN compares as smaller */
     }
+    return undefined;
 }
 
 static inline int any_gradient(__global const real *gradients)
@@ -59,7 +65,7 @@ __kernel void adam(
     real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,
     real sh_rest, real correct_means, real correct_log_scales, real correct_quaternions,
     real correct_opacity_logits, real correct_sh_constant, real correct_sh_rest, int moving, int columns,
-    int capacity, int span)
+    int capacity, int span, __global int *undefined)
 {
     const size_t row = get_global_id(1);
     const int begin = get_global_id(0) * span;
@@ -74,13 +80,16 @@ __kernel void adam(
         correct_opacity_logits, correct_sh_constant, correct_sh_rest};
     const real rate = rates[group], correction = corrections[group];
     const size_t first = row * capacity;
+    int found = 0;
 #if VISIBLE_ONLY
     for (size_t at = first + begin; at < first + end; at += BLOCK)
         if (any_gradient(gradients + at))
-            step_values(parameters, gradients, first_moments, second_moments, at, at + BLOCK, rate,
-                correction);
+            found |= step_values(parameters, gradients, first_moments, second_moments, at, at + BLOCK,
+                rate, correction);
 #else
-    step_values(parameters, gradients, first_moments, second_moments, first + begin, first + end, rate,
-        correction);
+    found = step_values(parameters, gradients, first_moments, second_moments, first + begin,
+        first + end, rate, correction);
 #endif
+    if (found)
+        *undefined = 1;
 }

@@ -39,8 +39,9 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
 
     Raises:
         SceneError: the file is missing, no regular file, of another format than PNG, JPEG, WebP, TIFF
-            or BMP, a PNG whose checksums are wrong, larger than 134 megapixels, or larger than 17
-            with fewer than one byte for 32 pixels; or the block gave up on it.
+            or BMP, a PNG whose checksums are wrong, a TIFF whose strips leave a part out, larger than
+            134 megapixels, or larger than 17 with fewer than one byte for 32 pixels; or the block gave
+            up on it.
     """
     from PIL import Image
 
@@ -52,6 +53,7 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
             _check_size(file, path, what)
             file.verify()  # of these formats, PNG alone has checksums; decoding does not look at them
         with Image.open(path, formats=formats) as file:
+            _check_whole(file, path, what)
             yield file
 
 
@@ -70,4 +72,17 @@ def _check_size(file: Image.Image, path: Path, what: str) -> None:
             f"{said} in a file of {size:,} bytes, which no photograph has",
             where=str(path),
             fix="leave it out; if it is a photograph, save it anew with less compression",
+        )
+
+
+def _check_whole(file: Image.Image, path: Path, what: str) -> None:
+    """Pillow fills with black what the strips of a TIFF leave out, however much that is."""
+    places = {tile[1] for tile in getattr(file, "tile", ())}
+    covered = sum((right - left) * (low - top) for left, top, right, low in filter(None, places))
+    width, height = file.size
+    if places and covered < width * height:
+        raise SceneError(
+            f"{what} has {width}x{height} pixels and holds {covered:,} of them",
+            where=str(path),
+            fix=IMAGE_FIX,
         )

@@ -119,3 +119,29 @@ def test_a_pipe_and_a_folder_are_refused_at_once(tmp_path: Path) -> None:
             open_image(tmp_path / name),
         ):
             pass
+
+
+def test_a_tiff_that_leaves_a_part_of_the_picture_out_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    noise = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path)
+    height = struct.pack("<HHII", 257, 4, 1, 6)
+    content = path.read_bytes()
+    assert content.count(height) == 1
+    path.write_bytes(content.replace(height, struct.pack("<HHII", 257, 4, 1, 1_000_000)))
+    with (
+        pytest.raises(SceneError, match="8x1000000 pixels and holds 48 of them") as caught,
+        open_image(path),
+    ):
+        pass
+    assert caught.value.where == str(path)
+
+
+@pytest.mark.parametrize("kind", ["raw", "tiff_lzw", "jpeg", "packbits", "tiff_deflate"])
+def test_tiffs_in_strips_are_whole(tmp_path: Path, kind: str) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (300, 200, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a.tif", compression=kind, strip_size=5000)
+    with open_image(tmp_path / "a.tif") as file:
+        found = np.asarray(file)
+    assert found.shape == pixels.shape
+    assert kind == "jpeg" or np.array_equal(found, pixels)

@@ -168,6 +168,21 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> No
     assert caught.value.where == str(path)
 
 
+def test_no_name_of_a_file_reaches_the_terminal(
+    path: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path.write_bytes(path.read_bytes().replace(b"\x22\x03Add", b"\x22\x03A\xf3\x1b"))
+    with pytest.raises(PluginError, match="no ONNX model"):
+        OnnxModel(path, provider="cpu")
+    model = addition()
+    model.graph.node[2].name = "\x1b[2J"
+    network = OnnxModel(saved(tmp_path, model), provider="cpu")
+    with pytest.raises(PluginError, match="the model failed"):
+        network._answers({"x": np.zeros((2, 3), np.float32), "y": np.zeros(7, np.float32)})
+    said = capfd.readouterr()
+    assert said.out + said.err == ""
+
+
 def test_a_truncated_file_is_refused(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(PluginError, match="no ONNX model"):
@@ -343,9 +358,8 @@ def test_a_provider_that_is_not_installed_is_refused(
     assert "choose one of cpu" in caught.value.fix
 
 
-def test_falling_back_to_the_processor_is_not_silent(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def without_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a machine whose onnxruntime was built for CUDA and finds no driver."""
     import onnxruntime
 
@@ -356,13 +370,46 @@ def test_falling_back_to_the_processor_is_not_silent(
     )
     monkeypatch.setattr(
         "onnxruntime.InferenceSession",
-        lambda content, options, providers: start(
-            content, options, providers=["CPUExecutionProvider"]
+        lambda content, options, providers, **more: start(
+            content, options, providers=["CPUExecutionProvider"], **more
         ),
     )
+
+
+@pytest.mark.usefixtures("without_driver")
+def test_falling_back_to_the_processor_is_not_silent(path: Path) -> None:
     with pytest.raises(PluginError, match="could not start 'cuda'"):
         OnnxModel(path, provider="cuda")
     assert OnnxModel(path).provider == "cpu"
+
+
+class Lost:
+    """The inside of a session whose provider is lost in its first answer."""
+
+    def __init__(self, inside: Any) -> None:
+        self._inside = inside
+        self._answers = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inside, name)
+
+    def set_providers(self, *arguments: object) -> None:
+        self._answers = True
+
+    def run(self, *arguments: Any) -> Any:
+        from onnxruntime.capi.onnxruntime_pybind11_state import EPFail
+
+        if self._answers:
+            return self._inside.run(*arguments)
+        raise EPFail("the device is gone")
+
+
+@pytest.mark.usefixtures("without_driver")
+def test_no_other_provider_goes_on(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = OnnxModel(path)
+    monkeypatch.setattr(network._session, "_sess", Lost(network._session._sess))
+    with pytest.raises(PluginError, match="the device is gone"):
+        network.run({"x": torch.zeros(2, 3), "y": torch.zeros(3)})
 
 
 def test_the_same_question_gets_the_same_bits(tmp_path: Path) -> None:

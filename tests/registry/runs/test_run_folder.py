@@ -151,6 +151,47 @@ def test_metrics_of_iterations_to_be_done_again_are_forgotten(tmp_path: Path) ->
     assert (tmp_path / "metrics.jsonl").read_text() == '{"iteration": 50}\n{"iteration": 100}\n'
 
 
+@pytest.mark.parametrize(
+    ("file", "content", "told"),
+    [
+        ("provenance.json", '{"run": null}', "run: "),
+        ("provenance.json", '{"resumed": 5}', "resumed: "),
+        ("provenance.json", "[" * 100_000, "recursion"),
+        ("inputs.json", '{"digests": [1, 2]}', "digests: "),
+        ("inputs.json", '{"digests": {"the points": 5}}', "digests.the points: "),
+        ("inputs.json", '{"digests": {}, "changed": [5]}', "changed.0: "),
+        ("inputs.json", "[]", "all of it: "),
+        ("initialization/facts.json", '{"seconds": "x"}', "seconds: "),
+        ("initialization/facts.json", '{"seconds": 1e999}', "seconds: "),
+        ("initialization/facts.json", '{"seconds": 1', "line 1"),
+    ],
+)
+def test_a_damaged_file_is_named_with_its_field(
+    tmp_path: Path, file: str, content: str, told: str
+) -> None:
+    run = RunFolder(tmp_path)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text(content)
+    with pytest.raises(RunError, match="is damaged") as caught:
+        _ = run.identity, run.inputs(), run.initialization()
+    assert told in caught.value.what
+    assert caught.value.where == str(tmp_path / file)
+
+
+def test_lines_of_metrics_that_are_none_are_dropped(tmp_path: Path) -> None:
+    lines = [
+        b'{"iteration": 1}',
+        b"\xff\x00",
+        b"[" * 100_000,
+        b"[]",
+        b'{"iteration": 9}',
+        b'{"iter',
+    ]
+    (tmp_path / "metrics.jsonl").write_bytes(b"\n".join(lines))
+    RunFolder(tmp_path).forget_metrics_after(5)
+    assert (tmp_path / "metrics.jsonl").read_text() == '{"iteration": 1}\n'
+
+
 def test_damaged_results_are_explained(tmp_path: Path) -> None:
     assert RunFolder(tmp_path).results() == {}
     for content in ("{", "[]", "[" * 100_000, '{"hash": "short"}', '{"test": {"psnr": true}}'):

@@ -9,7 +9,7 @@ import torch
 
 from core_rasterizer import Device, ExplainedError
 from core_rasterizer.layout import PARAMETERS
-from registry import PluginError
+from registry import PluginError, Step
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
@@ -239,6 +239,19 @@ def test_a_perturbation_comes_after_the_step(make: Make) -> None:
     with pytest.raises(PluginError, match="offset of 'means'") as caught:
         train(make("perturbations: [{use: toy_noise, wrong: true}]\n"))
     assert "toy_noise" in caught.value.where
+
+
+def test_a_perturbation_that_makes_a_parameter_infinite_is_named(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def offsets(self: object, step: Step) -> dict[str, torch.Tensor]:
+        return {"means": torch.full_like(step.model.read("means"), 2e38)}
+
+    monkeypatch.setattr("tests.registry.toy_doors.ToyNoise.offsets", offsets)
+    with pytest.raises(ExplainedError, match="not finite") as caught:
+        train(make("perturbations: [toy_noise]\n"))
+    assert "means[0]; in perturbation 'toy_noise'" in caught.value.where
+    assert "iteration 2" in caught.value.where
 
 
 # Several fields.

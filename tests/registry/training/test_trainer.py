@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from core_rasterizer import Device, ExplainedError, GaussianModel
+from core_rasterizer import Device, ExplainedError, GaussianError, GaussianModel
 from registry import PluginError, RunError, Step
 from registry.calls.loan import checked_plugins
 from registry.pipeline.parts import Parts
@@ -242,25 +242,16 @@ def test_a_loss_that_overflows_stops_the_run(make: Any) -> None:
     assert "iteration 1" in caught.value.where
 
 
-def test_when_no_gaussian_is_finite_the_run_stops(make: Any) -> None:
-    trainer = make("densification: {use: toy_growth, empty: true, every: 2}\n")
-    poison(trainer, slice(0, 3), slice(None), float("nan"))
-    with pytest.raises(RunError, match="all 60 Gaussians") as caught:
-        train(trainer)
-    assert "iteration" in caught.value.where
-
-
-def test_gaussians_that_are_not_finite_are_removed_and_counted(
-    make: Any, caplog: pytest.LogCaptureFixture
-) -> None:
-    trainer = make("densification: {use: toy_growth, empty: true, every: 2}\n")
+def test_a_parameter_that_is_no_number_ends_the_iteration(make: Any) -> None:
+    trainer = make("", "training.iterations=9")
+    iterations = trainer.run()
+    next(iterations)
     poison(trainer, slice(3, 6), [3, 7], float("nan"))
-    assert trainer.model.not_finite().nonzero()[:, 0].tolist() == [3, 7]
-    with caplog.at_level(logging.WARNING):
-        done = train(trainer)
-    assert done[-1].logged["removed_not_finite"] == 2
-    assert trainer.model.count == 58
-    assert "removing 2 Gaussians" in caplog.text
+    next(iterations)
+    for go_on in (trainer.state, lambda: next(iterations)):
+        with pytest.raises(GaussianError, match="6 values are not finite") as caught:
+            go_on()
+        assert caught.value.where == "log_scales[3]; iteration 3"
 
 
 def test_max_gaussians_holds_and_is_told_once(make: Any, caplog: pytest.LogCaptureFixture) -> None:
