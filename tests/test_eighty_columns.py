@@ -21,7 +21,7 @@ training: {iterations: 3, sh_degree: 0}
 """
 RIGHT = (
     [],
-    *(["--help"], ["plugins"], ["plugins", "show", "consistency_dense"], ["explain", "tiny.yaml"]),
+    *(["--help"], ["plugins"], ["plugins", "consistency_dense"], ["explain", "tiny.yaml"]),
     *([verb, "--help"] for verb in VERBS),
     ["eval", "run"],
     ["compare", "run", "run"],
@@ -41,7 +41,9 @@ WRONG = (
     *(["check", "nowhere"], ["check", "empty"], ["check", "run"]),
     *(["resume", "nowhere"], ["eval", "empty"], ["render", "nowhere"], ["report", "nowhere"]),
     *(["replay", "nowhere"], ["compare", "nowhere", "run"], ["bench", "nowhere.yaml"]),
-    *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "show", "dropuot"]),
+    *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "dropuot"]),
+    *(["eval"], ["export", "run"], ["train", "photos", "--qualty", "best"], ["plugins", "new"]),
+    *(["train", "photos", "--seconds", "soon"], ["completion", "bsh"], ["train", "--quality=bset"]),
     *(["export", "run", "--format", "gtlf"], ["export", "run", "--format", "spz"]),
     *(["view", "run"], ["train", "tiny.yaml", "--view"]),
     ["priors", "check", "nowhere.onnx"],

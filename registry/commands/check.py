@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
     _print_columns(output, facts(scene))
     output.print("said by the loader")
-    _print_columns(output, [(fact.name, str(fact)) for fact in scene.facts])
+    _print_columns(output, [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts])
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), picture)

@@ -79,9 +79,12 @@ def watching(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def positive_seconds(text: str) -> float:
     """A number of seconds, as an option takes it."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
     if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
     return value
 
 

@@ -20,10 +20,11 @@ FAULT = 1
 _EPILOG = """\
 examples:
   stereogs plugins                 a line for each: its name and what it does
-  stereogs plugins show dropout    what one is for, and its settings with their defaults
-  stereogs plugins --json          all of it for programs, with JSON schemas of the settings
-  stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
-  stereogs plugins new solid --kind regularizer     a package to begin with, in stereogs-solid
+  stereogs plugins dropout         what one is for, and its settings
+  stereogs plugins --json          all of it for programs, with JSON schemas
+  stereogs plugins --check         1 if one cannot be loaded or two names clash
+  stereogs plugins new solid --kind regularizer
+                                   a package to begin with, in stereogs-solid
 
 STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
 """
@@ -51,6 +52,15 @@ def add(verbs: Verbs) -> None:
     _add_new(within)
 
 
+def with_verb(arguments: list[str]) -> list[str]:
+    """The command line with `plugins NAME` written out as `plugins show NAME`."""
+    if arguments[0] != "plugins" or len(arguments) < 2:
+        return arguments
+    if arguments[1].startswith("-") or arguments[1] in ("show", "new"):
+        return arguments
+    return ["plugins", "show", *arguments[1:]]
+
+
 def _add_new(verbs: Verbs) -> None:
     parser = add_verb(verbs, "new", "write a plugin package that installs and trains", _NEW_EPILOG)
     parser.add_argument("name", metavar="NAME", help="of the component, as pipelines will write it")
@@ -75,7 +85,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 
 def _add_show(verbs: Verbs) -> None:
-    epilog = "examples:\n  stereogs plugins show dropout\n"
+    epilog = "examples:\n  stereogs plugins show dropout\n  stereogs plugins dropout\n"
     parser = add_verb(verbs, "show", "say what a component is for and what can be set", epilog)
     parser.add_argument("name", metavar="NAME", help="as a pipeline writes it")
     parser.set_defaults(run=run_show)

@@ -213,7 +213,9 @@ def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
     output = capsys.readouterr().out
     for text in ("toy_term: regularizer (toys 1.5)", "  target = 0.5", "weight"):
         assert text in output
-    assert main(["plugins", "show", "toy_trem"]) == 2
+    assert main(["plugins", "toy_term"]) == 0
+    assert capsys.readouterr().out == output
+    assert main(["plugins", "toy_trem"]) == 2
     assert "did you mean 'toy_term'" in capsys.readouterr().err
 
 
@@ -300,6 +302,24 @@ def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) ->
     assert caught.value.code == 0
     text = capsys.readouterr().out
     assert f"stereogs {verb}" in text.split("examples:")[1]
+
+
+def test_an_option_that_is_not_there_is_answered_with_the_nearest(capsys: Capture) -> None:
+    assert main(["render", "run", "--pth"]) == 2
+    error = capsys.readouterr().err
+    assert "'--pth' is not understood; did you mean '--path'?" in error
+    assert "where  stereogs render" in error
+
+
+def test_a_reader_who_leaves_early_is_no_fault() -> None:
+    command = [sys.executable, "-m", "registry", "plugins", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
+        assert started.stdout is not None
+        assert started.stderr is not None
+        started.stdout.read(1)
+        started.stdout.close()
+        assert started.stderr.read() == b""
+        assert started.wait() == 0
 
 
 def test_without_a_verb(capsys: Capture) -> None:
