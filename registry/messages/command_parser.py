@@ -20,7 +20,10 @@ class CommandParser(argparse.ArgumentParser):
             message, where=self.prog, fix=f"`{self.prog} --help` shows what it takes, and examples"
         )
 
-    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:
+    # Its stub is overloaded by the namespace's type, which matters to nobody here.
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> Any:
         """As argparse's, but the verb itself refuses what it does not know: its options are at hand."""
         parsed, unknown = super().parse_known_args(args, namespace)
         if unknown:
