@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -25,6 +26,7 @@ RIGHT = (
     *([verb, "--help"] for verb in VERBS),
     ["eval", "run"],
     ["compare", "run", "run"],
+    ["compare", "weightfree_fast-llff_flower", "run"],
     ["check", "tiny.yaml"],
 )
 WRONG = (
@@ -61,6 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("IMG_0001.JPG", "IMG_0002.JPG", "IMG_0003.JPG"):
         (made / "photos" / name).write_bytes(b"not a picture")
     stereogs.train(PIPELINE, out=made / "run", progress=False)
+    shutil.copytree(made / "run", made / "weightfree_fast-llff_flower")
     return made
 
 

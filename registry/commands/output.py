@@ -9,22 +9,21 @@ from typing import TYPE_CHECKING, Any
 from ..messages.help_text import HelpFormatter
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from ..messages.terminal import PlainConsole
     from ..runs.run import Run
 
 Verbs = Any
 """argparse's own type for a set of verbs is private."""
 
 
-def console() -> Console:
+def console() -> PlainConsole:
     """Standard output, as it is now."""
     from ..messages.terminal import PlainConsole
 
     return PlainConsole(markup=False, highlight=False, soft_wrap=True)
 
 
-def error_console() -> Console:
+def error_console() -> PlainConsole:
     """Standard error, as it is now."""
     from ..messages.terminal import PlainConsole
 

@@ -55,9 +55,10 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Export and say what was written."""
     output = console()
-    opened = open_given(arguments)
-    from ...session import export
+    from ...session import export, find_exporter
 
+    find_exporter(arguments.format, arguments.set)  # reading the scene may take minutes
+    opened = open_given(arguments)
     written = export(
         opened,
         arguments.format,

@@ -311,6 +311,11 @@ def test_an_option_that_is_not_there_is_answered_with_the_nearest(capsys: Captur
     assert "where  stereogs render" in error
 
 
+def test_an_unknown_format_is_refused_before_the_run_is_read(capsys: Capture) -> None:
+    assert main(["export", "nowhere", "--format", "gtlf"]) == 2
+    assert "no plugin offers the exporter 'gtlf'" in capsys.readouterr().err
+
+
 def test_a_reader_who_leaves_early_is_no_fault() -> None:
     command = [sys.executable, "-m", "registry", "plugins", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:

@@ -65,7 +65,7 @@ def run(tmp_path: Path) -> RunFolder:
     """A run's folder, written by the host itself."""
     run = RunFolder(tmp_path / "run")
     origin = {
-        "command": ["/home/me/bin/stereogs", "train", "a b"],
+        "command": ["tools/bin/stereogs", "train", "a b"],
         "seed": 3,
         "started": "2026-05-04T03:02:01+00:00",
         "device": {"name": "a processor"},
