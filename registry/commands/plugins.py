@@ -132,6 +132,8 @@ def _table(offers: Sequence[Offer]) -> Table:
     """What each component does, under the section of a pipeline that it fills."""
     from rich.table import Table
 
+    from ..inspection.component_help import summary
+
     table = Table.grid(padding=(0, 2))
     longest = max((len(offer.name) for offer in offers), default=0)
     table.add_column(no_wrap=True, min_width=longest + 2)
@@ -141,15 +143,13 @@ def _table(offers: Sequence[Offer]) -> Table:
         if offer.point.section != section:
             section = offer.point.section
             table.add_row(section)
-        table.add_row(f"  {offer.name}", _summary(offer))
+        table.add_row(f"  {offer.name}", summary(offer))
     return table
 
 
-def _summary(offer: Offer) -> str:
-    return (offer.component.__doc__ or "").strip().partition("\n")[0]
-
-
 def _as_json(offer: Offer) -> dict[str, Any]:
+    from ..inspection.component_help import summary
+
     return {
         "name": offer.name,
         "section": offer.point.section,
@@ -157,6 +157,6 @@ def _as_json(offer: Offer) -> dict[str, Any]:
         "plugin": offer.plugin,
         "package": offer.distribution,
         "version": offer.version,
-        "summary": _summary(offer),
+        "summary": summary(offer),
         "settings": offer.settings_type.model_json_schema(),
     }

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -206,6 +207,30 @@ def test_the_list_fits_a_terminal(
     assert max(map(len, lines)) <= 80
     assert "regularizers" in [line.strip() for line in lines]
     assert [line for line in lines if line.startswith("  toy_dropout  ")]
+
+
+def test_a_module_may_say_in_a_sentence_what_its_component_is_for(
+    install: Install, capsys: Capture
+) -> None:
+    code = """
+    \"\"\"`slow_fade`: what is seldom seen
+    fades.
+
+    More.
+    \"\"\"
+    import registry
+    class SlowFade(registry.Modifier[registry.Settings]):
+        \"\"\"alpha <- alpha / 2.\"\"\"
+        def opacity_scale(self, step): ...
+    @registry.hookimpl
+    def stereogs_register_modifiers(register):
+        register("slow_fade", SlowFade)
+    """
+    install("fades", "1", {"slow_fade": "fades"}, fades=textwrap.dedent(code).strip())
+    assert main(["plugins"]) == 0
+    assert "slow_fade  what is seldom seen fades.\n" in capsys.readouterr().out
+    assert main(["plugins", "slow_fade"]) == 0
+    assert "\nwhat is seldom seen fades.\n\nalpha <- alpha / 2.\n" in capsys.readouterr().out
 
 
 def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
