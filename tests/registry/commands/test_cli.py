@@ -93,7 +93,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
         (["train"], "nothing to train", "command line"),
-        (["resume", "none"], "not a run folder", "none"),
+        (["resume", "none"], "not a run folder: there is no such folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
         (["train", "toy.yaml", "--set", "training.seed=x"], "whole number", "--set training"),
@@ -104,7 +104,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
         (["train", "toy.yaml", "--set", "initializer.count=0"], "no points", "toy.yaml:3"),
         (["train", "toy.yaml", "--out", "toy.yaml"], "in the way", "toy.yaml"),
         (["train", "toy.yaml", "--out", "toy.yaml/x"], "nothing can be written", "toy.yaml/x"),
-        (["eval", "."], "not a run folder", ""),
+        (["eval", "."], "not a run folder: it has no pipeline.yaml", ""),
         (["render", "."], "not a run folder", ""),
     ],
 )
