@@ -28,6 +28,7 @@ from .commands import (
 from .commands.batches import ablate, bench
 from .commands.output import error_console
 from .commands.runs import demo, evaluate, export, render, replay, report, resume, train
+from .messages.command_parser import CommandParser
 from .messages.help_text import HelpFormatter
 from .messages.suggestions import did_you_mean, listing
 
@@ -63,30 +64,32 @@ VERBS = {
 
 _EPILOG = """\
 examples:
-  stereogs demo                               three photographs to a scored scene, in minutes
-  stereogs check FOLDER                       what is in a folder of photographs or data
-  stereogs train FOLDER                       train on it
-  stereogs train 3dgs --set scene.path=FOLDER     with a ready pipeline of your choice
-  stereogs resume runs/3dgs-fern              after Ctrl-C, a kill or a crash
-  stereogs eval runs/3dgs-fern
-  stereogs compare runs/3dgs-fern runs/stereogs-fern
-  stereogs render runs/3dgs-fern --path
-  stereogs view runs/3dgs-fern                in the browser
-  stereogs export runs/3dgs-fern --format gltf    for other programs
-  stereogs report runs/3dgs-fern              a page about a run, with the scene in 3D
-  stereogs ablate ablations/parts
-  stereogs bench MATRIX.yaml                  several pipelines on several scenes
-  stereogs explain 3dgs                       what runs when, and what it needs
-  stereogs plugins                            what a pipeline can name
-  stereogs priors check FILE.onnx             how to run a network of your own, and how good it is
+  stereogs demo                       three photographs to a scored scene
+  stereogs check FOLDER               what is in a folder of photographs
+  stereogs train FOLDER               train on it
+  stereogs train 3dgs --set scene.path=FOLDER
+                                      with a ready pipeline of your choice
+  stereogs resume runs/NAME           after Ctrl-C, a kill or a crash
+  stereogs eval runs/NAME             score it again
+  stereogs compare runs/ONE runs/TWO  scores side by side
+  stereogs render runs/NAME --path    a flight between the training views
+  stereogs view runs/NAME             the scene in the browser
+  stereogs export runs/NAME --format gltf
+                                      for other programs
+  stereogs report runs/NAME           a page about a run, with the scene in 3D
+  stereogs ablate ablations/parts     with parts on and off
+  stereogs bench MATRIX.yaml          several pipelines on several scenes
+  stereogs explain 3dgs               what runs when, and what it needs
+  stereogs plugins                    what a pipeline can name
+  stereogs priors check FILE.onnx     how to run a network, and how good it is
 
 environment:
-  STEREOGS_DATA      folder of data sets that the ready pipelines read
-  STEREOGS_MODELS    folder of model files that the ready pipelines and lpips read
-  STEREOGS_CACHE     where answers of priors and found cameras are kept; empty = nowhere
+  STEREOGS_DATA      folder of data sets, for pipelines that name it
+  STEREOGS_MODELS    folder of model files, for pipelines and metrics
+  STEREOGS_CACHE     keeps found cameras and depths; empty = nowhere
   STEREOGS_CACHE_MB  how many megabytes are kept there; unset = 5000
   STEREOGS_DEVICE    part of the name of the OpenCL device to use
-  STEREOGS_PLUGINS   plugins to load: unset = all, empty = none, or names by commas
+  STEREOGS_PLUGINS   which plugins to load: unset = all, empty = none, or names
   STEREOGS_TRACE     1 = show the Python traceback of errors
 """
 
@@ -104,13 +107,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if not given[0].startswith("-") and given[0] not in VERBS:
         return _explain(_unknown_verb(given[0]))
-    parsed = parser.parse_args(given)
     _log_to_the_terminal()
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
+        parsed = parser.parse_args(plugins.with_verb(given))
         status: int = parsed.run(parsed)
+        sys.stdout.flush()
     except ExplainedError as error:
         return _explain(error)
+    except BrokenPipeError:
+        return _reader_left()
     except OSError as error:
         where = str(error.filename or "")
         what = f"a file operation failed: {error.strerror or error}"
@@ -120,6 +126,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         error_console().print(" ".join(["stereogs: interrupted", *notes]))
         return INTERRUPTED
     return status
+
+
+def _reader_left() -> int:
+    """Whoever read the output has seen enough, as `head` does; Python must not flush to it on exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _log_to_the_terminal() -> None:
@@ -132,7 +144,7 @@ def _log_to_the_terminal() -> None:
 
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line, verb by verb."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="stereogs",
         description="Three to twenty-four photographs become a 3D Gaussian scene.",
         epilog=_EPILOG,

@@ -321,16 +321,26 @@ def export(
         ExplainedError: no such exporter or kind, wrong settings, no folder, or what the exporter says.
     """
     from .exporting import export as written
-    from .inspection.single_item import qualified, single_item
     from .runs.results import EXPORTS
     from .training.threads import one_torch_thread
 
-    point = SECTIONS["exporters"]
-    offer = Plugins().find(point, format_name)
-    item = single_item(offer, [qualified(text, point.section) for text in changes])
+    item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
     with one_torch_thread():
         return written(run, item, place, without)
+
+
+def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
+    """What `export` is asked for, refused at once where it cannot be had.
+
+    Raises:
+        ExplainedError: no such exporter, or wrong settings.
+    """
+    from .inspection.single_item import qualified, single_item
+
+    point = SECTIONS["exporters"]
+    offer = Plugins().find(point, format_name)
+    return single_item(offer, [qualified(text, point.section) for text in changes])
 
 
 def render(

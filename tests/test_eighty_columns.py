@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -21,10 +22,11 @@ training: {iterations: 3, sh_degree: 0}
 """
 RIGHT = (
     [],
-    *(["--help"], ["plugins"], ["plugins", "show", "consistency_dense"], ["explain", "tiny.yaml"]),
+    *(["--help"], ["plugins"], ["plugins", "consistency_dense"], ["explain", "tiny.yaml"]),
     *([verb, "--help"] for verb in VERBS),
     ["eval", "run"],
     ["compare", "run", "run"],
+    ["compare", "weightfree_fast-llff_flower", "run"],
     ["check", "tiny.yaml"],
 )
 WRONG = (
@@ -41,7 +43,9 @@ WRONG = (
     *(["check", "nowhere"], ["check", "empty"], ["check", "run"]),
     *(["resume", "nowhere"], ["eval", "empty"], ["render", "nowhere"], ["report", "nowhere"]),
     *(["replay", "nowhere"], ["compare", "nowhere", "run"], ["bench", "nowhere.yaml"]),
-    *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "show", "dropuot"]),
+    *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "dropuot"]),
+    *(["eval"], ["export", "run"], ["train", "photos", "--qualty", "best"], ["plugins", "new"]),
+    *(["train", "photos", "--seconds", "soon"], ["completion", "bsh"], ["train", "--quality=bset"]),
     *(["export", "run", "--format", "gtlf"], ["export", "run", "--format", "spz"]),
     *(["view", "run"], ["train", "tiny.yaml", "--view"]),
     ["priors", "check", "nowhere.onnx"],
@@ -59,6 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("IMG_0001.JPG", "IMG_0002.JPG", "IMG_0003.JPG"):
         (made / "photos" / name).write_bytes(b"not a picture")
     stereogs.train(PIPELINE, out=made / "run", progress=False)
+    shutil.copytree(made / "run", made / "weightfree_fast-llff_flower")
     return made
 
 

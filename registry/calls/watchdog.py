@@ -196,7 +196,7 @@ def _advice(call: Call) -> str:
     end = "If it hangs, end it with Ctrl-C"
     if call.iteration is not None:
         end += f", twice; {_RESUME}"
-    return f"{end}. --hang-after SECONDS ends a call by itself"
+    return f"{end}. `stereogs train --hang-after SECONDS` ends such calls by itself"
 
 
 def _mend(call: Call) -> str:

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 examples:
-  stereogs check photos                              a folder of pictures and nothing else
+  stereogs check my-photos            a folder of pictures and nothing else
   stereogs check /data/llff_fern --set downsample=8
   stereogs check /data/scan24 --format dtu --set train_views=6
-  stereogs check pipelines/3dgs.yaml                 the scene of a pipeline
+  stereogs check pipeline.yaml        the scene of a pipeline
 
 The format is guessed from the folder's content; `stereogs plugins` lists the loaders and their
 settings. The picture shows all views (training views framed in orange, test views in blue) and the
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
     _print_columns(output, facts(scene))
     output.print("said by the loader")
-    _print_columns(output, [(fact.name, str(fact)) for fact in scene.facts])
+    _print_columns(output, [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts])
     for text in warnings(scene):
         output.print(f"warning: {text}")
     save_png(scene_picture(scene), picture)

@@ -33,7 +33,7 @@ were run on the same scenes. --paper adds what a paper reports for the protocol 
 
 FORMATS = ("table", "csv", "markdown", "latex", "page")
 WIDEST = 500
-"""Columns of text that a table may take."""
+"""Columns of text that a table may take where there is no terminal."""
 
 
 def add(verbs: Verbs) -> None:
@@ -92,6 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _print(table: Table, format_name: str) -> None:
     from ..comparing.formats import as_latex, as_markdown
+    from ..comparing.table import narrowest
 
     if format_name == "csv":
         raise RunError(
@@ -104,7 +105,7 @@ def _print(table: Table, format_name: str) -> None:
         return
     output = console()
     # As wide as its numbers need: a cut number would be worse than a line that the terminal folds.
-    output.width = WIDEST
+    output.width = max(output.width, narrowest(table)) if output.has_width else WIDEST
     output.print(table, soft_wrap=False)
 
 

@@ -9,22 +9,21 @@ from typing import TYPE_CHECKING, Any
 from ..messages.help_text import HelpFormatter
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from ..messages.terminal import PlainConsole
     from ..runs.run import Run
 
 Verbs = Any
 """argparse's own type for a set of verbs is private."""
 
 
-def console() -> Console:
+def console() -> PlainConsole:
     """Standard output, as it is now."""
     from ..messages.terminal import PlainConsole
 
     return PlainConsole(markup=False, highlight=False, soft_wrap=True)
 
 
-def error_console() -> Console:
+def error_console() -> PlainConsole:
     """Standard error, as it is now."""
     from ..messages.terminal import PlainConsole
 
@@ -79,9 +78,12 @@ def watching(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def positive_seconds(text: str) -> float:
     """A number of seconds, as an option takes it."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
     if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
     return value
 
 

@@ -20,10 +20,11 @@ FAULT = 1
 _EPILOG = """\
 examples:
   stereogs plugins                 a line for each: its name and what it does
-  stereogs plugins show dropout    what one is for, and its settings with their defaults
-  stereogs plugins --json          all of it for programs, with JSON schemas of the settings
-  stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
-  stereogs plugins new solid --kind regularizer     a package to begin with, in stereogs-solid
+  stereogs plugins dropout         what one is for, and its settings
+  stereogs plugins --json          all of it for programs, with JSON schemas
+  stereogs plugins --check         1 if one cannot be loaded or two names clash
+  stereogs plugins new solid --kind regularizer
+                                   a package to begin with, in stereogs-solid
 
 STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
 """
@@ -51,6 +52,15 @@ def add(verbs: Verbs) -> None:
     _add_new(within)
 
 
+def with_verb(arguments: list[str]) -> list[str]:
+    """The command line with `plugins NAME` written out as `plugins show NAME`."""
+    if arguments[0] != "plugins" or len(arguments) < 2:
+        return arguments
+    if arguments[1].startswith("-") or arguments[1] in ("show", "new"):
+        return arguments
+    return ["plugins", "show", *arguments[1:]]
+
+
 def _add_new(verbs: Verbs) -> None:
     parser = add_verb(verbs, "new", "write a plugin package that installs and trains", _NEW_EPILOG)
     parser.add_argument("name", metavar="NAME", help="of the component, as pipelines will write it")
@@ -75,7 +85,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 
 def _add_show(verbs: Verbs) -> None:
-    epilog = "examples:\n  stereogs plugins show dropout\n"
+    epilog = "examples:\n  stereogs plugins show dropout\n  stereogs plugins dropout\n"
     parser = add_verb(verbs, "show", "say what a component is for and what can be set", epilog)
     parser.add_argument("name", metavar="NAME", help="as a pipeline writes it")
     parser.set_defaults(run=run_show)
@@ -122,6 +132,8 @@ def _table(offers: Sequence[Offer]) -> Table:
     """What each component does, under the section of a pipeline that it fills."""
     from rich.table import Table
 
+    from ..inspection.component_help import summary
+
     table = Table.grid(padding=(0, 2))
     longest = max((len(offer.name) for offer in offers), default=0)
     table.add_column(no_wrap=True, min_width=longest + 2)
@@ -131,15 +143,13 @@ def _table(offers: Sequence[Offer]) -> Table:
         if offer.point.section != section:
             section = offer.point.section
             table.add_row(section)
-        table.add_row(f"  {offer.name}", _summary(offer))
+        table.add_row(f"  {offer.name}", summary(offer))
     return table
 
 
-def _summary(offer: Offer) -> str:
-    return (offer.component.__doc__ or "").strip().partition("\n")[0]
-
-
 def _as_json(offer: Offer) -> dict[str, Any]:
+    from ..inspection.component_help import summary
+
     return {
         "name": offer.name,
         "section": offer.point.section,
@@ -147,6 +157,6 @@ def _as_json(offer: Offer) -> dict[str, Any]:
         "plugin": offer.plugin,
         "package": offer.distribution,
         "version": offer.version,
-        "summary": _summary(offer),
+        "summary": summary(offer),
         "settings": offer.settings_type.model_json_schema(),
     }

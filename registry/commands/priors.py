@@ -26,7 +26,7 @@ FAULT = 1
 _EPILOG = """\
 examples:
   stereogs priors check stereo.onnx
-  stereogs priors check depth.onnx --set size=[512,384]     a setting that is known already
+  stereogs priors check depth.onnx --set size=[512,384]  known already
   stereogs priors check xfeat.onnx --set matcher=lighterglue.onnx
 
 It shows the file's inputs and outputs, asks every installed prior with which settings it would run the

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rich import box
+from rich.cells import cell_len
 from rich.table import Table
 
 from ..pipeline.protocols import load_protocol
@@ -14,6 +15,10 @@ from .differences import labels
 from .paper_tables import PaperTables
 from .run_table import ABSENT
 
+_FOLDED = 8
+"""Letters of a name that a line shows at least."""
+_BETWEEN = 2
+"""Columns of text between two of the table."""
 _COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
 
 
@@ -35,10 +40,15 @@ def comparison_table(
     """
     metrics = metric_names(runs) or list(published.tables.metrics if published else ())
     table = Table(
-        title=_title(runs, published), box=box.SIMPLE, title_justify="left", caption_justify="left"
+        title=_title(runs, published),
+        box=box.SIMPLE,
+        title_justify="left",
+        caption_justify="left",
+        pad_edge=False,
+        collapse_padding=True,
     )
     for column in ("run", "method", "scene"):
-        table.add_column(column, no_wrap=True)
+        table.add_column(column, overflow="fold")
     for column in (*metrics, *_COSTS.values()):
         table.add_column(column, justify="right", no_wrap=True)
     for finished, method in zip(runs, labels(runs), strict=True):
@@ -52,6 +62,15 @@ def comparison_table(
         captions += _add_published(table, published, metrics, runs)
     table.caption = "\n".join(captions) or None
     return table
+
+
+def narrowest(table: Table) -> int:
+    """Columns of text that a comparison needs: names may be folded to a few letters, numbers not."""
+    needed = 0
+    for column in table.columns:
+        whole = max(cell_len(str(text)) for text in (column.header, *column.cells))
+        needed += _BETWEEN + (whole if column.no_wrap else min(whole, _FOLDED))
+    return needed
 
 
 def _title(runs: Sequence[FinishedRun], published: Published | None) -> str:

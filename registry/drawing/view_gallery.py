@@ -11,6 +11,7 @@ from .pictures import ViewPictures
 
 MOST_VIEWS = 12
 """More than these are shown in part: each has a render and a depth of each run."""
+_DEPTHS = "In depths, what is near is yellow, what is far dark blue, and nothing is there where it is black."
 _LONGEST_SIDE = 640
 """Pixels of a picture; there may be hundreds."""
 
@@ -52,12 +53,17 @@ def _some_views(
     parts = {name: part for name in some if (part := part_of(name, runs))}
     hidden = len(names) - len(parts)
     remark = f"{hidden} more test views lie in the runs' folders." if hidden and parts else ""
-    return choice("view", parts) + (note(remark) if remark else "")
+    return (
+        choice("view", parts) + (note(_DEPTHS) if parts else "") + (note(remark) if remark else "")
+    )
 
 
 def _pinned(name: str, runs: Sequence[RenderedRun]) -> str:
     found = list(_with_pictures(name, runs))
-    figures = [figure(_caption(name, run), _render(files) + _depth(files)) for run, files in found]
+    figures = [
+        figure(f"{_caption(name, run)}; render and depth", _render(files) + _depth(files))
+        for run, files in found
+    ]
     return pinned(figure(f"{name}: photograph", _photograph(found[0][1])), figures) if found else ""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import sys
 from collections.abc import Iterator
 
 from ..contract.component import Settings
@@ -29,10 +30,24 @@ def component_help(name: str, plugins: Plugins) -> str:
     return "\n".join("\n".join([*_lines(offer), ""]) for offer in found)
 
 
+def summary(offer: Offer) -> str:
+    """What a component is for, in a sentence.
+
+    Its module's, if that begins "`name`: ..."; else the first line of what it says of itself.
+    """
+    module = inspect.getdoc(sys.modules[offer.component.__module__]) or ""
+    names, _, sentence = " ".join(module.partition("\n\n")[0].split()).partition(": ")
+    own = inspect.getdoc(offer.component) or ""
+    return sentence if f"`{offer.name}`" in names else own.partition("\n")[0]
+
+
 def _lines(offer: Offer) -> Iterator[str]:
     yield f"{offer.name}: {offer.point.title} ({offer.distribution} {offer.version})"
     yield ""
-    yield from inspect.cleandoc(offer.component.__doc__ or "").splitlines()
+    own = inspect.cleandoc(offer.component.__doc__ or "")
+    if not own.startswith(in_a_sentence := summary(offer)):
+        yield from (in_a_sentence, "")
+    yield from own.splitlines()
     yield ""
     yield f"settings, in the pipeline's section `{offer.point.section}`:"
     if not offer.settings_type.model_fields:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pipeline.pipeline import Item, Pipeline
+from .component_help import summary
 
 STAGES: Mapping[str, Mapping[str, str]] = {
     "before training": {
@@ -104,7 +105,7 @@ def memory(pipeline: Pipeline) -> str:
 
 def _explained(item: Item, pipeline: Pipeline) -> Explained:
     component, section = item.offer.component, item.point.section
-    notes = [("is", (component.__doc__ or "").strip().partition("\n")[0])]
+    notes = [("is", summary(item.offer))]
     notes.append(("from", f"{item.offer.distribution} {item.offer.version}, {item.place}"))
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline)))

@@ -15,6 +15,8 @@ Box = tuple[float, float, float, float]
 _DIRECTIONS = 16
 _DISTANCES = (6.0, 14.0, 26.0, 42.0, 62.0, 90.0, 130.0, 180.0)
 """Pixels from the place to the name's nearest point, tried in this order."""
+_HALO = 2
+"""Pixels of white around letters."""
 _LED_FROM = 14.0
 """From this distance on a line leads from the place to its name."""
 
@@ -51,6 +53,7 @@ def draw_labels(
         How many were left out.
     """
     font = ImageFont.load_default(font_size)
+    found: list[tuple[Label, Box]] = []
     taken: list[Box] = [(x - 2, y - 2, x + 2, y + 2) for x, y in kept_free]
     left_out = 0
     for label in labels:
@@ -60,16 +63,26 @@ def draw_labels(
             for distance, box in _candidates(label.place, width, height)
             if _inside(box, size) and not any(_overlap(box, other) for other in taken)
         )
-        found = next(free, None)
-        if found is None:
+        nearest = next(free, None)
+        if nearest is None:
             left_out += 1
             continue
-        distance, box = found
+        distance, box = nearest
         taken.append(box)
+        found.append((label, box))
         if distance >= _LED_FROM:
             pen.line((label.place, _nearest(box, label.place)), label.color)
-        pen.text(box[:2], label.text, label.color, font)
+    for label, box in found:  # after all lines, so that none crosses a name
+        write(pen, box[:2], label.text, label.color, font_size)
     return left_out
+
+
+def write(
+    pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, color: Color, font_size: int
+) -> None:
+    """Text that can be read on whatever lies below; `place` is its left upper corner."""
+    font = ImageFont.load_default(font_size)
+    pen.text(place, text, color, font, stroke_width=_HALO, stroke_fill=(255, 255, 255))
 
 
 def _candidates(

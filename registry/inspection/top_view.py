@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from ..contract.scene import Scene, View
-from .labels import Color, Label, draw_labels
+from .labels import Color, Label, draw_labels, write
 
 Array = NDArray[np.float64]
 
@@ -65,10 +65,10 @@ def draw_top_view(picture: Image.Image, scene: Scene, train: Color, test: Color)
     """
     pen = ImageDraw.Draw(picture)
     plan = make_plan(scene, picture.size)
-    _draw_axes(pen, plan)
+    numbers = _draw_axes(pen, plan)
     _draw_points(picture, plan, scene)
     reach = _REACH * min(picture.size) / plan.scale
-    labels, drawn = [], []
+    labels, drawn = [], [place for number in numbers for place in _along(number)]
     for views, color in ((scene.train, train), (scene.test, test)):
         for view in views:
             outline = _draw_camera(pen, plan, view, reach, color)
@@ -76,8 +76,9 @@ def draw_top_view(picture: Image.Image, scene: Scene, train: Color, test: Color)
             drawn += outline
     left_out = draw_labels(pen, labels, drawn, picture.size, _FONT_SIZE)
     if left_out:
-        text = f"there is no room for {left_out} more names"
-        pen.text((_BORDER, 4 + _FONT_SIZE), text, _TEXT, ImageFont.load_default(_FONT_SIZE))
+        numbers.append(((_BORDER, 4 + _FONT_SIZE), f"there is no room for {left_out} more names"))
+    for place, text in numbers:
+        write(pen, place, text, _TEXT, _FONT_SIZE)
 
 
 def make_plan(scene: Scene, size: tuple[int, int]) -> Plan:
@@ -132,21 +133,32 @@ def _ground(scene: Scene) -> tuple[Array, Array]:
     return np.cross(forward, up), forward
 
 
-def _draw_axes(pen: ImageDraw.ImageDraw, plan: Plan) -> None:
-    """Grid lines at round world coordinates, labelled below and to the left."""
-    font = ImageFont.load_default(_FONT_SIZE)
+Text = tuple[tuple[float, float], str]
+"""Its left upper corner, in pixels, and what it says."""
+
+
+def _along(text: Text) -> list[tuple[float, float]]:
+    """Pixels of a text that no name may cover."""
+    (left, top), letters = text
+    step = _FONT_SIZE / 2
+    return [(left + step * k, top + step) for k in range(len(letters) + 1)]
+
+
+def _draw_axes(pen: ImageDraw.ImageDraw, plan: Plan) -> list[Text]:
+    """Grid lines at round world coordinates; returns what is to be written below and to the left."""
+    texts: list[Text] = [((_BORDER, 2), "from above; axes right and forward, world units")]
     half = np.array(plan.size) / 2 / plan.scale
     low, high = plan.center - half, plan.center + half
     step = round_step(float((high - low).max()) / _TICK_COUNT)
     for value in _ticks(low[0], high[0], step):
         column = plan.pixels(np.array([[value, plan.center[1]]]))[0, 0]
         pen.line((column, 0, column, plan.size[1]), _AXES)
-        pen.text((column + 2, plan.size[1] - _FONT_SIZE - 4), f"{value:g}", _TEXT, font)
+        texts.append(((column + 2, plan.size[1] - _FONT_SIZE - 4), f"{value:g}"))
     for value in _ticks(low[1], high[1], step):
         row = plan.pixels(np.array([[plan.center[0], value]]))[0, 1]
         pen.line((0, row, plan.size[0], row), _AXES)
-        pen.text((2, row + 1), f"{value:g}", _TEXT, font)
-    pen.text((_BORDER, 2), "from above; axes right and forward, world units", _TEXT, font)
+        texts.append(((2, row + 1), f"{value:g}"))
+    return texts
 
 
 def round_step(wanted: float) -> float:

@@ -44,9 +44,14 @@ class PlainConsole(Console):
     Texts fit a terminal's width. In a pipe or a file lines stay whole, so that they can be searched.
     """
 
+    @property
+    def has_width(self) -> bool:
+        """Whether lines are to fit: there is a terminal, or `COLUMNS` says how wide it would be."""
+        return self.is_terminal or WIDTH in os.environ
+
     def print(self, *objects: Any, **options: Any) -> None:
         """As rich prints, texts in lines that fit."""
-        if self.is_terminal or WIDTH in os.environ:
+        if self.has_width:
             objects = tuple(fitting(x, self.width) if isinstance(x, str) else x for x in objects)
         super().print(*objects, **options)
 

@@ -82,8 +82,9 @@ class RunFolder:
         """
         run = RunFolder(path)
         if not run.pipeline.is_file():
+            reason = "it has no pipeline.yaml" if path.is_dir() else "there is no such folder"
             raise RunError(
-                "this is not a run folder: it has no pipeline.yaml",
+                f"this is not a run folder: {reason}",
                 where=str(path),
                 fix="give a folder that `stereogs train` wrote",
             )

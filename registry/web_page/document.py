@@ -9,7 +9,13 @@ _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; margin-bottom: .3rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; --shade: linear-gradient(to right, #8887, #8880);
+  --cover: linear-gradient(to right, Canvas 50%, transparent);
+  --shade-right: linear-gradient(to left, #8887, #8880);
+  --cover-right: linear-gradient(to left, Canvas 50%, transparent);
+  background: var(--cover) left / 2rem 100% no-repeat local,
+    var(--cover-right) right / 2rem 100% no-repeat local,
+    var(--shade) left / .8rem 100% no-repeat, var(--shade-right) right / .8rem 100% no-repeat; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding: .8rem 0 .3rem; }
 th, td { padding: .2rem .8rem .2rem 0; border-bottom: 1px solid #8884; text-align: left;
@@ -52,6 +58,7 @@ details { margin-bottom: 1rem; } summary { cursor: pointer; }
 h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
 @media (max-width: 45rem) {
   body { margin: 1rem auto; } .facts th { white-space: normal; }
+  .scores { font-size: .87rem; } .scores th, .scores td { padding: .2rem .4rem; }
   .pinned { grid-template-columns: minmax(0, 1fr); }
   .pinned > :first-child { z-index: 1; background: Canvas; padding-bottom: .3rem; }
   .pinned > :first-child img { max-height: 30vh; width: auto; }

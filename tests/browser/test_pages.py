@@ -88,7 +88,7 @@ def test_a_page_fits_its_window_and_lets_choose_a_view(
         assert overflow(page) <= 0
         parts = page.locator(".choice > div")
         assert [parts.nth(k).is_visible() for k in (0, 1)] == [True, False]
-        page.locator(".choice select").select_option(index=1)
+        page.locator(".choice select").first.select_option(index=1)
         assert [parts.nth(k).is_visible() for k in (0, 1)] == [False, True]
 
 

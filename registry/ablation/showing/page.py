@@ -27,7 +27,10 @@ def as_page(
     timed = plan.kind == "bench"
     curves = read_curves(results, folder) if timed else {}
     contents = [
-        note(f"{plan.size}. Bold: the best of a column."),
+        note(
+            f"{plan.size}. Bold: the best of a column. Seconds are those of training; in all, with "
+            "what comes before and after."
+        ),
         *(_table(plan, results, title, scene) for title, scene in table.titles(plan)),
         *(note(line) for line in table.notes(plan, results)),
         section("Against seconds", against_time(plan, results, curves, references)),

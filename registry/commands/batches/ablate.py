@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 examples:
-  stereogs ablate pipelines/demo.yaml --vary densification.gradient_threshold=1e-4,2e-4,4e-4
-  stereogs ablate pipelines/stereogs.yaml --toggle initializer,stereo_depth,opacity
-  stereogs ablate pipelines/ablations/parts.yaml --scenes llff_fern,llff_flower --seeds 3
+  stereogs ablate demo --toggle dropout,opacity
+  stereogs ablate demo --vary modifiers.dropout.rate=0.1,0.3,0.5
+  stereogs ablate ablations/parts --scenes llff_fern,llff_flower --seeds 3
 
 On is what the pipeline says. Off: a component is disabled, unless it names what it takes the place of;
 so decays of opacity give way to 3DGS's periodic reset. An ablation file may say otherwise.

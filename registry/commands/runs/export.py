@@ -16,7 +16,7 @@ examples:
   stereogs export runs/3dgs-fern --format video --set frames=300 --out films
   stereogs export runs/weightfree-fern --format spz --without margin,back_layer
 
-A format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins show NAME` says what
+A format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` says what
 one writes and what can be set. --without leaves out what descends from guessed initial points; the run's
 initialization/facts.json names the kinds (points_by_kind).
 """
@@ -55,9 +55,10 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Export and say what was written."""
     output = console()
-    opened = open_given(arguments)
-    from ...session import export
+    from ...session import export, find_exporter
 
+    find_exporter(arguments.format, arguments.set)  # reading the scene may take minutes
+    opened = open_given(arguments)
     written = export(
         opened,
         arguments.format,

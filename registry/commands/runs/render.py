@@ -10,8 +10,8 @@ PATH = "path"
 
 _EPILOG = """\
 examples:
-  stereogs render runs/3dgs-fern             the test views, as pictures
-  stereogs render runs/3dgs-fern --path      a flight between the training views
+  stereogs render runs/3dgs-fern          the test views, as pictures
+  stereogs render runs/3dgs-fern --path   a flight between the training views
 
 The flight is a video where the extra `video` is installed (pip install 'stereogs-plugins[video]'),
 else numbered PNG pictures.

@@ -23,7 +23,7 @@ BESIDE = "beside"
 _EPILOG = """\
 examples:
   stereogs report runs/3dgs-fern
-  stereogs report runs/3dgs-fern --beside     what is large lies beside the page, not in it
+  stereogs report runs/3dgs-fern --beside     large files beside the page
 
 Writes the reports that the run's pipeline names; every installed one if it names none. A page with
 all inside can be mailed; one with files beside it opens faster, and holds a scene of any size.

@@ -7,6 +7,7 @@ be mailed or moved away from its run. It asks the network for nothing.
 from __future__ import annotations
 
 import shlex
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated, Any
 
 import pydantic
@@ -14,12 +15,13 @@ import pydantic
 from registry import Register, Report, Scene, Settings, hookimpl, write_text
 from registry.web_page import (
     Cell,
+    choice,
     facts_table,
     figure,
     folded,
-    grid,
     headings,
     image,
+    note,
     page,
     score_table,
     section,
@@ -68,7 +70,7 @@ class HtmlReport(Report[HtmlReportSettings]):
             section("The scene in 3D", view.content),
             section("Test views", unseen_views(run.results, scene, folder)),
             section("Scores", scores(run.results)),
-            section("Training", grid(training_plots(run.metrics, run.results))),
+            section("Training", training_plots(run.metrics, run.results)),
             section("Initialization", _initialization(run)),
             section("Pipeline", folded("every setting", verbatim(run.pipeline))),
             section("Scene", facts_table(run.results["scene"])),
@@ -95,8 +97,16 @@ class HtmlReport(Report[HtmlReportSettings]):
 
 
 def _summary(run: RunFiles) -> str:
-    """What was trained, where and how, and what it took; what is not known is left out."""
+    """How good it is, what it took, where and how; what is not known is left out."""
+    from .scores import score, with_unit
+
     results, origin = run.results, run.provenance
+    missing = results.get("unavailable", {})
+    means = {
+        f"test {with_unit(metric)}": score(results["test"], metric, missing)
+        for metric in results["test"]
+        if metric not in missing
+    }
     labels = {
         "gaussians": "Gaussians",
         "iterations": "iterations",
@@ -107,35 +117,43 @@ def _summary(run: RunFiles) -> str:
     source = origin.get("source") or {}
     changed = " with changes" if source.get("dirty") else ""
     facts = {
-        "date": origin.get("started"),
+        "date": str(origin.get("started", "")).replace("T", " ").replace("+00:00", " UTC") or None,
         "device": origin.get("device", {}).get("name"),
-        "command": shlex.join(origin.get("command", [])) or None,
+        "command": _typed(origin.get("command", [])) or None,
         "commit": f"{source['commit']}{changed}" if "commit" in source else None,
         "SHA-256 of the Gaussians": results.get("hash"),
     }
     known = {label: text for label, text in facts.items() if text is not None}
     return facts_table(
-        {label: results[key] for key, label in labels.items() if key in results} | known
+        means | {label: results[key] for key, label in labels.items() if key in results} | known
     )
+
+
+def _typed(command: list[str]) -> str:
+    """The command as it was typed: where the program lies is nobody's business."""
+    return shlex.join([PurePath(part).name if k == 0 else part for k, part in enumerate(command)])
 
 
 def _initialization(run: RunFiles) -> str:
     """Points by kind, the initializer's pictures, and what else it reports."""
-    apart = (_BY_KIND, _COLUMNS)
+    apart = (_BY_KIND, _COLUMNS, _BY_VIEW)
     facts = {name: value for name, value in run.initialization.items() if name not in apart}
     columns = headings(run.initialization.get(_COLUMNS, ()))
-    pictures = "".join(
-        figure(path.stem, columns + image(path, path.stem)) for path in run.initial_pictures
-    )
+    pictures = {
+        path.stem: figure(path.stem, columns + image(path, path.stem))
+        for path in run.initial_pictures
+    }
     by_kind: Mapping[str, int] = run.initialization.get(_BY_KIND, {})
     return (
         subsection("Initial points by kind", _kinds(by_kind))
-        + subsection("Pictures", pictures)
+        + subsection("Pictures", choice("picture", pictures) + note(_COLORS) if pictures else "")
         + subsection("Facts", facts_table(facts))
+        + folded("facts of each view", facts_table(run.initialization.get(_BY_VIEW, {})))
     )
 
 
-_BY_KIND, _COLUMNS = "points_by_kind", "picture_columns"
+_BY_KIND, _COLUMNS, _BY_VIEW = "points_by_kind", "picture_columns", "views"
+_COLORS = "Depths: what is near is yellow, what is far dark blue, what is not known black."
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:

@@ -12,6 +12,14 @@ if TYPE_CHECKING:
 _ABSENT, _INFINITE = "\u2013", "\u221e"
 
 
+_UNITS = {"psnr": "dB"}
+
+
+def with_unit(metric: str) -> str:
+    """The metric's name, and its unit if it has one."""
+    return f"{metric}, {_UNITS[metric]}" if metric in _UNITS else metric
+
+
 def scores(results: Mapping[str, Any]) -> str:
     """Each view of both splits, the means below them, and why a metric is missing."""
     missing: Mapping[str, str] = results.get("unavailable", {})
@@ -25,7 +33,7 @@ def scores(results: Mapping[str, Any]) -> str:
             means = (score(results[split], metric, missing) for metric in metrics)
             rows.append([Cell(text, strong=True) for text in (f"{split} mean", *means)])
     notes = "".join(note(f"{name} is not available: {reason}") for name, reason in missing.items())
-    return score_table(["view", *metrics], rows) + notes if rows else ""
+    return score_table(["view", *map(with_unit, metrics)], rows) + notes if rows else ""
 
 
 def score(row: Mapping[str, float | None], metric: str, missing: Mapping[str, str]) -> str:

@@ -6,7 +6,9 @@ import math
 import re
 from typing import TYPE_CHECKING, Any
 
-from registry.web_page import Axis, Line, Point, line_plot
+from registry.web_page import Axis, Line, Point, folded, grid, line_plot
+
+from .scores import with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,8 +27,8 @@ _GROUPS = (
 _NO_PLOT = ("iteration", "seconds")
 
 
-def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, Any]) -> list[str]:
-    """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each.
+def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, Any]) -> str:
+    """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each, folded.
 
     Args:
         metrics: the lines.
@@ -40,7 +42,9 @@ def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, A
         plots.setdefault(place, []).append(Line(label, points))
     ordered = sorted(plots.items(), key=lambda plot: plot[0])
     axis = _axis(lines)
-    return [line_plot(title, own, axis) for (_, title), own in ordered]
+    known = [line_plot(title, own, axis) for (order, title), own in ordered if order < len(_GROUPS)]
+    others = [line_plot(title, own, axis) for (order, title), own in ordered[len(known) :]]
+    return grid(known) + folded("what else was logged", grid(others))
 
 
 def _axis(lines: Sequence[Mapping[str, Any]]) -> Axis:
@@ -77,5 +81,5 @@ def _place(name: str) -> tuple[tuple[int, str], str]:
         match = pattern.fullmatch(name)
         if match:
             label = match[1] if pattern.groups else name
-            return (order, title.format(label)), label
-    return (len(_GROUPS), name), name
+            return (order, title.format(with_unit(label))), label
+    return (len(_GROUPS), name.replace("_", " ")), name

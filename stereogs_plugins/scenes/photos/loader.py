@@ -144,7 +144,7 @@ def _tell_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
     if transparent:
         color = " ".join(f"{channel:g}" for channel in decoder.background)
         _log.warning(
-            "%d of %d pictures are transparent in places, %s first; laid on the background (%s)",
+            "transparent places in %d of %d pictures, %s first, are laid on the background (%s)",
             *(len(transparent), len(found), transparent[0], color),
         )
 

@@ -137,7 +137,7 @@ def _placed(colmap: Any, database: Path, images: Path, folder: Path, count: int)
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches = _verified_matches(colmap, opened, index)
-    _log.info("matched %d pairs of photographs; placing the cameras", len(matches))
+    _log.info("%d pairs match; placing the cameras", len(matches))
     pieces = place_cameras(colmap, database, images, folder, count)
     return Reconstruction(pieces, matches, [features[k] for k in range(count)])
 
@@ -181,6 +181,9 @@ def _extract(colmap: Any, database: Path, images: Path, pooled: bool) -> None:
 
 
 def _match(colmap: Any, database: Path) -> None:
+    with colmap.Database.open(database) as opened:
+        count = opened.num_images()
+    _log.info("found features; matching %d pairs of photographs", count * (count - 1) // 2)
     colmap.match_exhaustive(
         database,
         matching_options=colmap.FeatureMatchingOptions(),

@@ -120,9 +120,11 @@ def _number(exif: dict[int, Any], tag: int) -> float | None:
 
 
 def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
-    """Tell of all copies at once."""
+    """Tell of all copies at once; of equal pictures the one with the shortest name is to stay."""
     first: dict[str, UnposedPhoto] = {}
-    copies = [photo for photo in photos if first.setdefault(photo.digest, photo) is not photo]
+    for photo in sorted(photos, key=lambda photo: len(photo.name)):
+        first.setdefault(photo.digest, photo)
+    copies = [photo for photo in photos if first[photo.digest] is not photo]
     if not copies:
         return
     if len(copies) == 1:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -92,7 +93,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
         (["train"], "nothing to train", "command line"),
-        (["resume", "none"], "not a run folder", "none"),
+        (["resume", "none"], "not a run folder: there is no such folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
         (["train", "toy.yaml", "--set", "training.seed=x"], "whole number", "--set training"),
@@ -103,7 +104,7 @@ def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
         (["train", "toy.yaml", "--set", "initializer.count=0"], "no points", "toy.yaml:3"),
         (["train", "toy.yaml", "--out", "toy.yaml"], "in the way", "toy.yaml"),
         (["train", "toy.yaml", "--out", "toy.yaml/x"], "nothing can be written", "toy.yaml/x"),
-        (["eval", "."], "not a run folder", ""),
+        (["eval", "."], "not a run folder: it has no pipeline.yaml", ""),
         (["render", "."], "not a run folder", ""),
     ],
 )
@@ -208,12 +209,38 @@ def test_the_list_fits_a_terminal(
     assert [line for line in lines if line.startswith("  toy_dropout  ")]
 
 
+def test_a_module_may_say_in_a_sentence_what_its_component_is_for(
+    install: Install, capsys: Capture
+) -> None:
+    code = """
+    \"\"\"`slow_fade`: what is seldom seen
+    fades.
+
+    More.
+    \"\"\"
+    import registry
+    class SlowFade(registry.Modifier[registry.Settings]):
+        \"\"\"alpha <- alpha / 2.\"\"\"
+        def opacity_scale(self, step): ...
+    @registry.hookimpl
+    def stereogs_register_modifiers(register):
+        register("slow_fade", SlowFade)
+    """
+    install("fades", "1", {"slow_fade": "fades"}, fades=textwrap.dedent(code).strip())
+    assert main(["plugins"]) == 0
+    assert "slow_fade  what is seldom seen fades.\n" in capsys.readouterr().out
+    assert main(["plugins", "slow_fade"]) == 0
+    assert "\nwhat is seldom seen fades.\n\nalpha <- alpha / 2.\n" in capsys.readouterr().out
+
+
 def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
     assert main(["plugins", "show", "toy_term"]) == 0
     output = capsys.readouterr().out
     for text in ("toy_term: regularizer (toys 1.5)", "  target = 0.5", "weight"):
         assert text in output
-    assert main(["plugins", "show", "toy_trem"]) == 2
+    assert main(["plugins", "toy_term"]) == 0
+    assert capsys.readouterr().out == output
+    assert main(["plugins", "toy_trem"]) == 2
     assert "did you mean 'toy_term'" in capsys.readouterr().err
 
 
@@ -300,6 +327,29 @@ def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) ->
     assert caught.value.code == 0
     text = capsys.readouterr().out
     assert f"stereogs {verb}" in text.split("examples:")[1]
+
+
+def test_an_option_that_is_not_there_is_answered_with_the_nearest(capsys: Capture) -> None:
+    assert main(["render", "run", "--pth"]) == 2
+    error = capsys.readouterr().err
+    assert "'--pth' is not understood; did you mean '--path'?" in error
+    assert "where  stereogs render" in error
+
+
+def test_an_unknown_format_is_refused_before_the_run_is_read(capsys: Capture) -> None:
+    assert main(["export", "nowhere", "--format", "gtlf"]) == 2
+    assert "no plugin offers the exporter 'gtlf'" in capsys.readouterr().err
+
+
+def test_a_reader_who_leaves_early_is_no_fault() -> None:
+    command = [sys.executable, "-m", "registry", "plugins", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
+        assert started.stdout is not None
+        assert started.stderr is not None
+        started.stdout.read(1)
+        started.stdout.close()
+        assert started.stderr.read() == b""
+        assert started.wait() == 0
 
 
 def test_without_a_verb(capsys: Capture) -> None:

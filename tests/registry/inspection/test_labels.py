@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw
 
-from registry.inspection.labels import Label, draw_labels
+from registry.inspection.labels import Label, draw_labels, write
 
 COLORS = ((255, 0, 0), (0, 0, 255))
 SIZE = (200, 120)
@@ -44,3 +44,13 @@ def test_names_without_room_are_left_out_and_counted() -> None:
     labels = [Label((60.0, 30.0), "a name", (255, 255, 255)) for _ in range(20)]
     left_out = draw_labels(ImageDraw.Draw(picture), labels, [], (120, 60), 12)
     assert 5 < left_out < 20
+
+
+def test_text_is_read_on_what_is_as_dark_as_itself() -> None:
+    picture = Image.new("RGB", (120, 40))
+    write(ImageDraw.Draw(picture), (20, 10), "a name", (0, 0, 0), 12)
+    bright = np.array(picture).mean(axis=2) > 200
+    rows, columns = np.nonzero(bright)
+    assert bright.sum() > 200
+    assert (columns.min(), rows.min()) < (20, 14)
+    assert not bright[rows.min() : rows.max(), columns.min() : columns.max()].all(), "the letters"

@@ -65,7 +65,7 @@ def run(tmp_path: Path) -> RunFolder:
     """A run's folder, written by the host itself."""
     run = RunFolder(tmp_path / "run")
     origin = {
-        "command": ["stereogs", "train", "a b"],
+        "command": ["tools/bin/stereogs", "train", "a b"],
         "seed": 3,
         "started": "2026-05-04T03:02:01+00:00",
         "device": {"name": "a processor"},
@@ -125,8 +125,15 @@ def test_the_page_holds_everything_and_loads_nothing(run: RunFolder) -> None:
     ]
     for text in ("12,345", "7.5", "view1, psnr 20.00, lpips \u2013", "depth of", "a processor"):
         assert text in page
-    for text in ("2026-05-04T03:02:01", "c0ffee with changes", "stereogs train &#x27;a b&#x27;"):
+    for text in (
+        "2026-05-04 03:02:01 UTC",
+        "c0ffee with changes",
+        "<td>stereogs train &#x27;a b&#x27;",
+    ):
         assert text in page
+    top = page[: page.index("<h2>")]
+    assert "<th>test psnr, dB</th><td>20.00</td>" in top
+    assert "lpips" not in top, "which there is none of"
 
 
 def test_pictures_of_a_view_are_its_photograph_render_error_and_depth(run: RunFolder) -> None:
@@ -160,7 +167,7 @@ def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
         re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in re.findall(r"<tr.*?</tr>", table)
     ]
     assert cells == [
-        ["view", "psnr", "lpips"],
+        ["view", "psnr, dB", "lpips"],
         ["test view1", "20.00", "\u2013"],
         ["test mean", "20.00", "\u2013"],
         ["train view0", "\u221e", "\u2013"],
@@ -176,12 +183,12 @@ def test_what_training_logged_is_plotted(run: RunFolder) -> None:
     plots = re.findall(r'<figure class="plot"><figcaption>(.*?)</figcaption>', page)
     assert plots == [
         "Loss",
-        "Test: psnr",
+        "Test: psnr, dB",
         "The same over its mean: quantiles, %",
         "Stereo: share of pixels",
         "own",
     ]
-    scores = page[page.index('aria-label="Test: psnr"') :].split("</svg>")[0]
+    scores = page[page.index('aria-label="Test: psnr, dB"') :].split("</svg>")[0]
     assert scores.count("<circle") == 3, "two evaluations, and the end"
     assert ">50 (1 s)<" in scores
 

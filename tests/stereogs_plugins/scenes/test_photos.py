@@ -352,10 +352,13 @@ def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
         load(tmp_path)
     (tmp_path / "in").mkdir()
     shutil.copy(tmp_path / "1.jpg", tmp_path / "in" / "1.jpg")
+    shutil.copy(tmp_path / "2.jpg", tmp_path / "2 (1).jpg")  # sorted before what it is a copy of
     with pytest.raises(SceneError) as caught:
         load(tmp_path)
-    assert caught.value.what.splitlines()[1:] == ["  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg"]
-    assert caught.value.fix == "take out of the folder: copy.jpg, in/1.jpg"
+    assert caught.value.what.splitlines()[1:] == [
+        *("  2 (1).jpg is 2.jpg", "  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg")
+    ]
+    assert caught.value.fix == "take out of the folder: 2 (1).jpg, copy.jpg, in/1.jpg"
 
 
 def test_pictures_of_a_kind_that_is_not_read_are_not_left_out(tmp_path: Path) -> None:
@@ -423,7 +426,7 @@ def test_transparent_pictures_are_laid_on_the_background(
         (copy / f"{path}.jpg").unlink()
     assert [photo.name for photo in read_folder(copy) if photo.transparent] == ["train_01.png"]
     scene = load(copy, test_every=0)
-    assert "1 of 5 pictures are transparent in places, train_01.png first" in caplog.text
+    assert "in 1 of 5 pictures, train_01.png first, are laid on" in caplog.text
     assert "background (0 0 0)" in caplog.text
     assert float(scene.train[1].image[:3, :3].max()) < 0.2
     assert scene.background == (0, 0, 0)
