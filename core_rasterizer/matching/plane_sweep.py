@@ -12,6 +12,7 @@ from torch import Tensor
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program
 from .limits import MAX_SWEEP_RADIUS
+from .semi_global import PLANE_MULTIPLE
 from .sweep_geometry import SweepGeometry
 
 _CPU_TILE, _GPU_TILE = (64, 64), (16, 16)
@@ -56,7 +57,9 @@ class ZnccSweep:
         if not 0 < noise <= 1:
             raise ValueError(f"the noise is {noise}; it must lie in (0, 1]")
         self._device, self._radius = device, radius
-        self._tile = _CPU_TILE if device.variant == "cpu" else _GPU_TILE
+        self._on_cpu = device.variant == "cpu"
+        self._tile = _CPU_TILE if self._on_cpu else _GPU_TILE
+        self._planes_an_item = PLANE_MULTIPLE if self._on_cpu else 1
         # No sum of squares over a window exceeds 2^24; see the kernel.
         levels = 2**12 // (2 * radius + 1)
         self._weights = (np.float32((2 * levels * noise) ** 2), np.float32(second_share))
@@ -95,11 +98,11 @@ class ZnccSweep:
         self._program(len(sources)).run(
             "plane_sweep",
             (
-                self._geometry.planes // self._device.lanes,
+                self._geometry.planes // self._planes_an_item,
                 -(-width // self._tile[0]),
                 -(-height // self._tile[1]),
             ),
-            (1 if self._device.variant == "cpu" else _GPU_GROUP, 1, 1),
+            (1 if self._on_cpu else _GPU_GROUP, 1, 1),
             *(self._pairs, windows, numbers, layout, self._geometry.inverse_depths, costs),
             *size,
             *self._weights,
@@ -126,6 +129,8 @@ class ZnccSweep:
             dtype=torch.float32,
             SOURCES=sources,
             RADIUS=self._radius,
+            LANES=0 if self._on_cpu else 1,  # as many as a CPU has registers for
+            PLANES_PER_ITEM=self._planes_an_item,
             TILE_WIDTH=self._tile[0],
             TILE_HEIGHT=self._tile[1],
         )

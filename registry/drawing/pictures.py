@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -30,8 +31,8 @@ NEAREST, FARTHEST = "nearest depth", "farthest depth"
 lightest and its darkest colour."""
 DEPTHS, COMPARISONS = "depth", "comparison"
 """Folders within the one of the renders."""
-PNG_EFFORT = 2
-"""Of zlib's 9: a twentieth larger files than by default, in a third of the time."""
+_RAMP_STEPS = 1024
+"""From the ramp's first colour to its last; a step is less than one of 256 levels."""
 _GAP = 4
 """White pixels between pictures side by side."""
 _LUMA = (0.299, 0.587, 0.114)
@@ -46,8 +47,10 @@ def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) 
     for keyword, text in (texts or {}).items():
         info.add_text(keyword, text)
     with replacing(path) as temporary:
+        # Z_RLE looks for repeats in the byte before alone. PNG's filters leave hardly any others in pictures:
+        # files are as small, and take three quarters of the time.
         Image.fromarray(to_bytes(image)).save(
-            temporary, "PNG", compress_level=PNG_EFFORT, pnginfo=info
+            temporary, "PNG", compress_type=zlib.Z_RLE, pnginfo=info
         )
 
 
@@ -164,11 +167,10 @@ def ramp_picture(values: Tensor) -> Tensor:
     """`[H, W]` in colours, `[H, W, 3]`: from `RAMP`'s first at 0 to its last at 1, clamped."""
     import torch
 
-    position = values.clamp(0, 1) * (len(RAMP) - 1)
-    index = position.long().clamp(max=len(RAMP) - 2)
-    ramp = torch.tensor(RAMP)
-    fraction = (position - index)[..., None]
-    return ramp[index] * (1 - fraction) + ramp[index + 1] * fraction
+    ramp = torch.nn.functional.interpolate(
+        torch.tensor(RAMP).T[None], _RAMP_STEPS + 1, mode="linear", align_corners=True
+    )[0].T
+    return ramp.contiguous()[(values.clamp(0, 1) * _RAMP_STEPS).round().long()]
 
 
 def side_by_side(*images: Tensor) -> Tensor:

@@ -1,10 +1,10 @@
 /* The cost volume of a plane sweep. Twin: tests/core_rasterizer/plane_sweep_oracle.py.
  *
  * A lane is one of LANES neighbouring planes of one pixel, all of them parallel to the reference
- * image. A work-item sweeps its planes over a TILE_WIDTH x TILE_HEIGHT tile: it warps each source view
- * row by row, keeps for each column the sums over the last WINDOW rows, and slides along the row over
- * the sums of WINDOW columns. A sample is thus fetched once and enters each sum by one addition and
- * leaves it by one subtraction.
+ * image. A work-item sweeps PLANES_PER_ITEM planes, LANES at a time, over a TILE_WIDTH x TILE_HEIGHT
+ * tile: it warps each source view row by row, keeps for each column the sums over the last WINDOW rows,
+ * and slides along the row over the sums of WINDOW columns. A sample is thus fetched once and enters each
+ * sum by one addition and leaves it by one subtraction.
  *
  * Grey values are whole numbers in [-LEVELS, LEVELS], with LEVELS so small that every sum over a window
  * is a whole number of at most 2^24: floats add them exactly. Sums therefore neither drift nor depend on
@@ -59,9 +59,14 @@ static inline lane_int gather(__global const int *table, lane_int at)
 {
 #if LANES == 1
     return table[at];
-#else
+#elif LANES == 8
     return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
                       table[at.s4], table[at.s5], table[at.s6], table[at.s7]);
+#else
+    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
+                      table[at.s4], table[at.s5], table[at.s6], table[at.s7],
+                      table[at.s8], table[at.s9], table[at.sa], table[at.sb],
+                      table[at.sc], table[at.sd], table[at.se], table[at.sf]);
 #endif
 }
 
@@ -172,13 +177,12 @@ static inline void sweep_row(
     }
 }
 
-__kernel void plane_sweep(
+/* The costs of LANES planes, from `plane` on, over the tile that begins at (x0, y0). */
+static inline void sweep_tile(
     __global const int *pairs, __global const float4 *windows, __global const real *sources,
     __global const int *layout, __global const real *inverse_depths, __global uchar *costs, int width,
-    int height, real noise, real second_share)
+    int height, real noise, real second_share, int plane, int planes, int x0, int y0)
 {
-    const int plane = get_global_id(0) * LANES, planes = get_global_size(0) * LANES;
-    const int x0 = get_global_id(1) * TILE_WIDTH, y0 = get_global_id(2) * TILE_HEIGHT;
     const int x1 = min(x0 + TILE_WIDTH, width), y1 = min(y0 + TILE_HEIGHT, height);
     const lane depths = LOAD_GLOBAL(inverse_depths + plane);
     const lane unseen = depths == depths ? (lane)UNKNOWN : (lane)NO_PLANE;
@@ -204,4 +208,17 @@ __kernel void plane_sweep(
             *(__global lane_bytes *)to = TO_BYTES(cost);
         }
     }
+}
+
+__kernel void plane_sweep(
+    __global const int *pairs, __global const float4 *windows, __global const real *sources,
+    __global const int *layout, __global const real *inverse_depths, __global uchar *costs, int width,
+    int height, real noise, real second_share)
+{
+    const int planes = get_global_size(0) * PLANES_PER_ITEM;
+    const int first = get_global_id(0) * PLANES_PER_ITEM;
+    const int x0 = get_global_id(1) * TILE_WIDTH, y0 = get_global_id(2) * TILE_HEIGHT;
+    for (int plane = first; plane < first + PLANES_PER_ITEM; plane += LANES)
+        sweep_tile(pairs, windows, sources, layout, inverse_depths, costs, width, height, noise,
+                   second_share, plane, planes, x0, y0);
 }

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .confirming.several_priors import Choice
     from .layers import Layer
     from .projection import DepthImage
+    from .understanding.plain_background import PlainAreas
     from .understanding.understanding import Understanding
     from .view_depth import ViewDepth
 
@@ -56,12 +57,14 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 nothing.
         """
         from .understanding.contradictions import without_outvoted
+        from .understanding.plain_background import PlainAreas
         from .understanding.understanding import Understanding
 
         needed = self._min_consistent(scene)
-        choices = self._choices(scene, priors, needed)
+        areas = PlainAreas.of(scene.train)
+        choices = self._choices(scene, priors, needed, areas)
         confirmed = self._confirmed(scene, choices)
-        shown = Understanding.of(scene.train, confirmed)
+        shown = Understanding.of(scene.train, areas, confirmed)
         _log.info("%s: %s", scene.name, shown.sentence)
         confirmed = shown.without_background(confirmed)
         if shown.wide:
@@ -70,7 +73,11 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return self._point_cloud(self._layers(scene, views, shown), views, shown)
 
     def _choices(
-        self, scene: TrainingScene, priors: Mapping[str, Prior[Any]], needed: int
+        self,
+        scene: TrainingScene,
+        priors: Mapping[str, Prior[Any]],
+        needed: int,
+        areas: PlainAreas,
     ) -> list[Choice]:
         """Each view's depths, of the priors that are asked."""
         import numpy as np
@@ -79,7 +86,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .confirming.several_priors import most_confirmed
 
         settings, answers = self.settings, []
-        for name in self._names(scene):
+        for name in self._names(scene, areas):
             maps = MultiViewDepthPrior.choose(priors, name).depths(scene.train, scene.bounds)
             answers.append(
                 [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
@@ -92,13 +99,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         )
         return most_confirmed([view.camera for view in scene.train], answers, limits)
 
-    def _names(self, scene: TrainingScene) -> tuple[str | None, ...]:
+    def _names(self, scene: TrainingScene, areas: PlainAreas) -> tuple[str | None, ...]:
         """Of the priors that this scene's depths are asked of; None: the pipeline's only one."""
         from .understanding.understanding import Understanding
 
         names = self.settings.prior
         if isinstance(names, dict):
-            names = names[Understanding.at_first_sight(scene.train).kind]
+            names = names[Understanding.at_first_sight(scene.train, areas).kind]
         return names if isinstance(names, tuple) else (names,)
 
     def _min_consistent(self, scene: TrainingScene) -> int:

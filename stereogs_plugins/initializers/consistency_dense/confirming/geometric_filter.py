@@ -95,22 +95,17 @@ def without_small_patches(depth: DepthImage, *, min_pixels: int, max_step: float
         max_step: neighbouring pixels belong together if their depths differ by less, relative to the
             nearer one.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from scipy.ndimage import label  # type: ignore[attr-defined]
 
     height, width = depth.shape
-    index = np.arange(depth.size).reshape(height, width)
-    starts, ends = [], []
-    for first, second in (
-        ((slice(None), slice(0, -1)), (slice(None), slice(1, None))),
-        ((slice(0, -1), slice(None)), (slice(1, None), slice(None))),
+    # Between two pixels lies a cell that joins them or does not, so that patches are areas of cells.
+    cells = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.bool_)
+    cells[::2, ::2] = known = depth > 0
+    for a, b, between in (
+        (depth[:, :-1], depth[:, 1:], cells[::2, 1::2]),
+        (depth[:-1], depth[1:], cells[1::2, ::2]),
     ):
-        a, b = depth[first], depth[second]
-        joined = (a > 0) & (b > 0) & (np.abs(a - b) < max_step * np.minimum(a, b))
-        starts.append(index[first][joined])
-        ends.append(index[second][joined])
-    start, end = np.concatenate(starts), np.concatenate(ends)
-    graph = coo_array((np.ones(len(start), dtype=np.int8), (start, end)), (depth.size, depth.size))
-    _, label = connected_components(graph, directed=False)
-    large: Mask = np.bincount(label)[label].reshape(height, width) >= min_pixels
-    return np.where(large, depth, np.float32(0))
+        between[:] = (a > 0) & (b > 0) & (np.abs(a - b) < max_step * np.minimum(a, b))
+    patches = label(cells)[0][::2, ::2]
+    large: Mask = np.bincount(patches.ravel())[patches] >= min_pixels
+    return np.where(known & large, depth, np.float32(0))

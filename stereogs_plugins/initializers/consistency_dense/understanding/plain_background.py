@@ -7,7 +7,8 @@ from the image border inwards.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -38,26 +39,49 @@ MOST_CONFIRMED = 0.3
 """Of an area's pixels: where views agree on more, there is a surface that can be matched."""
 
 
-def plain_backgrounds(views: Sequence[TrainingView], confirmed: Sequence[DepthImage]) -> list[Mask]:
-    """For each view, the pixels `[H, W]` that show plain background; all False where there is none.
+@dataclass(frozen=True, eq=False)
+class PlainAreas:
+    """What photographs alone tell of plain background; which of it counts, depths decide.
 
     Args:
-        views: with `alpha` a view's background is where it is transparent; nothing is guessed then.
-        confirmed: `[H, W]` the depths of each view that others agree with, 0 elsewhere.
+        by_color: for each colour the area `[H, W]` of each view.
+        transparent: `[H, W]` for each view that has `alpha`, None for others.
     """
-    images = [view.image.numpy() for view in views]
-    flats = [_flat(image) for image in images]
-    masks: list[Mask] = [np.zeros(flat.shape, dtype=np.bool_) for flat in flats]
-    for color in _border_colors(images, flats):
-        found = [_area(image, flat, color) for image, flat in zip(images, flats, strict=True)]
-        pixels = sum(int(area.sum()) for area in found)
-        matched = sum(int((d[a] > 0).sum()) for d, a in zip(confirmed, found, strict=True))
-        if matched < MOST_CONFIRMED * pixels:
-            masks = [mask | area for mask, area in zip(masks, found, strict=True)]
-    return [
-        mask if view.alpha is None else view.alpha.numpy() < TRANSPARENT
-        for view, mask in zip(views, masks, strict=True)
-    ]
+
+    by_color: tuple[tuple[Mask, ...], ...]
+    transparent: tuple[Mask | None, ...]
+
+    @classmethod
+    def of(cls, views: Sequence[TrainingView]) -> Self:
+        """The areas in some views' photographs."""
+        images = [view.image.numpy() for view in views]
+        flats = [_flat(image) for image in images]
+        return cls(
+            tuple(
+                tuple(_area(image, flat, color) for image, flat in zip(images, flats, strict=True))
+                for color in _border_colors(images, flats)
+            ),
+            tuple(None if v.alpha is None else v.alpha.numpy() < TRANSPARENT for v in views),
+        )
+
+    def backgrounds(self, confirmed: Sequence[DepthImage]) -> list[Mask]:
+        """For each view, the pixels `[H, W]` that show plain background; all False where there is none.
+
+        With `alpha` a view's background is where it is transparent; nothing is guessed then.
+
+        Args:
+            confirmed: `[H, W]` the depths of each view that others agree with, 0 elsewhere.
+        """
+        masks: list[Mask] = [np.zeros(depth.shape, dtype=np.bool_) for depth in confirmed]
+        for areas in self.by_color:
+            pixels = sum(int(area.sum()) for area in areas)
+            matched = sum(int((d[a] > 0).sum()) for d, a in zip(confirmed, areas, strict=True))
+            if matched < MOST_CONFIRMED * pixels:
+                masks = [mask | area for mask, area in zip(masks, areas, strict=True)]
+        return [
+            mask if transparent is None else transparent
+            for transparent, mask in zip(self.transparent, masks, strict=True)
+        ]
 
 
 def _flat(image: Colors) -> Mask:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from .plain_background import plain_backgrounds
 from .scene_kind import scene_kind
 from .silhouettes import outside_votes, safely_inside
 
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
     from ..projection import DepthImage, Floats, Mask
     from .kinds import SceneKind
+    from .plain_background import PlainAreas
 
 VOTES_AGAINST_CONFIRMED = 2
 """Views that must show background in place of a point that two views agree on; a guess falls by one."""
@@ -41,15 +41,18 @@ class Understanding:
     safe: tuple[Mask, ...]
 
     @classmethod
-    def at_first_sight(cls, views: Sequence[TrainingView]) -> Self:
-        """What cameras and photographs tell while no depth is known."""
-        return cls.of(views, [np.zeros(view.image.shape[:2], dtype=np.float32) for view in views])
+    def at_first_sight(cls, views: Sequence[TrainingView], areas: PlainAreas) -> Self:
+        """What cameras and the photographs' plain areas tell while no depth is known."""
+        unknown = [np.zeros(view.image.shape[:2], dtype=np.float32) for view in views]
+        return cls.of(views, areas, unknown)
 
     @classmethod
-    def of(cls, views: Sequence[TrainingView], confirmed: Sequence[DepthImage]) -> Self:
-        """What cameras, photographs and the depths `[H, W]` that views agree on tell."""
+    def of(
+        cls, views: Sequence[TrainingView], areas: PlainAreas, confirmed: Sequence[DepthImage]
+    ) -> Self:
+        """What cameras, plain areas and the depths `[H, W]` that views agree on tell."""
         cameras = tuple(view.camera for view in views)
-        backgrounds = tuple(plain_backgrounds(views, confirmed))
+        backgrounds = tuple(areas.backgrounds(confirmed))
         kind = scene_kind(cameras, backgrounds)
         return cls(kind, cameras, backgrounds, tuple(map(safely_inside, backgrounds)))
 

@@ -11,7 +11,7 @@ import torch
 from registry import View
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage, Mask
 from stereogs_plugins.initializers.consistency_dense.understanding.plain_background import (
-    plain_backgrounds,
+    PlainAreas,
 )
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, view_of
 
@@ -35,7 +35,7 @@ def photograph(color: tuple[float, float, float], seed: int, noise: float = 0.01
 
 def found(views: list[View], confirmed: float = 0.0) -> list[Mask]:
     depths: list[DepthImage] = [np.full((HEIGHT, WIDTH), confirmed, np.float32) for _ in views]
-    return plain_backgrounds(views, depths)
+    return PlainAreas.of(views).backgrounds(depths)
 
 
 @pytest.mark.parametrize("color", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.3, 0.5, 0.8)])

@@ -11,6 +11,9 @@ import torch
 
 from core_rasterizer import Camera
 from registry import View
+from stereogs_plugins.initializers.consistency_dense.understanding.plain_background import (
+    PlainAreas,
+)
 from stereogs_plugins.initializers.consistency_dense.understanding.scene_kind import scene_kind
 from stereogs_plugins.initializers.consistency_dense.understanding.silhouettes import safely_inside
 from stereogs_plugins.initializers.consistency_dense.understanding.understanding import (
@@ -40,7 +43,7 @@ def ball(degrees: float) -> View:
 @pytest.fixture(scope="module")
 def balls() -> Understanding:
     views = [ball(degrees) for degrees in (0, 60, 120)]
-    return Understanding.of(views, [np.zeros((48, 64), dtype=np.float32)] * 3)
+    return Understanding.at_first_sight(views, PlainAreas.of(views))
 
 
 def test_kinds_are_told_by_background_and_viewing_directions() -> None:
