@@ -86,6 +86,7 @@ SWITCHES = (
     Switch("dropout without scaling at the end", disabled=("expected_opacity",)),
     Switch("colours without direction (SH degree 0)", overrides=("training.sh_degree=0",)),
     Switch("a point every 4th pixel, not every 3rd", overrides=("initializer.stride=4",)),
+    Switch("no limit of size", disabled=("size_limit",)),
     Switch("no margin around the views", overrides=("initializer.margin=false",)),
     Switch("photographs of full size from the start", disabled=("resolution_schedule",)),
     Switch("L1 alone in the loss", overrides=("training.ssim_weight=0",)),
