@@ -17,7 +17,7 @@ VIEWS = 3
 """What a pipeline with iterations for each training view counts with until its scene is loaded."""
 PER_VIEW = re.compile(r"([1-9][0-9]{0,6}) per view")
 """How such iterations are written."""
-_IN_A_RUN = re.compile(r"^  iterations: ([0-9]{1,9})$", re.MULTILINE)
+_IN_A_RUN = re.compile(r"^training:\n  iterations: ([0-9]{1,9})$", re.MULTILINE)
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]

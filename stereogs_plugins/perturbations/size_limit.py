@@ -1,7 +1,7 @@
 """`size_limit`: no Gaussian grows to more than a small part of any training picture.
 
 Few photographs leave most of space unseen. With the high rates of a short training, Gaussians grow into it
-that no photograph contradicts, many times as large as the scene, and hang before the next camera as haze.
+that no photograph contradicts, larger than the scene, and hang before the next camera as haze.
 3D Gaussian Splatting (Kerbl et al. 2023, the authors' code) removes what covers more than 20 pixels on the
 screen; here it only stops growing, since with few views nothing else may be there.
 """
@@ -35,7 +35,7 @@ class SizeLimit(Perturbation[SizeLimitSettings]):
         means, log_scales = step.model.read("means"), step.model.read("log_scales")
         cameras = torch.stack([view.camera.center for view in step.scene.train]).to(means)
         distance = torch.cdist(means, cameras).amin(dim=1, keepdim=True)
-        limit = self.settings.angle * distance.clamp(min=1e-6 * step.extent)  # none is nothing
+        limit = self.settings.angle * distance.clamp(min=1e-6 * step.extent)  # 0 has no logarithm
         return {"log_scales": (limit.log() - log_scales).clamp(max=0)}
 
 

@@ -125,6 +125,22 @@ def test_kinds_of_devices_give_the_same_bits(device: Device) -> None:
         assert all(torch.equal(a, b) for a, b in zip(volume, volumes[0], strict=True))
 
 
+@pytest.mark.parametrize("lanes", [8, 16])
+def test_processors_of_any_width_give_the_same_bits(
+    device: Device, monkeypatch: pytest.MonkeyPatch, lanes: int
+) -> None:
+    """A processor takes as many lanes as it has registers for; here each takes both numbers."""
+    cameras = uneven_cameras()
+    images, cpu = textures(cameras), device.as_variant("cpu")
+    expected = ZnccSweep(cpu, images, cameras, INVERSE_DEPTHS).costs(0, [1, 2, 3]).read()
+    program = cpu.program
+    monkeypatch.setattr(
+        cpu, "program", lambda *files, **options: program(*files, **{**options, "LANES": lanes})
+    )
+    costs = ZnccSweep(cpu, images, cameras, INVERSE_DEPTHS).costs(0, [1, 2, 3]).read()
+    assert torch.equal(costs, expected)
+
+
 def test_a_plane_is_recovered(device: Device) -> None:
     """A textured wall parallel to the images, seen by two cameras off their images' centres."""
     depth, focal = 4.0, 100.0

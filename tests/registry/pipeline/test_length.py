@@ -6,7 +6,7 @@ import pytest
 
 from registry import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.pipeline.training_settings import VIEWS
+from registry.pipeline.training_settings import VIEWS, iterations_of_a_run
 from registry.plugins.discovery import Plugins
 
 TEXT = """\
@@ -102,3 +102,18 @@ def test_a_pipeline_knows_what_its_runs_wrote(toys: Plugins) -> None:
 def test_other_words_are_no_length(toys: Plugins, text: str) -> None:
     with pytest.raises(PipelineError, match=f"iterations must be a whole number, not '{text}'"):
         pipeline(toys, f"training.iterations={text}")
+
+
+def test_a_component_may_have_iterations_of_its_own(toys: Plugins) -> None:
+    """In the pipeline file of a run they stand before those of the training."""
+    text = per_view(toys).for_views(5).to_yaml()
+    assert iterations_of_a_run(text) == 1000
+    assert (
+        iterations_of_a_run(text.replace("initializer:\n", "initializer:\n  iterations: 7\n"))
+        == 1000
+    )
+    assert (
+        iterations_of_a_run(text.replace("scene:\n", "priors:\n- use: one\n  iterations: 7\n"))
+        == 1000
+    )
+    assert iterations_of_a_run("training: none") == 0
