@@ -42,12 +42,13 @@ class FolderContent(NamedTuple):
 
 
 def list_content(folder: Path) -> FolderContent:
-    """What a folder holds, told by names and endings."""
+    """What a folder holds, told by names and endings; what links lead to is not looked at."""
     content = FolderContent([], [], [], [])
     for place, folders, files in os.walk(folder):
         folders[:] = [
             f for f in folders if not f.startswith(".") and f.lower() not in _BESIDE_FOLDERS
         ]
+        content.others.extend(Path(place, f) for f in folders if Path(place, f).is_symlink())
         for name in files:
             if not name.startswith("."):
                 _kind(content, name).append(Path(place, name))

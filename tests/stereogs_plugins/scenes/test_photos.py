@@ -464,6 +464,9 @@ def test_folders_that_are_recognized(tmp_path: Path) -> None:
     assert PhotosScene.recognizes(tmp_path)
     (tmp_path / "cameras.txt").touch()
     assert not PhotosScene.recognizes(tmp_path)
+    (tmp_path / "cameras.txt").unlink()
+    (tmp_path / "sparse").symlink_to(tmp_path.parent)
+    assert not PhotosScene.recognizes(tmp_path)
 
 
 @pytest.mark.proof
