@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from typing import Any
 
 
@@ -9,7 +11,9 @@ def import_pycolmap(least_severity: int = 2) -> Any:
     """The module `pycolmap`, loaded after Pillow.
 
     Its wheel exports a zlib of its own. The system's zlib, which Pillow uses, breaks if it is first
-    loaded in pycolmap's wake, and PNG files come out damaged (Pillow 13 and pycolmap 4.2).
+    loaded in pycolmap's wake, and PNG files come out damaged (Pillow 13 and pycolmap 4.2). Loading it also
+    takes SIGTERM, to print its own stack before the process ends: in the main thread, which alone may do
+    so, the handler that was there is put back, so that a run still stops with a checkpoint.
 
     Args:
         least_severity: what pycolmap logs below this is left out, in this process from now on: 0 is
@@ -19,5 +23,8 @@ def import_pycolmap(least_severity: int = 2) -> Any:
 
     import pycolmap  # isort: skip
 
+    handler = signal.getsignal(signal.SIGTERM)  # Python's, which pycolmap has gone round
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
     pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, least_severity)
     return pycolmap

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -43,3 +45,17 @@ assert levels == [2, 3, 3], levels
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows ends processes without a signal")
+@pytest.mark.parametrize("handled", [True, False])
+def test_sigterm_stays_whose_it_was(*, handled: bool) -> None:
+    handler = "lambda *_: sys.exit(7)" if handled else "signal.SIG_DFL"
+    code = f"""
+import os, signal, sys
+signal.signal(signal.SIGTERM, {handler})
+{IMPORT}
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (7 if handled else -signal.SIGTERM, "")
