@@ -223,8 +223,9 @@ def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:
 
 
 def _rest_names(available: set[str], path: Path) -> list[str]:
-    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9."""
-    numbers = sorted(int(m[1]) for name in available if (m := re.fullmatch(r"f_rest_(\d+)", name)))
+    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9; f_rest_01 is none."""
+    found = (re.fullmatch(r"f_rest_(0|[1-9][0-9]{0,3})", name) for name in available)
+    numbers = sorted(int(match[1]) for match in found if match)
     if len(numbers) not in _REST_COUNTS or numbers != list(range(len(numbers))):
         raise PlyError(
             f"the vertices have {len(numbers)} f_rest properties, up to f_rest_{numbers[-1]}",

@@ -184,6 +184,14 @@ def test_a_missing_property_is_named(tmp_path: Path, scene_file: Path) -> None:
         load_ply(rewritten(scene_file, tmp_path / "other.ply", drop="f_rest_7"))
 
 
+@pytest.mark.parametrize("name", ["f_rest_01", "f_rest_1" + "0" * 5000])
+def test_a_number_that_nobody_writes_is_another_property(scene_file: Path, name: str) -> None:
+    content = scene_file.read_bytes().replace(b" f_rest_1\n", f" {name}\n".encode(), 1)
+    scene_file.write_bytes(content)
+    with pytest.raises(PlyError, match="44 f_rest properties, up to f_rest_44"):
+        load_ply(scene_file)
+
+
 def test_a_value_that_is_not_finite_is_named(scene_file: Path) -> None:
     rows = np.array(PlyData.read(str(scene_file))["vertex"].data)
     rows["scale_1"][5] = math.nan
