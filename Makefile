@@ -98,7 +98,7 @@ bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, h
 profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage; rewrites its page in docs
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
-results: $(VENV)/.dev ## two pipelines on every data set in STEREOGS_DATA; rewrites its page in docs; resumable
+results: $(VENV)/.dev ## three pipelines on every data set, three seeds, hours; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
 
 browser: $(VENV)/.dev ## every page in Chromium, which must be on PATH; screenshots in tests/browser/screenshots

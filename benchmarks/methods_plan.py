@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -11,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
+from benchmarks.planned_training import written, written_digest
 from benchmarks.results_plan import DATA, PIPELINES
 from registry.pipeline.edits import apply_override, set_value
 from registry.pipeline.pipeline import Pipeline, build_pipeline
@@ -61,11 +60,22 @@ class MethodRun:
     seed: int
     pipeline: Pipeline
     digest: str
+    without: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Of its files."""
         return f"{self.method.file.stem}_{self.points}_{self.data}_{self.seed}"
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a record says of it."""
+        return {
+            "method": self.method.file.stem,
+            "points": self.points,
+            "data": self.data,
+            "seed": self.seed,
+        }
 
 
 def _short(title: str, name: str, paper: str | None = None) -> Method:
@@ -158,9 +168,8 @@ def planned_run(
     metrics = "metrics=[psnr, ssim, lpips]"
     for override in (f"protocol={PROTOCOL}", scene, metrics, f"training.seed={seed}"):
         apply_override(tree, override)
-    written = json.dumps(_written(tree), sort_keys=True)
-    digest = hashlib.sha256(written.encode()).hexdigest()[:10]
-    return MethodRun(method, points, data, seed, build_pipeline(tree, plugins), digest)
+    pipeline = build_pipeline(tree, plugins)
+    return MethodRun(method, points, data, seed, pipeline, written_digest(tree))
 
 
 def _start_from_the_same(tree: Node) -> None:
@@ -178,22 +187,13 @@ def _plane_sweep(tree: Node, place: Place) -> str:
     """The name of the pipeline's plane sweep; one is added where there is none."""
     priors = list(_items(tree, "priors"))
     for prior in priors:
-        written = _written(prior)
-        names = written if isinstance(written, dict) else {"use": written}
+        said = written(prior)
+        names = said if isinstance(said, dict) else {"use": said}
         if names["use"] == "plane_sweep":
             return str(names.get("name", "plane_sweep"))
     priors.append(Node("plane_sweep", place))
     set_value(tree, "priors", Node(priors, place), place)
     return "plane_sweep"
-
-
-def _written(node: Node) -> Any:
-    """A node as plain values, environment variables as they are written."""
-    if isinstance(node.content, dict):
-        return {key: _written(child) for key, child in node.content.items()}
-    if isinstance(node.content, list):
-        return [_written(child) for child in node.content]
-    return node.content
 
 
 def _parts(tree: Node, section: str) -> dict[str, Node]:

@@ -1,34 +1,30 @@
-"""What `benchmarks.results` measured, as a table; keeps what people wrote around it."""
+"""What `benchmarks.results` measured, as tables; keeps what people wrote around them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeVar
+import statistics
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import TypeVar
 
-from benchmarks.marked_page import rewrite
-from benchmarks.results_picture import draw
-from benchmarks.results_plan import Case, Measurement, Method
-from registry.ablation.running.folder import AblationFolder
-from registry.comparing.comparability import check_comparable
-from registry.comparing.comparison import FinishedRun, read_run
-from registry.system.files import write_text
+from benchmarks.paired import NONE, difference, spread
+from benchmarks.results_plan import CASES, METHODS, SEEDS, Measurement, Method
+from benchmarks.training_records import Record as AnyRecord
 
-Key = TypeVar("Key")
+Record = AnyRecord[Measurement]
+Records = Sequence[Record]
+Key = TypeVar("Key", bound=Hashable)
+Cells = Callable[[Records, Method], str]
+"""What a table says of a row's records, by method."""
 
-PAGE = "results.md"
 BEGIN = "<!-- measured: `make results` rewrites everything from here to the end mark -->"
 END = "<!-- measured: end; what stands outside the marks is kept -->"
-NEW_PAGE = f"# Measured on photographs\n\n{BEGIN}\n{END}\n"
-
 NOTES = """\
-Each column comes once for each pipeline: {methods}. PSNR and SSIM (with the Gaussian window) are means over
-the test views, which training never saw. *seconds* are initialization and training together, without
-loading and scoring; nothing came from the cache of prior answers, and one run was at work at a time. *MB* is
-the most memory that the process took, scoring included. A **mean** is over the data sets that follow one
-protocol.
+Scores are means over the test views, which training never saw; ± is the sample standard deviation over
+seeds. *to plain* is the mean difference over pairs of the same scene and seed, with its 95 % interval
+(Student's t) from three pairs on. SSIM has the Gaussian window; LPIPS (VGG) is of seed 0 alone, as it takes
+longer than a short training. *CPU s* is the processor time of loading, initialization and training over all
+threads, without scoring; nothing came from the cache of prior answers. *MB* is the most memory that the
+process took until scoring. A **mean** is over the data sets that follow one protocol.
 
 `make results` also draws the first test view of each row, truth beside {order}, into
 `benchmarks/out/results/results.jpg`: the photographs are the data sets' own and not ours to publish.
@@ -37,164 +33,160 @@ protocol.
 
 Every row follows its [protocol](protocols.md): which photographs train and test, their size, background
 and masks.
+
 """
 
 
-@dataclass(frozen=True)
-class Record:
-    """A finished run and its place in the table."""
-
-    case: Case
-    method: Method
-    run: FinishedRun
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """The table's numbers; NaN where there is none."""
-        results = self.run.results
-        seconds = results["seconds"] + results["initialization"]["seconds"]
-        memory = results["peak_memory_mb"]
-        return {
-            "PSNR": _score(self.run.scores.get("psnr")),
-            "SSIM": _score(self.run.scores.get("ssim")),
-            "Gaussians": float(results["gaussians"]),
-            "seconds": float(seconds),
-            "MB": _score(memory),
-        }
-
-
-FORMATS = {"PSNR": ".2f", "SSIM": ".3f", "Gaussians": ",.0f", "seconds": ",.0f", "MB": ",.0f"}
-"""The table's columns."""
+def page_text(records: Records) -> str:
+    """The measured part of the page, in Markdown; whatever is there of it."""
+    titles = [method.title for method in _methods(records)]
+    facts = [_method_fact(records, method) for method in _methods(records)]
+    facts += [_protocol_fact(name, group) for name, group in by_protocol(records).items()]
+    devices = dict.fromkeys(record.measured["device"]["name"] for record in records)
+    planned = len(CASES) * len(METHODS) * len(SEEDS)
+    facts.append(
+        f"{len(records)} of {planned} runs, on {' and '.join(devices) or 'no device yet'}."
+    )
+    return "\n".join(
+        (
+            "### Colours\n",
+            _table(records, ["PSNR", "to plain", "SSIM"], [_psnr, _to_plain, _mean_of("ssim")]),
+            "### What people see, and what it costs\n",
+            _table(
+                records,
+                ["LPIPS", "Gaussians", "CPU s", "MB"],
+                [_mean_of("lpips"), *(_mean_of(*column) for column in _COSTS)],
+            ),
+            NOTES.format(order=" and ".join(titles)) + "".join(f"- {fact}\n" for fact in facts),
+        )
+    )
 
 
-def read_records(measurements: Iterable[Measurement], folder: AblationFolder) -> list[Record]:
-    """All runs; those that follow one protocol are checked to be comparable.
-
-    Raises:
-        RunError: a run is not finished, or two cannot be compared.
-    """
-    records = [Record(m.case, m.method, read_run(folder.run(m.run).path)) for m in measurements]
-    for group in _by_protocol(records).values():
-        check_comparable([record.run for record in group])
-    return records
+_COSTS = (("gaussians", ",.0f"), ("cpu_seconds", ",.0f"), ("peak_memory_mb", ",.0f"))
 
 
-def draw_first_views(records: Sequence[Record], path: Path) -> None:
-    """Write a picture of the first test view of each row: truth, then a render of each pipeline."""
-    draw([(_label(row), [record.run for record in row]) for row in _rows(records)], path)
-
-
-def write_page(records: Sequence[Record], page: Path) -> None:
-    """Write the page's measured part; a page that is not there is begun.
-
-    Raises:
-        RunError: the page that is there lacks the marks.
-    """
-    if not page.is_file():
-        write_text(page, NEW_PAGE)
-    rewrite(page, BEGIN, END, page_text(records))
-
-
-def page_text(records: Sequence[Record]) -> str:
-    """The measured part of the page, in Markdown."""
-    titles = [record.method.title for record in _rows(records)[0]]
-    notes = NOTES.format(methods=", then ".join(titles), order=" and ".join(titles))
-    facts = [_method_fact(records, title) for title in titles]
-    facts += [_protocol_fact(name, group) for name, group in _by_protocol(records).items()]
-    devices = dict.fromkeys(_device(record) for record in records)
-    facts.append(f"Measured on {'; '.join(devices)}.")
-    return f"{_table(records)}\n{notes}\n" + "".join(f"- {fact}\n" for fact in facts)
-
-
-def _table(records: Sequence[Record]) -> str:
-    rows = _rows(records)
-    titles = [record.method.title for record in rows[0]]
-    headings = ["data set", "views", *(f"{name} {title}" for name in FORMATS for title in titles)]
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
-    lines += [
-        [row[0].case.data, str(row[0].case.views), *_cells([[r] for r in row])] for row in rows
+def _table(records: Records, names: Sequence[str], columns: Sequence[Cells]) -> str:
+    shown = [
+        (f"{name} {method.title}", method, cells)
+        for name, cells in zip(names, columns, strict=True)
+        for method in _methods(records)
+        if not (cells is _to_plain and method.baseline)
     ]
-    for protocol, group in _by_protocol(records).items():
-        if len(_rows(group)) > 1:
-            methods = [[r for r in group if r.method.title == title] for title in titles]
-            views = str(group[0].case.views)
-            bold = [f"**{cell}**" for cell in _cells(methods)]
-            lines.append([f"**mean of {protocol}**", views, *bold])
+    headings = ["data set", "views", "seeds", *(heading for heading, _, _ in shown)]
+    lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
+    for row in by_case(records):
+        case = row[0].run.case
+        cells = [cells(row, method) for _, method, cells in shown]
+        lines.append([case.data, str(case.views), _seeds(row), *cells])
+    for protocol, group in by_protocol(records).items():
+        if len(by_case(group)) > 1:
+            cells = [f"**{cells(group, method)}**" for _, method, cells in shown]
+            lines.append([f"**mean of {protocol}**", str(group[0].run.case.views), "", *cells])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _cells(methods: Sequence[Sequence[Record]]) -> list[str]:
-    """Each column's mean over each method's records, columns outside, methods inside."""
-    cells = []
-    for name, form in FORMATS.items():
-        for records in methods:
-            values = [record.numbers[name] for record in records]
-            mean = sum(values) / len(values)
-            cells.append("\u2013" if math.isnan(mean) else format(mean, form))
+def _psnr(records: Records, method: Method) -> str:
+    if len(by_case(records)) > 1:  # the spread over seeds is a data set's
+        return _mean_of("psnr", ".2f")(records, method)
+    return spread([record.scores["psnr"] for record in records if record.run.method is method])
+
+
+def _to_plain(records: Records, method: Method) -> str:
+    psnr = {
+        plain: {
+            (record.run.case, record.run.seed): record.scores["psnr"]
+            for record in records
+            if (record.run.method.baseline if plain else record.run.method is method)
+        }
+        for plain in (False, True)
+    }
+    found = difference(psnr[False], psnr[True])
+    return NONE if found is None else str(found)
+
+
+def _mean_of(name: str, form: str = ".3f") -> Cells:
+    """The mean over data sets of the mean over seeds; nothing where a data set has none."""
+
+    def cells(records: Records, method: Method) -> str:
+        means = []
+        for row in by_case(records):
+            numbers = [record.scores | record.measured for record in row]
+            values = [
+                found[name]
+                for record, found in zip(row, numbers, strict=True)
+                if record.run.method is method and found.get(name) is not None
+            ]
+            if not values:
+                return NONE
+            means.append(statistics.mean(values))
+        return format(statistics.mean(means), form)
+
     return cells
 
 
-def _method_fact(records: Sequence[Record], title: str) -> str:
-    own = [record for record in records if record.method.title == title]
-    iterations = sorted({record.run.results["iterations"] for record in own})
-    starts = _grouped(own, lambda record: record.run.results["initialization"]["initializer"])
+def _seeds(row: Records) -> str:
+    """How many of each method, once if they are equally many."""
+    counts = [sum(record.run.method is method for record in row) for method in _methods(row)]
+    return str(counts[0]) if len(set(counts)) == 1 else " + ".join(map(str, counts))
+
+
+def _method_fact(records: Records, method: Method) -> str:
+    own = [record for record in records if record.run.method is method]
+    iterations = sorted({record.measured["iterations"] for record in own})
+    starts = grouped(own, lambda record: record.run.pipeline.one("initializer").host.use)
     usual, *others = sorted(starts, key=lambda name: -len(starts[name]))
     said = f"`{usual}`"
     for name in others:
-        said += f", but by `{name}` on {', '.join(_cases(starts[name]))}"
-    file = own[0].method.file
+        cases = dict.fromkeys(f"{r.run.case.data} ({r.run.case.views})" for r in starts[name])
+        said += f", but by `{name}` on {', '.join(cases)}"
     return (
-        f"*{title}* is `{file.parent.name}/{file.name}`, {', '.join(map(str, iterations))} iterations, "
-        f"initial points by {said}."
+        f"*{method.title}* is `{method.file.parent.name}/{method.file.name}`, "
+        f"{', '.join(map(str, iterations))} iterations, initial points by {said}."
     )
 
 
-def _protocol_fact(name: str, group: Sequence[Record]) -> str:
-    record = group[0].run.results["protocol"]
-    scenes = list(dict.fromkeys(r.run.scene for r in group))
-    first = group[0].run.results
-    size = first["scene"]
+def _protocol_fact(name: str, group: Records) -> str:
+    first = group[0]
+    scenes = list(dict.fromkeys(record.run.case.data for record in group))
+    width, height = first.measured["size"]
     text = (
-        f"`{name}`: {', '.join(scenes)} at {size['width']}x{size['height']}, "
-        f"{len(first['views']['test'])} test views in {scenes[0]}"
+        f"`{name}`: {', '.join(scenes)} at {width}x{height}, {len(first.measured['views'])} test views in "
+        f"{first.run.case.data}"
     )
-    if record is None:
+    applied = first.run.pipeline.protocol
+    if applied is None:
         return f"{text}; no protocol."
-    published = [scene for scene in scenes if scene.split("_", 1)[-1] in record["scenes"]]
-    masks = f"; {record['masks']}" if record["masks"] else ""
+    protocol = applied.protocol
+    published = [scene for scene in scenes if scene.split("_", 1)[-1] in protocol.scenes]
+    changed = f" ({', '.join(applied.modified)} of our own)" if applied.modified else ""
+    masks = f"; {protocol.masks}" if protocol.masks else ""
     return (
-        f"{text}{masks}. Scenes that published averages go over: {len(record['scenes'])}; of these "
-        f"here: {len(published)}."
+        f"{text}{changed}{masks}. Scenes that published averages go over: {len(protocol.scenes)}; of "
+        f"these here: {len(published)}."
     )
 
 
-def _device(record: Record) -> str:
-    device: dict[str, Any] = record.run.results["device"]
-    return f"{device['name']} ({device['platform']})"
+def _methods(records: Records) -> list[Method]:
+    return list(dict.fromkeys(record.run.method for record in records))
 
 
-def _score(value: float | None) -> float:
-    return math.nan if value is None else float(value)
+def by_case(records: Iterable[Record]) -> list[list[Record]]:
+    """Records by data set and number of training views, in order."""
+    return list(grouped(records, lambda record: record.run.case).values())
 
 
-def _label(row: Sequence[Record]) -> str:
-    return f"{row[0].case.data}, {row[0].case.views} views"
+def by_protocol(records: Iterable[Record]) -> dict[str, list[Record]]:
+    """Records by the name of their protocol, or of their data set where they follow none."""
+
+    def name(record: Record) -> str:
+        applied = record.run.pipeline.protocol
+        return record.run.case.data if applied is None else applied.protocol.name
+
+    return grouped(records, name)
 
 
-def _cases(records: Iterable[Record]) -> list[str]:
-    return [f"{record.case.data} ({record.case.views})" for record in records]
-
-
-def _rows(records: Iterable[Record]) -> list[list[Record]]:
-    """Records by case, in order; a row's methods keep their order."""
-    return list(_grouped(records, lambda record: (record.case.data, record.case.views)).values())
-
-
-def _by_protocol(records: Iterable[Record]) -> dict[str, list[Record]]:
-    return _grouped(records, lambda record: record.run.protocol or record.run.scene)
-
-
-def _grouped(records: Iterable[Record], key: Callable[[Record], Key]) -> dict[Key, list[Record]]:
+def grouped(records: Iterable[Record], key: Callable[[Record], Key]) -> dict[Key, list[Record]]:
+    """Records by a key, in order."""
     groups: dict[Key, list[Record]] = {}
     for record in records:
         groups.setdefault(key(record), []).append(record)

@@ -7,11 +7,13 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from registry.comparing.comparison import FinishedRun
+from benchmarks.results_page import Record, Records, by_case
+from benchmarks.results_plan import Method
+from benchmarks.trainings import RENDERS
 from registry.drawing.pictures import ViewPictures
-from registry.runs.results import RENDERS
 from registry.system.files import replacing
 
+PICTURE = "results.jpg"
 THUMBNAIL = (160, 120)
 """The box that each picture is made to fit into, pixels."""
 GROUPS_A_ROW = 3
@@ -20,21 +22,36 @@ QUALITY = 85
 MAX_BYTES = 400_000
 
 
-def draw(groups: Sequence[tuple[str, Sequence[FinishedRun]]], path: Path) -> None:
-    """Write the sheet as a JPEG of at most `MAX_BYTES`.
+def draw_first_views(records: Records, out: Path) -> None:
+    """Write a sheet of the first test view of each data set, of the first seed whose pictures are there.
 
     Args:
-        groups: a caption, and the runs that show the same test view; equally many in each.
+        out: the folder of the runs' folders; the sheet, a JPEG of at most `MAX_BYTES`, comes beside them.
+            Records are in the repository and pictures are not: what was trained elsewhere is left out.
     """
-    thumbnails = [(caption, _thumbnails(runs)) for caption, runs in groups]
-    cell_width = len(thumbnails[0][1]) * THUMBNAIL[0] + GAP
+    groups = []
+    for row in by_case(records):
+        first: dict[Method, Record] = {}
+        for record in row:
+            if (out / record.run.name / RENDERS).is_dir():
+                first.setdefault(record.run.method, record)
+        if first:
+            case = row[0].run.case
+            thumbnails = _thumbnails(list(first.values()), out)
+            groups.append((f"{case.data}, {case.views} views", thumbnails))
+    if groups:
+        _draw(groups, out / PICTURE)
+
+
+def _draw(groups: Sequence[tuple[str, Sequence[Image.Image]]], path: Path) -> None:
+    cell_width = max(len(images) for _, images in groups) * THUMBNAIL[0] + GAP
     cell_height = CAPTION + THUMBNAIL[1] + GAP
     columns = min(GROUPS_A_ROW, len(groups))
     rows = -(-len(groups) // columns)
     sheet = Image.new("RGB", (columns * cell_width + GAP, rows * cell_height + GAP), "white")
     canvas = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(13)
-    for index, (caption, images) in enumerate(thumbnails):
+    for index, (caption, images) in enumerate(groups):
         left = GAP + index % columns * cell_width
         top = GAP + index // columns * cell_height
         canvas.text((left, top), caption, fill="black", font=font)
@@ -47,14 +64,15 @@ def draw(groups: Sequence[tuple[str, Sequence[FinishedRun]]], path: Path) -> Non
                 break
 
 
-def _thumbnails(runs: Sequence[FinishedRun]) -> list[Image.Image]:
+def _thumbnails(records: Records, out: Path) -> list[Image.Image]:
     """The truth, then each run's render."""
-    name = next(iter(runs[0].results["views"]["test"]))
+    name = next(iter(records[0].measured["views"]))
+    folders = [out / record.run.name / RENDERS for record in records]
     renders = []
-    for run in runs:
-        with Image.open(ViewPictures.of(name, run.folder / RENDERS).render) as picture:
+    for folder in folders:
+        with Image.open(ViewPictures.of(name, folder).render) as picture:
             renders.append(picture.convert("RGB"))
-    with Image.open(ViewPictures.of(name, runs[0].folder / RENDERS).comparison) as picture:
+    with Image.open(ViewPictures.of(name, folders[0]).comparison) as picture:
         # The truth comes first in a comparison, in the size of the render.
         truth = picture.convert("RGB").crop((0, 0, *renders[0].size))
     for image in (truth, *renders):

@@ -1,23 +1,28 @@
-"""What `benchmarks.results` trains: two pipelines on every data set, each by its protocol."""
+"""What `benchmarks.results` trains: three pipelines on every data set, each by its protocol."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Any
 
+from benchmarks.planned_training import written_digest
 from registry import RunError
-from registry.ablation.planning.making import pipeline_digest
-from registry.ablation.planning.plan import Combination, PlannedRun
 from registry.messages.suggestions import listing
 from registry.pipeline.edits import apply_override
-from registry.pipeline.pipeline import build_pipeline
+from registry.pipeline.pipeline import Pipeline, build_pipeline
 from registry.pipeline.yaml_source import read
 from registry.plugins.discovery import Plugins
 
 DATA = "STEREOGS_DATA"
 PIPELINES = Path(__file__).parent.parent / "pipelines"
+SEEDS = (0, 1, 2)
+LPIPS = "lpips"
+LPIPS_SEED = 0
+"""The seed whose runs have LPIPS: it takes longer than a short training."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class Method:
     Args:
         title: the table's word for it.
         file: the pipeline.
-        baseline: whether it takes `Case.baseline_overrides`.
+        baseline: whether it takes `Case.baseline_overrides`, and the others are compared with it.
     """
 
     title: str
@@ -54,16 +59,43 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One cell group of the table: a method on a case."""
+    """One training: a method on a case.
+
+    Args:
+        digest: of the pipeline as it is written, the same wherever the data lie.
+    """
 
     case: Case
     method: Method
-    run: PlannedRun
+    seed: int
+    pipeline: Pipeline
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.case.data}-{self.case.views}_{self.method.file.stem}_{self.seed}"
+
+    @property
+    def without(self) -> tuple[str, ...]:
+        """Metrics of its protocol that are not measured."""
+        return () if self.seed == LPIPS_SEED else (LPIPS,)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a record says of it."""
+        return {
+            "data": self.case.data,
+            "train_views": self.case.views,
+            "method": self.method.file.stem,
+            "seed": self.seed,
+        }
 
 
 METHODS = (
     Method("plain", PIPELINES / "3dgs_fast.yaml", baseline=True),
-    Method("weight-free", PIPELINES / "weightfree_fast.yaml"),
+    Method("fast", PIPELINES / "weightfree_fast.yaml"),
+    Method("long", PIPELINES / "weightfree.yaml"),
 )
 
 
@@ -122,35 +154,23 @@ def check_data(wanted: Iterable[str]) -> None:
 
 
 def make_measurements(
-    cases: Sequence[Case],
-    methods: Sequence[Method],
-    plugins: Plugins,
-    iterations: int | None = None,
+    cases: Sequence[Case], methods: Sequence[Method], seeds: Sequence[int], plugins: Plugins
 ) -> list[Measurement]:
-    """Every method on every case, checked before anything is trained.
-
-    Args:
-        iterations: in place of what the pipelines say.
+    """Every method on every case, the first seed of everything before the second; all are checked.
 
     Raises:
         PipelineError: a pipeline cannot be read or contradicts the protocol.
     """
     return [
-        Measurement(case, method, _planned(case, method, plugins, iterations))
-        for case in cases
-        for method in methods
+        _planned(case, method, seed, plugins)
+        for seed, method, case in product(seeds, methods, cases)
     ]
 
 
-def _planned(case: Case, method: Method, plugins: Plugins, iterations: int | None) -> PlannedRun:
+def _planned(case: Case, method: Method, seed: int, plugins: Plugins) -> Measurement:
     tree = read(method.file)
-    overrides = [*case.overrides, *(case.baseline_overrides if method.baseline else ())]
-    if iterations is not None:
-        overrides.append(f"training.iterations={iterations}")
-    for override in overrides:
+    extra = case.baseline_overrides if method.baseline else ()
+    for override in (*case.overrides, *extra, f"training.seed={seed}"):
         apply_override(tree, override)
     pipeline = build_pipeline(tree, plugins)
-    digest = pipeline_digest(pipeline)
-    name = f"{case.data}-{case.views}_{pipeline.name}_{digest}"
-    seed = pipeline.training.seed
-    return PlannedRun(Combination((), ()), case.data, seed, pipeline, digest, name)
+    return Measurement(case, method, seed, pipeline, written_digest(tree))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from benchmarks import methods, methods_page, methods_records, methods_run
+from benchmarks import methods_page, training_process, training_records, trainings
 from benchmarks.methods_plan import (
     BASELINE,
     METHODS,
@@ -23,7 +23,8 @@ from benchmarks.methods_plan import (
     planned_run,
     planned_runs,
 )
-from benchmarks.methods_records import Record
+from benchmarks.paired import NONE, difference
+from benchmarks.training_records import Record
 from registry import RunError
 from registry.plugins.discovery import Plugins
 from registry.session import build_pipeline
@@ -54,7 +55,9 @@ def run_of(file: Path, seed: int = 0) -> MethodRun:
     return MethodRun(Method("Tiny", file), "own", "room", seed, build_pipeline(file), "0123456789")
 
 
-def record(method: Method, data: str, seed: int, psnr: float, points: Points = "own") -> Record:
+def record(
+    method: Method, data: str, seed: int, psnr: float, points: Points = "own"
+) -> Record[MethodRun]:
     run = MethodRun(method, points, data, seed, None, "")  # type: ignore[arg-type]
     measured: dict[str, Any] = {
         "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25},
@@ -102,7 +105,7 @@ def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.Mon
 
 
 def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str]:
-    return methods.train(
+    return trainings.train(
         [run],
         jobs=1,
         seconds=seconds,
@@ -116,7 +119,7 @@ def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str
 def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
     assert trained(run, tmp_path, None) == {}
-    (record,) = methods_records.read([run], tmp_path / "records")
+    (record,) = training_records.read([run], tmp_path / "records")
     found = record.measured
     assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
@@ -137,15 +140,15 @@ def test_a_score_that_is_not_there_is_no_record(
         sys, "argv", ["", str(tiny(tmp_path, "[lpips]")), str(tmp_path), str(tmp_path / "a.json")]
     )
     with pytest.raises(SystemExit) as ended:
-        methods_run.main()
-    said = methods.failure(f"0.01 it/s\n{ended.value}\n")
+        training_process.main()
+    said = trainings.failure(f"0.01 it/s\n{ended.value}\n")
     assert said.startswith("a score is missing")
     assert "set STEREOGS_MODELS" in said
     assert not (tmp_path / "a.json").exists()
 
 
 def test_an_error_that_nobody_explained_is_shown_too() -> None:
-    assert methods.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
+    assert trainings.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
 
 
 def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
@@ -155,32 +158,28 @@ def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
 
 def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
-    methods_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
-    assert [one.scores["psnr"] for one in methods_records.read([run], tmp_path)] == [20.0]
+    training_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
+    assert [one.scores["psnr"] for one in training_records.read([run], tmp_path)] == [20.0]
     changed = MethodRun(run.method, "own", "room", 0, run.pipeline, "another")
-    assert methods_records.read([changed], tmp_path) == []
+    assert training_records.read([changed], tmp_path) == []
     next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
     with pytest.raises(RunError, match="cannot be read"):
-        methods_records.read([run], tmp_path)
+        training_records.read([run], tmp_path)
 
 
 def test_a_difference_is_over_pairs_of_scene_and_seed() -> None:
-    other = METHODS[1]
-    pairs = [("llff_fern", 0), ("llff_fern", 1), ("llff_flower", 0)]
-    baseline = [record(BASELINE, data, seed, 10.0 * seed + 5) for data, seed in pairs]
-    gains = (1.0, 2.0, 3.0)
-    ours = [
-        record(other, d, s, 10.0 * s + 5 + gain) for (d, s), gain in zip(pairs, gains, strict=True)
-    ]
-    alone = record(other, "llff_flower", 2, 99.0)
-    found = methods_page.difference([*ours, alone], baseline)
+    baseline = {("fern", seed): 10.0 * seed + 5 for seed in range(3)}
+    ours = {("fern", seed): 10.0 * seed + 5 + gain for seed, gain in enumerate((1.0, 2.0, 3.0))}
+    alone = {("flower", 2): 99.0}
+    found = difference(ours | alone, baseline)
     assert found is not None
     assert found.half is not None
     assert found.mean == pytest.approx(2)
     # Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
     assert found.half == pytest.approx(2.4841, abs=1e-3)
-    assert str(methods_page.difference(ours[:2], baseline)) == "+1.50"
-    assert methods_page.difference([alone], baseline) is None
+    del ours["fern", 2]
+    assert str(difference(ours, baseline)) == "+1.50"
+    assert difference(alone, baseline) is None
 
 
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
@@ -191,10 +190,10 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
-    assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", methods_page.NONE, "0.500", "0.250"]
+    assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", NONE, "0.500", "0.250"]
     assert base[8:11] == ["12,345", "68", "910"]
     assert base[11:] == ["16.02", "0.465", "0.378"]
-    assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", methods_page.NONE, methods_page.NONE, "+4.00"]
+    assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", NONE, NONE, "+4.00"]
     assert ours[6:11] == ["0.500", "0.250", "12,345", "68", "910"]
     assert ours[11:] == ["20.76", "0.713", "0.200"]
     assert "### Own points" in text

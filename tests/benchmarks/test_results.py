@@ -1,9 +1,8 @@
-"""The results table: what is planned, what is trained once, and the page that real runs end in."""
+"""The results tables: what is planned, and the page and picture that real trainings end in."""
 
 from __future__ import annotations
 
 import io
-import json
 import sys
 from pathlib import Path
 
@@ -11,16 +10,30 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from benchmarks import results
-from benchmarks.results_page import BEGIN, END, Record, draw_first_views, page_text, write_page
-from benchmarks.results_plan import CASES, METHODS, Case, Measurement, Method, make_measurements
+from benchmarks import results, trainings
+from benchmarks.campaign import Campaign
+from benchmarks.marked_page import rewrite
+from benchmarks.results_page import BEGIN, END, Record, page_text
+from benchmarks.results_picture import PICTURE, draw_first_views
+from benchmarks.results_plan import (
+    CASES,
+    LPIPS,
+    LPIPS_SEED,
+    METHODS,
+    SEEDS,
+    Case,
+    Measurement,
+    Method,
+    make_measurements,
+)
+from benchmarks.training_records import read
 from registry import RunError
-from registry.ablation.running.folder import AblationFolder
 from registry.plugins.discovery import Plugins
 
 ROOM = Case(
     "room", 3, ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
 )
+SEED = LPIPS_SEED + 1
 TINY = """\
 name: {name}
 scene: procedural
@@ -32,29 +45,26 @@ training: {{iterations: 4, sh_degree: 0}}
 
 def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_DATA", "data")
-    planned = make_measurements(CASES, METHODS, Plugins())
+    planned = make_measurements(CASES, METHODS, SEEDS, Plugins())
+    assert [m.seed for m in planned] == sorted(m.seed for m in planned)
     views = {"llff_fern": (3, 6, 9), "llff_flower": (3, 6, 9), "blender_lego": (8,)}
     views |= {"dtu_scan24": (3, 6, 9), "dtu_scan65": (3, 6, 9), "mip360_bonsai": (12, 24)}
     expected = {(data, count) for data, counts in views.items() for count in counts}
     for method in METHODS:
-        own = [m for m in planned if m.method is method]
+        own = [m for m in planned if m.method is method and m.seed == SEED]
         assert {(m.case.data, m.case.views) for m in own} == expected
         assert len(own) == len(expected)
     for measurement in planned:
-        pipeline = measurement.run.pipeline
+        pipeline = measurement.pipeline
         assert pipeline.protocol is not None
-        (scene,) = pipeline.items["scene"]
         assert pipeline.protocol.protocol.train_views == measurement.case.views
+        (scene,) = pipeline.items["scene"]
         assert Path(scene.settings.model_dump()["path"]) == Path("data", measurement.case.data)
         only_bonsai = ["scene.images"] if measurement.case.data == "mip360_bonsai" else []
         assert list(pipeline.protocol.modified) == only_bonsai
-    assert len({m.run.digest for m in planned}) == len(planned)
-
-
-def test_a_trial_is_as_short_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_DATA", "data")
-    planned = make_measurements(CASES, METHODS, Plugins(), 30)
-    assert {m.run.pipeline.training.iterations for m in planned} == {30}
+        metrics = {item.name for item in pipeline.items["metrics"]}
+        assert (LPIPS in metrics - set(measurement.without)) == (measurement.seed == LPIPS_SEED)
+    assert len({m.digest for m in planned}) == len({m.name for m in planned}) == len(planned)
 
 
 @pytest.mark.parametrize(
@@ -68,105 +78,119 @@ def test_missing_data_is_said_before_anything_is_trained(
     if present:
         (tmp_path / present).mkdir()
         monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
-    out = tmp_path / "out"
-    monkeypatch.setattr(sys, "argv", ["results", "--out", str(out)])
+    monkeypatch.setattr(sys, "argv", ["results"])
     with pytest.raises(SystemExit, match=said):
-        results.main()
-    assert not out.exists()
+        results.RESULTS_CAMPAIGN.main(None)
+
+
+def train(planned: list[Measurement], place: Path) -> dict[str, str]:
+    return trainings.train(
+        planned,
+        jobs=2,
+        seconds=None,
+        device=None,
+        out=place / "out",
+        kept=place / "records",
+        console=Console(file=io.StringIO()),
+    )
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Measurement], AblationFolder]:
-    """Two real pipelines, trained on the procedural room."""
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Record], Path]:
+    """Two real pipelines, trained on the procedural room, and the folder of their pictures."""
     place = tmp_path_factory.mktemp("results")
     methods = []
     for name, initializer in (("plain", "random"), ("better", "sfm")):
         file = place / f"{name}.yaml"
         file.write_text(TINY.format(name=name, initializer=initializer))
-        methods.append(Method(name, file))
-    planned = make_measurements([ROOM], methods, Plugins())
-    folder = AblationFolder(place / "out")
-    train(planned, folder)
-    return planned, folder
+        methods.append(Method(name, file, baseline=name == "plain"))
+    planned = make_measurements([ROOM], methods, [SEED], Plugins())
+    assert train(planned, place) == {}
+    return read(planned, place / "records"), place / "out"
 
 
-def train(planned: list[Measurement], folder: AblationFolder) -> tuple[list[Record], str]:
-    printed = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STEREOGS_CACHE", "")
-        records = results.measure(planned, folder, None, Console(file=printed))
-    assert records is not None
-    return records, printed.getvalue()
+def row_of(text: str, first: str) -> list[str]:
+    line = next(line for line in text.splitlines() if line.startswith(f"| {first} |"))
+    return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_finished_runs_are_read_and_not_trained_again(
-    measured: tuple[list[Measurement], AblationFolder],
-) -> None:
-    planned, folder = measured
-    before = [(folder.run(m.run).path / "results.json").stat().st_mtime_ns for m in planned]
-    records, printed = train(planned, folder)
-    assert "2 runs, 0 to train" in printed
-    after = [(folder.run(m.run).path / "results.json").stat().st_mtime_ns for m in planned]
-    assert after == before
-    for record, measurement in zip(records, planned, strict=True):
-        path = folder.run(measurement.run).path / "results.json"
-        found = json.loads(path.read_text("utf-8"))
-        assert record.numbers["PSNR"] == found["test"]["psnr"]
-        assert record.numbers["seconds"] == found["seconds"] + found["initialization"]["seconds"]
-
-
-def test_the_page_shows_the_numbers_of_the_runs(
-    measured: tuple[list[Measurement], AblationFolder], tmp_path: Path
-) -> None:
-    records, _ = train(*measured)
-    page, picture = tmp_path / "results.md", tmp_path / "results.jpg"
-    write_page(records, page)
-    draw_first_views(records, picture)
-    text = page.read_text("utf-8")
-    (row,) = [line for line in text.splitlines() if line.startswith("| room | 3 |")]
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
-    psnr = [f"{record.run.results['test']['psnr']:.2f}" for record in records]
-    ssim = [f"{record.run.results['test']['ssim']:.3f}" for record in records]
-    assert cells[2:6] == psnr + ssim
+def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Path]) -> None:
+    records, _ = measured
+    plain, better = records
+    text = page_text(records)
+    colours, rest = text.split("### What people see")
+    psnr = [f"{record.scores['psnr']:.2f}" for record in records]
+    gain = f"{better.scores['psnr'] - plain.scores['psnr']:+.2f}"
+    ssim = [f"{record.scores['ssim']:.3f}" for record in records]
+    assert row_of(colours, "room")[1:] == ["3", "1", *psnr, gain, *ssim]
+    costs = [f"{record.measured[name]:,.0f}" for name in _COSTS for record in records]
+    assert row_of(rest, "room")[1:] == ["3", "1", "\u2013", "\u2013", *costs]
     assert "initial points by `random`" in text
     assert "initial points by `sfm`" in text
     assert "at 48x36, 2 test views" in text
-    assert picture.stat().st_size <= 400_000
-    with Image.open(picture) as sheet:
+
+
+_COSTS = ("gaussians", "cpu_seconds", "peak_memory_mb")
+
+
+def test_the_picture_shows_truth_and_renders_that_are_here(
+    measured: tuple[list[Record], Path], tmp_path: Path
+) -> None:
+    records, out = measured
+    draw_first_views(records, out)
+    assert (out / PICTURE).stat().st_size <= 400_000
+    with Image.open(out / PICTURE) as sheet:
         assert sheet.format == "JPEG"
         assert sheet.width > 3 * 48
+    draw_first_views(records, tmp_path)
+    assert not (tmp_path / PICTURE).exists()
 
 
-def test_data_sets_of_one_protocol_are_averaged(
-    measured: tuple[list[Measurement], AblationFolder],
+def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
+    measured: tuple[list[Record], Path],
 ) -> None:
-    (first, second), _ = train(*measured)
-    alike = Record(Case("den", 3, ()), first.method, second.run)
-    text = page_text([first, alike])
-    mean = (first.numbers["PSNR"] + second.numbers["PSNR"]) / 2
-    assert f"| **mean of procedural** | 3 | **{mean:.2f}** |" in text
-    assert "**mean" not in page_text([first]).split("Each column")[0]
+    plain, better = measured[0]
+
+    def moved(record: Record, case: Case, seed: int, psnr: float) -> Record:
+        run = record.run
+        other = Measurement(case, run.method, seed, run.pipeline, run.digest)
+        return Record(other, record.measured | {"scores": {"psnr": psnr, "ssim": 0.5}})
+
+    den = Case("room", 4, ())
+    records = [moved(plain, ROOM, seed, 10) for seed in SEEDS]
+    records += [moved(better, ROOM, seed, 12 + seed) for seed in SEEDS]
+    records += [moved(better, den, 0, 21)]
+    text = page_text(records)
+    # Differences 2, 3, 4: Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
+    assert row_of(text, "room")[1:6] == ["3", "3", "10.00 ± 0.00", "13.00 ± 1.00", "+3.00 ± 2.48"]
+    mean = row_of(text, "**mean of room**")
+    assert mean[3:6] == ["**\u2013**", "**17.00**", "**+3.00 ± 2.48**"]
 
 
-def test_what_people_wrote_on_the_page_stays(
-    measured: tuple[list[Measurement], AblationFolder], tmp_path: Path
-) -> None:
-    records, _ = train(*measured)
+def test_what_people_wrote_on_the_page_stays(tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text(f"# Ours\n\nWhy.\n\n{BEGIN}\nold numbers\n{END}\n\nWhat we saw.\n", "utf-8")
-    write_page(records, page)
+    rewrite(page, BEGIN, END, "new numbers")
     text = page.read_text("utf-8")
-    assert text == f"# Ours\n\nWhy.\n\n{BEGIN}\n\n{page_text(records)}\n{END}\n\nWhat we saw.\n"
+    assert text == f"# Ours\n\nWhy.\n\n{BEGIN}\n\nnew numbers\n{END}\n\nWhat we saw.\n"
     page.write_text("# No marks\n", "utf-8")
     with pytest.raises(RunError, match="lost the marks"):
-        write_page(records, page)
+        rewrite(page, BEGIN, END, "new numbers")
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-def test_a_failed_run_is_told(tmp_path: Path) -> None:
+def test_a_failed_run_is_told_and_no_other_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "broken.yaml"
     broken = "{use: ply, path: missing.ply}"
     file.write_text(TINY.format(name="broken", initializer=broken))
-    planned = make_measurements([ROOM], [Method("broken", file)], Plugins())
-    with pytest.raises(RunError, match=r"1 of 1 runs failed(.|\n)*missing\.ply"):
-        train(planned, AblationFolder(tmp_path / "out"))
+    planned = make_measurements([ROOM], [Method("broken", file)], [SEED], Plugins())
+    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path / "out")
+    monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path / "records")
+    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["tiny"])
+    campaign = Campaign("tiny", [], lambda _: planned, "x.md", (BEGIN, END), page_text)
+    with pytest.raises(SystemExit, match=r"1 runs failed(.|\n)*missing\.ply"):
+        campaign.main(None)
+    assert "1 runs, 1 to train" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What is kept of a training of `benchmarks.methods`: a JSON file each, in the repository."""
+"""What is kept of a training: a JSON file each, in the repository."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic
 
-from benchmarks.methods_plan import MethodRun
+from benchmarks.planned_training import Planned
 from registry import RunError
 from registry.system.files import write_json
 
-RECORDS = Path(__file__).parent / "records" / "methods"
+RECORDS = Path(__file__).parent / "records"
 
 
 @dataclass(frozen=True)
-class Record:
-    """A training and what it measured (`benchmarks.methods_run.measure`)."""
+class Record(Generic[Planned]):
+    """A training and what it measured (`benchmarks.training_process.measure`)."""
 
-    run: MethodRun
+    run: Planned
     measured: dict[str, Any]
 
     @property
@@ -28,20 +28,14 @@ class Record:
         return dict(self.measured["scores"])
 
 
-def save(run: MethodRun, measured: dict[str, Any], folder: Path) -> None:
+def save(run: Planned, measured: dict[str, Any], folder: Path) -> None:
     """Write a record."""
-    identity = {
-        "method": run.method.file.stem,
-        "points": run.points,
-        "data": run.data,
-        "seed": run.seed,
-        "pipeline": run.digest,
-    }
     folder.mkdir(parents=True, exist_ok=True)
+    identity = run.identity | {"pipeline": run.digest}
     write_json(folder / f"{run.name}.json", identity | measured)
 
 
-def read(runs: Iterable[MethodRun], folder: Path) -> list[Record]:
+def read(runs: Iterable[Planned], folder: Path) -> list[Record[Planned]]:
     """The records that are there of these runs; those of a pipeline that has changed since are not.
 
     Raises:

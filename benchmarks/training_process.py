@@ -1,11 +1,10 @@
-"""One training of `benchmarks.methods`, in a process of its own; what it scored and what it took.
-
-python -m benchmarks.methods_run PIPELINE.yaml PICTURES ANSWER.json [DEVICE]
-"""
+"""One training of `benchmarks.methods` or `benchmarks.results`; what it scored and what it took."""
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -19,12 +18,17 @@ from registry.system.files import write_json
 from registry.system.memory import peak_memory_mb
 from registry.training.threads import one_torch_thread
 
-FAILED = "methods_run: "
+FAILED = "training_process: "
 """What stands before the error that ended a training."""
 
 
-def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str, Any]:
+def measure(
+    pipeline_file: Path, pictures: Path, device: str | None, without: Collection[str] = ()
+) -> dict[str, Any]:
     """Train a pipeline and score its test views once, at the end.
+
+    Args:
+        without: names of metrics that are left out; a protocol asks for all of its own.
 
     Returns:
         Plain JSON values. Seconds are those of initialization and training, CPU seconds those of the
@@ -41,8 +45,9 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
     if not run.finished:
         raise RunError("the training was stopped", where=str(pipeline_file))
     pictures.mkdir(parents=True, exist_ok=True)
+    metrics = [part for part in run.parts["metrics"] if part.item.name not in without]
     with one_torch_thread():
-        scores = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"], pictures)
+        scores = evaluate(run.model, run.scene, run.scene.test, metrics, pictures)
     missing = [*scores.unavailable.values(), *(error.what for error in scores.failures.values())]
     if missing:
         raise RunError(
@@ -56,6 +61,7 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
     return {
         "scores": scores.mean,
         "views": scores.views,
+        "size": [run.scene.test[0].camera.width, run.scene.test[0].camera.height],
         "initial_points": run.initialization["points"],
         "gaussians": run.model.count,
         "iterations": run.iteration,
@@ -68,12 +74,18 @@ def measure(pipeline_file: Path, pictures: Path, device: str | None) -> dict[str
 
 
 def main() -> None:
-    pipeline, pictures, answer, *device = sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pipeline", type=Path)
+    parser.add_argument("pictures", type=Path, help="the folder of the test views' pictures")
+    parser.add_argument("answer", type=Path, help="the JSON file of what was measured")
+    parser.add_argument("--device", help="part of a device's name")
+    parser.add_argument("--without", nargs="*", default=[], help="metrics that are left out")
+    asked = parser.parse_args()
     try:
-        measured = measure(Path(pipeline), Path(pictures), device[0] if device else None)
+        measured = measure(asked.pipeline, asked.pictures, asked.device, asked.without)
     except ExplainedError as error:
         sys.exit(f"{FAILED}{error}")
-    write_json(Path(answer), measured)
+    write_json(asked.answer, measured)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,57 @@
+"""What a training that is measured must say of itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any, Protocol, TypeVar
+
+from registry.pipeline.pipeline import Pipeline
+from registry.pipeline.yaml_source import Node
+
+
+class PlannedTraining(Protocol):
+    """A training of `benchmarks.methods` or `benchmarks.results`."""
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        ...
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a record says of it, plain JSON values."""
+        ...
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """What is trained."""
+        ...
+
+    @property
+    def without(self) -> tuple[str, ...]:
+        """Metrics of its protocol that are not measured."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Of the pipeline as it is written, the same wherever the data lie."""
+        ...
+
+
+Planned = TypeVar("Planned", bound=PlannedTraining)
+
+
+def written(node: Node) -> Any:
+    """A node as plain values, environment variables as they are written."""
+    if isinstance(node.content, dict):
+        return {key: written(child) for key, child in node.content.items()}
+    if isinstance(node.content, list):
+        return [written(child) for child in node.content]
+    return node.content
+
+
+def written_digest(tree: Node) -> str:
+    """Ten hexadecimal digits that change with anything that is written in a pipeline."""
+    text = json.dumps(written(tree), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
