@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	stress kills fuzz lint types check docs site flight viewer-bundle methods results profile \
+	stress kills fuzz lint types check docs site flight viewer-bundle methods results curve profile \
 	bench-engine bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
@@ -97,6 +97,10 @@ bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, h
 
 profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage; rewrites its page in docs
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
+
+curve: $(VENV)/.dev ## error against seconds, the README's picture; alone on the machine, as it is about seconds
+	$(BIN)/stereogs bench benchmarks/curve.yaml --out benchmarks/out/curve
+	$(BIN)/python -m benchmarks.curve
 
 results: $(VENV)/.dev ## three pipelines on every data set, three seeds, hours; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
