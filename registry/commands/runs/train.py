@@ -112,6 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ...calls.watchdog import WATCHDOG
     from ...plugins.discovery import Plugins
     from ...session import train
+    from ...system.loading import collector_at_rest
 
     output = console()
     _check(arguments)
@@ -119,7 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
         load = _loader(arguments, Plugins())
         named = None if arguments.pipeline.is_dir() else arguments.pipeline.as_posix()
         pipeline = load(named or SHORT)
-    from ...runs.training_run import in_runs
+    with collector_at_rest():
+        from ...runs.training_run import in_runs
 
     with live_page(arguments.view, output) as page:
         run = train(

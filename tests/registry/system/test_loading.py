@@ -1,0 +1,28 @@
+"""The garbage collector while packages are loaded: in a process of its own, as it is the whole process's."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import gc
+from registry.system.loading import collector_at_rest
+
+{before}
+collections = sum(one["collections"] for one in gc.get_stats())
+frozen = gc.get_freeze_count()
+with collector_at_rest():
+    stays = [[number] for number in range(100_000)]
+    assert sum(one["collections"] for one in gc.get_stats()) == collections
+print(gc.isenabled(), gc.get_freeze_count() - frozen > 100_000)
+"""
+
+
+@pytest.mark.parametrize(("before", "works"), [("", True), ("gc.disable()", False)])
+def test_it_rests_within_and_is_then_as_it_was(before: str, *, works: bool) -> None:
+    code = CODE.format(before=before)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == (f"{works} True\n", "")
