@@ -33,6 +33,7 @@ from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter
     consistent_depths,
     without_small_patches,
 )
+from stereogs_plugins.priors.onnx_mvs.prior import OnnxMvs, OnnxMvsSettings
 from stereogs_plugins.priors.patch_match import PatchMatchPrior, PatchMatchSettings
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, PlaneSweepSettings
 from stereogs_plugins.scenes.procedural import ProceduralScene
@@ -53,7 +54,7 @@ PHOTOGRAPHS = (
     ("blender_lego", 8),
 )
 """Data sets and numbers of training views, each by its protocol."""
-TOLERANCES = (0.01, 0.03, 0.1)
+TOLERANCES = (0.01, 0.03)
 """Relative depth errors."""
 SHORTEST_TRACK = 3
 """Photographs that must see a point."""
@@ -110,43 +111,59 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
     return [without_small_patches(depth, min_pixels=100, max_step=0.05) for depth in kept]
 
 
-def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]]:
+@dataclass(frozen=True, eq=False)
+class Row:
+    """What the views confirm of one prior's depths in one scene.
+
+    Args:
+        part: of the scene whose pixels count: "all", "slanted", "even" or "object".
+        kept: share of these pixels whose depth is confirmed.
+        right: of what is confirmed, the share that is right to each of `TOLERANCES`; of an object the
+            share of all confirmed depths that lie on it.
+        cpu_seconds: that the prior took for a view.
+    """
+
+    scene: str
+    part: str
+    prior: str
+    kept: float
+    right: tuple[float, ...]
+    cpu_seconds: float
+
+
+def measure(device: Device, network: Path) -> list[Row]:
     """What each prior finds in each scene that is there.
 
     Args:
-        features: an ONNX file for `plane_sweep` with the cost `features`, tried where points are
-            known; None leaves it out.
-
-    Returns:
-        Rows with the keys `scene`, `prior`, `stage` ("raw" or "filtered"), `part` ("" or the pixels
-        that count), `kept` (share of these that have a depth), `within` (shares of those that have
-        one, for each of `TOLERANCES`; None where no depth is known), `on_object` (share of all depths
-        that lie on the object; None where there is no silhouette) and `cpu_seconds` a view.
+        network: IterMVS as an ONNX file; left out where it is not there.
     """
     rows = []
     for known in _scenes(device):
-        priors: dict[str, MultiViewDepthPrior[Any]] = {
-            "plane_sweep": PlaneSweep(
-                PlaneSweepSettings.model_validate({}), Context("plane_sweep", 0, device)
-            ),
-            "patch_match": PatchMatchPrior(
-                PatchMatchSettings.model_validate({}), Context("patch_match", 0, device)
-            ),
-        }
-        if features is not None and known.points is not None:
-            chosen = PlaneSweepSettings.model_validate({"cost": "features", "features": features})
-            priors["plane_sweep, features"] = PlaneSweep(chosen, Context("features", 0, device))
-        for name, prior in priors.items():
+        for name, prior in _priors(device, network).items():
             begin = time.process_time()
-            depths = [a.depth.numpy() for a in prior.depths(known.scene.train, known.scene.bounds)]
-            seconds = (time.process_time() - begin) / len(depths)
-            for stage, kept in (("raw", depths), ("filtered", filtered(known.scene, depths))):
-                for row in _scores(known, kept):
-                    rows.append(
-                        {"scene": known.name, "prior": name, "stage": stage, **row}
-                        | {"cpu_seconds": seconds}
-                    )
+            maps = prior.depths(known.scene.train, known.scene.bounds)
+            seconds = (time.process_time() - begin) / len(maps)
+            depths = [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
+            for part, kept, right in _scores(known, filtered(known.scene, depths)):
+                rows.append(Row(known.name, part, name, kept, right, seconds))
     return rows
+
+
+def _priors(device: Device, network: Path) -> dict[str, MultiViewDepthPrior[Any]]:
+    priors: dict[str, MultiViewDepthPrior[Any]] = {
+        "plane_sweep": PlaneSweep(
+            PlaneSweepSettings.model_validate({}), Context("plane_sweep", 0, device)
+        ),
+        "patch_match": PatchMatchPrior(
+            PatchMatchSettings.model_validate({}), Context("patch_match", 0, device)
+        ),
+    }
+    if network.is_file():
+        settings = OnnxMvsSettings.model_validate(
+            {"model": network, "size": (512, 384), "min_confidence": 0.3}
+        )
+        priors["IterMVS"] = OnnxMvs(settings, Context("network", 0, device))
+    return priors
 
 
 def _scenes(device: Device) -> Iterator[Known]:
@@ -164,51 +181,51 @@ def _scenes(device: Device) -> Iterator[Known]:
             yield Known(f"{name}, {views} views", load_scene(pipeline, device=device), points)
 
 
-def _scores(known: Known, depths: Sequence[DepthImage]) -> Iterator[dict[str, Any]]:
-    """A row for all pixels, and for the room one for its slanted and one for its even surfaces."""
+def _scores(
+    known: Known, depths: Sequence[DepthImage]
+) -> Iterator[tuple[str, float, tuple[float, ...]]]:
+    """Part, share confirmed, shares right: for all pixels, and of the room for two kinds of surface."""
     views = known.scene.train
-    whole = [np.ones(depth.shape, dtype=np.bool_) for depth in depths]
-    if known.points is not None:
-        yield _row("", whole, depths, point_errors(known.points, known.scene, depths))
-    elif views[0].depth is not None:
-        yield _exact("", views, whole, depths)
-        yield _exact("slanted", views, [_slanted(view) for view in views], depths)
-        yield _exact("even", views, [_even(view) for view in views], depths)
+    if views[0].depth is not None:
+        for part, mask in (("all", _whole), ("slanted", _slanted), ("even", _even)):
+            masks = [mask(view) for view in views]
+            yield part, _share(masks, depths), _within(_exact_errors(views, masks, depths))
+    elif known.points is not None:
+        errors = point_errors(known.points, known.scene, depths)
+        yield "all", _share(list(map(_whole, views)), depths), _within(errors)
     else:
         objects = [_silhouette(view) for view in views]
-        yield _row("object", objects, depths, None) | {"on_object": _lying_on(objects, depths)}
+        found = [depth > 0 for depth in depths]
+        on = sum(int((f & o).sum()) for f, o in zip(found, objects, strict=True))
+        right = on / max(1, sum(int(f.sum()) for f in found))
+        yield "object", _share(objects, depths), (right,)
 
 
-def _exact(
-    part: str, views: Sequence[View], masks: Sequence[Mask], depths: Sequence[DepthImage]
-) -> dict[str, Any]:
+def _share(masks: Sequence[Mask], depths: Sequence[DepthImage]) -> float:
+    """Of the pixels that count, those with a depth."""
+    found = sum(int((depth > 0)[mask].sum()) for depth, mask in zip(depths, masks, strict=True))
+    return found / sum(int(mask.sum()) for mask in masks)
+
+
+def _within(errors: Floats) -> tuple[float, ...]:
+    """Shares of the errors that are finite; the others belong to points without a depth."""
+    known = errors[np.isfinite(errors)]
+    return tuple(float((known < limit).mean()) for limit in TOLERANCES)
+
+
+def _exact_errors(
+    views: Sequence[View], masks: Sequence[Mask], depths: Sequence[DepthImage]
+) -> Floats:
     errors = []
     for view, mask, depth in zip(views, masks, depths, strict=True):
         truth = _truth(view)
         counts = mask & (depth > 0)
-        errors.append(np.abs(depth - truth)[counts] / truth[counts])
-    return _row(part, masks, depths, np.concatenate(errors))
+        errors.append((np.abs(depth - truth)[counts] / truth[counts]).astype(np.float64))
+    return np.concatenate(errors)
 
 
-def _row(
-    part: str, masks: Sequence[Mask], depths: Sequence[DepthImage], errors: Floats | None
-) -> dict[str, Any]:
-    """Errors that are infinite belong to points without a depth."""
-    found = sum(int((depth > 0)[mask].sum()) for depth, mask in zip(depths, masks, strict=True))
-    known = None if errors is None else errors[np.isfinite(errors)]
-    return {
-        "part": part,
-        "kept": found / sum(int(mask.sum()) for mask in masks),
-        "within": None
-        if known is None
-        else [float((known < limit).mean()) for limit in TOLERANCES],
-        "on_object": None,
-    }
-
-
-def _lying_on(objects: Sequence[Mask], depths: Sequence[DepthImage]) -> float:
-    counts = [((d > 0) & m, d > 0) for d, m in zip(depths, objects, strict=True)]
-    return float(sum(on.sum() for on, _ in counts) / max(1, sum(all_.sum() for _, all_ in counts)))
+def _whole(view: View) -> Mask:
+    return np.ones((view.camera.height, view.camera.width), dtype=np.bool_)
 
 
 def _truth(view: View) -> DepthImage:
@@ -244,13 +261,25 @@ def _even(view: View) -> Mask:
     return even
 
 
-def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """What `measure` found, a header and a row each."""
-    limits = (f"within {limit:.0%}" for limit in TOLERANCES)
-    lines = [["scene", "of", "prior", "depths", "kept", *limits, "on object", "CPU seconds a view"]]
-    for row in rows:
-        shares = [row["kept"], *(row["within"] or [None] * len(TOLERANCES)), row["on_object"]]
-        numbers = ["" if value is None else f"{value:.3f}" for value in shares]
-        names = [row["scene"], row["part"] or "all", row["prior"], row["stage"]]
-        lines.append([*names, *numbers, f"{row['cpu_seconds']:.2f}"])
+def table(rows: Sequence[Row]) -> list[list[str]]:
+    """What `measure` found: a header, and for each part of each scene a line with all priors side by side."""
+    names = list(dict.fromkeys(row.prior for row in rows))
+    lines = [["scene", "of", *names]]
+    for scene, part in dict.fromkeys((row.scene, row.part) for row in rows):
+        found = {row.prior: row for row in rows if (row.scene, row.part) == (scene, part)}
+        lines.append([scene, part, *(_cell(found[name]) for name in names)])
     return lines
+
+
+def seconds_table(rows: Sequence[Row]) -> list[list[str]]:
+    """A header, and for each scene the CPU seconds that a view took."""
+    names = list(dict.fromkeys(row.prior for row in rows))
+    lines = [["CPU seconds a view", *names]]
+    for scene in dict.fromkeys(row.scene for row in rows):
+        took = {row.prior: row.cpu_seconds for row in rows if row.scene == scene}
+        lines.append([scene, *(f"{took[name]:.1f}" for name in names)])
+    return lines
+
+
+def _cell(row: Row) -> str:
+    return f"{row.kept:.0%}: {', '.join(f'{share:.1%}' for share in row.right)}"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .back_layer import back_layer
+from .completing.back_layer import back_layer
+from .completing.margin import margin
 from .layers import Layer, joined, surface
-from .margin import margin
 from .other_views import covered, hides, overlooked
 from .witnesses import witnesses
 

@@ -158,7 +158,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         """The views with their guesses, if those are wanted."""
         import numpy as np
 
-        from .fill import fill_holes
+        from .completing.fill import fill_holes
         from .layers import is_background
         from .other_views import hides
         from .projection import lift, pixel_centers

@@ -95,17 +95,17 @@ def without_small_patches(depth: DepthImage, *, min_pixels: int, max_step: float
         max_step: neighbouring pixels belong together if their depths differ by less, relative to the
             nearer one.
     """
-    from scipy.ndimage import label  # type: ignore[attr-defined]
+    import cv2
 
     height, width = depth.shape
     # Between two pixels lies a cell that joins them or does not, so that patches are areas of cells.
-    cells = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.bool_)
+    cells = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.uint8)
     cells[::2, ::2] = known = depth > 0
     for a, b, between in (
         (depth[:, :-1], depth[:, 1:], cells[::2, 1::2]),
         (depth[:-1], depth[1:], cells[1::2, ::2]),
     ):
         between[:] = (a > 0) & (b > 0) & (np.abs(a - b) < max_step * np.minimum(a, b))
-    patches = label(cells)[0][::2, ::2]
+    patches = cv2.connectedComponents(cells, connectivity=4)[1][::2, ::2]
     large: Mask = np.bincount(patches.ravel())[patches] >= min_pixels
     return np.where(known & large, depth, np.float32(0))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from ..image_filters import lowest_and_highest
 from ..other_views import FREE_SPACE
 from ..projection import inside, lift, pixel_centers, project
 from ..witnesses import witnesses
@@ -54,10 +55,7 @@ class Evidence:
     @classmethod
     def of(cls, view: TrainingView, confirmed: DepthImage) -> Self:
         """The evidence of a view whose depths `[H, W]` are confirmed, 0 where they are not."""
-        from scipy.ndimage import maximum_filter, minimum_filter  # type: ignore[attr-defined]
-
-        image, size = view.image.numpy(), (COLOR_WINDOW, COLOR_WINDOW, 1)
-        return cls(view.camera, confirmed, minimum_filter(image, size), maximum_filter(image, size))
+        return cls(view.camera, confirmed, *lowest_and_highest(view.image.numpy(), COLOR_WINDOW))
 
     def votes(
         self, points: Floats, colors: Colors, photographed_by: Camera

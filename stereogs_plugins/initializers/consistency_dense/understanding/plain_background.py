@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from ..image_filters import lowest_and_highest
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -85,11 +87,8 @@ class PlainAreas:
 
 
 def _flat(image: Colors) -> Mask:
-    from scipy.ndimage import maximum_filter, minimum_filter  # type: ignore[attr-defined]
-
-    size = (FLAT_WINDOW, FLAT_WINDOW, 1)
-    varies = maximum_filter(image, size) - minimum_filter(image, size)
-    flat: Mask = (varies < FLAT_RANGE).all(axis=-1)
+    lowest, highest = lowest_and_highest(image, FLAT_WINDOW)
+    flat: Mask = np.asarray((highest - lowest < FLAT_RANGE).all(axis=-1))
     return flat
 
 
@@ -137,9 +136,11 @@ def _alike(colors: Colors, color: Colors) -> Mask:
 
 def _area(image: Colors, flat: Mask, color: Colors) -> Mask:
     """The flat pixels of a colour that are joined to the image border by such pixels."""
-    from scipy.ndimage import label  # type: ignore[attr-defined]
+    import cv2
 
-    labels, _ = label(flat & _alike(image, color))
+    _, labels = cv2.connectedComponents(
+        (flat & _alike(image, color)).view(np.uint8), connectivity=4
+    )
     at_border = np.unique(labels[_ring(flat.shape)])
     area: Mask = np.isin(labels, at_border[at_border > 0])
     return area

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from stereogs_plugins.initializers.consistency_dense.back_layer import back_layer
 from stereogs_plugins.initializers.consistency_dense.cloud import back_layers, margins, surfaces
+from stereogs_plugins.initializers.consistency_dense.completing.back_layer import back_layer
+from stereogs_plugins.initializers.consistency_dense.completing.margin import margin
 from stereogs_plugins.initializers.consistency_dense.layers import surface
-from stereogs_plugins.initializers.consistency_dense.margin import margin
 from stereogs_plugins.initializers.consistency_dense.projection import inside, project
 from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, known, view_of

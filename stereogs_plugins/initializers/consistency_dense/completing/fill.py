@@ -6,14 +6,18 @@ directions a rather far one is taken, of a surface with the hole's colour if the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+
+from ..image_filters import blurred
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from .projection import DepthImage, Floats, Indices, Mask
+    from ..projection import DepthImage, Floats, Indices, Mask
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 QUANTILE = 0.2
 """Of the inverse depths around a hole, by weight: rather far, for holes are mostly background."""
@@ -36,10 +40,8 @@ def fill_holes(image: NDArray[np.float32], depth: DepthImage) -> DepthImage:
         image: `[H, W, 3]`; depth edges are put where its edges are.
         depth: 0 in holes.
     """
-    from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
-
     height, width = depth.shape
-    smooth = gaussian_filter(image, (NOISE_BLUR, NOISE_BLUR, 0)).reshape(-1, 3)
+    smooth = blurred(image, NOISE_BLUR, outside="mirrored").reshape(-1, 3).T.copy()
     known = depth > 0
     nearness = np.divide(1.0, depth, out=np.zeros(depth.shape), where=known).ravel()
     holes = np.flatnonzero(~known)
@@ -55,33 +57,55 @@ def fill_holes(image: NDArray[np.float32], depth: DepthImage) -> DepthImage:
 
 def nearest_known(known: Mask) -> list[Indices]:
     """Flat index `[H, W]` of the nearest known pixel in eight directions; -1 where there is none."""
+    index = np.arange(known.size).reshape(known.shape)
+    above, below = _nearest_along(known, index, 0)
+    left, right = _nearest_along(known, index, 1)
+    above_right, below_left = _nearest_along_diagonals(known, index)
+    # Of the mirror image these diagonals are the other ones.
+    mirrored = _nearest_along_diagonals(known[:, ::-1], index[:, ::-1])
+    above_left, below_right = (answer[:, ::-1] for answer in mirrored)
+    return [above, left, below, right, below_right, above_left, below_left, above_right]
+
+
+def _nearest_along(known: Mask, index: Indices, axis: int) -> tuple[Indices, Indices]:
+    """The nearest known index up to each pixel along an axis, and that from it on; -1 where none is.
+
+    Args:
+        index: grows along the axis, so that the nearest is the largest before and the smallest behind.
+    """
+    nowhere = known.size
+    before = np.maximum.accumulate(np.where(known, index, -1), axis=axis)
+    behind = np.flip(np.where(known, index, nowhere), axis)
+    behind = np.flip(np.minimum.accumulate(behind, axis=axis), axis)
+    return before, np.where(behind < nowhere, behind, -1)
+
+
+def _nearest_along_diagonals(known: Mask, index: Indices) -> tuple[Indices, Indices]:
+    """The same from above right and from below left: columns once each row is moved by its number."""
     height, width = known.shape
-    index = np.where(known, np.arange(known.size).reshape(height, width), -1)
-    columns = np.arange(height)[:, None] + np.arange(width)
-    rows = np.broadcast_to(np.arange(height)[:, None], known.shape)
-    answers = [_last_known(index, axis) for axis in (0, 1)]
-    answers += [np.flip(_last_known(np.flip(index, axis), axis), axis) for axis in (0, 1)]
-    for mirror in (1, -1):
-        # Shifting each row by its number turns diagonals into columns.
-        sheared = np.full((height, height + width), -1, dtype=np.intp)
-        sheared[rows, columns] = index[::-1, ::mirror]
-        down = _last_known(sheared, 0)
-        up = np.flip(_last_known(np.flip(sheared, 0), 0), 0)
-        answers += [answer[rows, columns][::-1, ::mirror] for answer in (down, up)]
-    return answers
+    before, behind = (
+        np.append(answer, np.zeros(height, dtype=np.intp)).reshape(height, -1)[:, :width]
+        for answer in _nearest_along(_sheared(known), _sheared(index), 0)
+    )
+    return before, behind
 
 
-def _last_known(index: Indices, axis: int) -> Indices:
-    """The last entry >= 0 up to each place along an axis, or -1."""
-    places = np.arange(index.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-    last = np.maximum.accumulate(np.where(index >= 0, places, -1), axis=axis)
-    found = np.take_along_axis(index, last.clip(0), axis=axis)
-    return np.where(last >= 0, found, -1)
+def _sheared(image: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The image `[H, W]` with each row moved to the right by its number, `[H, H + W]`; 0 beside it."""
+    height, width = image.shape
+    longer = np.pad(image, ((0, 0), (0, height + 1)))
+    return longer.ravel()[:-height].reshape(height, height + width)
 
 
 def _likeness(smooth: NDArray[np.float32], pixels: Indices, others: Indices) -> Floats:
-    """How alike the colours of pixels `[P]` and of others `[K, P]` are, in (0, 1]."""
-    squared = ((smooth[others] - smooth[pixels]) ** 2).sum(axis=-1)
+    """How alike the colours of pixels `[P]` and of others `[K, P]` are, in (0, 1].
+
+    Args:
+        smooth: `[3, N]`, a channel after the other, which is several times as fast as pixel by pixel.
+    """
+    squared = np.zeros(others.shape, dtype=np.float32)
+    for channel in smooth:
+        squared += (channel[others] - channel[pixels]) ** 2
     likeness: Floats = np.exp(-squared / (2 * COLOR_RANGE**2)) + LEAST_WEIGHT
     return likeness
 

@@ -3,7 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereogs_plugins.initializers.consistency_dense.fill import fill_holes, nearest_known
+from stereogs_plugins.initializers.consistency_dense.completing.fill import (
+    fill_holes,
+    nearest_known,
+)
 from stereogs_plugins.initializers.consistency_dense.projection import pixel_centers
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at
 

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .layers import Layer, layer_at
+from ..image_filters import blurred
+from ..layers import Layer, layer_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from .view_depth import ViewDepth
+    from ..projection import Floats
+    from ..view_depth import ViewDepth
 
 WIDTH = 0.5
 """Of the ring, as a part of the image's width and height."""
@@ -30,11 +32,6 @@ WINDOW = 15
 
 def margin(view: ViewDepth) -> Layer:
     """Points outside the image, none where the border nearby has no depth."""
-    from scipy.ndimage import (  # type: ignore[attr-defined]
-        gaussian_filter,
-        percentile_filter,
-    )
-
     height, width = view.completed.shape
     u, v = np.meshgrid(_positions(width), _positions(height))
     outside = (u < 0) | (u >= width) | (v < 0) | (v >= height)
@@ -42,11 +39,20 @@ def margin(view: ViewDepth) -> Layer:
     seen = view.completed[row, column].astype(np.float64)
     # Unknown depths count as near, so that the low percentile passes over them.
     nearness = np.divide(1.0, seen, out=np.full(seen.shape, np.inf), where=seen > 0)
-    background = percentile_filter(nearness, PERCENTILE, size=WINDOW, mode="nearest")
+    background = _low_percentile(nearness)
     keep = outside & np.isfinite(background)
-    blurred = gaussian_filter(view.image, (BLUR, BLUR, 0), mode="nearest")
-    colors = blurred[row[keep], column[keep]]
+    colors = blurred(view.image, BLUR, outside="border")[row[keep], column[keep]]
     return layer_at(view.camera, u[keep], v[keep], 1 / background[keep], colors, STRIDE)
+
+
+def _low_percentile(nearness: Floats) -> Floats:
+    """Of the values around each of `[R, C]`, the border going on outside."""
+    padded = np.pad(nearness, WINDOW // 2, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, (WINDOW, WINDOW))
+    around = around.reshape(*nearness.shape, WINDOW**2)
+    place = PERCENTILE * WINDOW**2 // 100
+    low: Floats = np.partition(around, place, axis=-1)[..., place]
+    return low
 
 
 def _positions(size: int) -> NDArray[np.float64]:

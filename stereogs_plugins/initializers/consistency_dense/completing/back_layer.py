@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .layers import Layer, cell_middles, joined, layer_at
+from ..layers import Layer, cell_middles, joined, layer_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from .projection import Floats, Indices
-    from .view_depth import ViewDepth
+    from ..projection import Floats, Indices
+    from ..view_depth import ViewDepth
 
 STRIDE = 8
 """Pixels between the points."""
