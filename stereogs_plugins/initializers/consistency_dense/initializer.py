@@ -155,37 +155,31 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         confirmed: list[DepthImage],
         shown: Understanding,
     ) -> list[ViewDepth]:
-        """The views with their guesses, if those are wanted."""
+        """The views with their guesses, if those are wanted and there is enough to guess from."""
         import numpy as np
 
-        from .completing.fill import fill_holes
-        from .layers import is_background
-        from .other_views import hides
-        from .projection import lift, pixel_centers
-        from .understanding.contradictions import Evidence, miscolored
+        from .completing.guesses import LEAST_CONFIRMED, confirmed_share, guesses
         from .view_depth import ViewDepth
-        from .witnesses import witnesses
 
-        cameras = [view.camera for view in scene.train]
-        evidence: list[Evidence] = []
-        if self.settings.fill and shown.wide:
-            evidence = list(map(Evidence.of, scene.train, confirmed))
-        views = []
-        for index, view in enumerate(scene.train):
-            filled = np.zeros_like(confirmed[index])
-            if self.settings.fill and confirmed[index].any():
-                filled = fill_holes(view.image.numpy(), confirmed[index])
-                points = lift(view.camera, *pixel_centers(view.camera), filled)
-                others = witnesses(cameras, index, scene.bounds)
-                seen = [cameras[k] for k in others], [confirmed[k] for k in others]
-                filled[hides(points, *seen)] = 0
-                if evidence:
-                    asked = [evidence[k] for k in others]
-                    filled[miscolored(points, view.image.numpy(), view.camera, asked)] = 0
-                filled[is_background(view.image.numpy(), scene.background)] = 0
-                filled[shown.backgrounds[index]] = 0
-            views.append(ViewDepth(view, choices[index].answer, confirmed[index], filled))
-        return views
+        filled = [np.zeros_like(depth) for depth in confirmed]
+        if self.settings.fill:
+            found = guesses(scene, confirmed, shown)
+            share = confirmed_share(confirmed, found)
+            if share >= LEAST_CONFIRMED:
+                filled = found
+            else:
+                _log.warning(
+                    "%s: other views confirm %.0f %% of the surface, too little to guess the rest from; more "
+                    "photographs, or some nearer to each other, would help",
+                    scene.name,
+                    100 * share,
+                )
+        return [
+            ViewDepth(view, choice.answer, sure, guessed)
+            for view, choice, sure, guessed in zip(
+                scene.train, choices, confirmed, filled, strict=True
+            )
+        ]
 
     def _layers(
         self, scene: TrainingScene, views: list[ViewDepth], shown: Understanding

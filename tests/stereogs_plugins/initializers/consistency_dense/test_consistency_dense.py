@@ -92,6 +92,21 @@ def test_completion_fills_what_the_filter_leaves(scene: Scene) -> None:
         np.testing.assert_allclose(facts["depth_quantiles"], truth, rtol=0.1)
 
 
+@pytest.mark.parametrize(("known", "guessed"), [(0.5, True), (0.15, False)])
+def test_nothing_is_guessed_from_too_little(
+    scene: Scene, caplog: pytest.LogCaptureFixture, known: float, *, guessed: bool
+) -> None:
+    def lower_rows(view: View) -> Tensor:
+        depth = true_depth(view).clone()
+        depth[: round((1 - known) * depth.shape[0])] = 0
+        return depth
+
+    points = dense(scene, lower_rows, **COMPLETE)
+    assert (points.facts["points_by_kind"]["filled"] > 0) == guessed
+    assert ("too little to guess" in caplog.text) != guessed
+    assert points.facts["points_by_kind"]["confirmed"] > 0
+
+
 def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> None:
     def right_half_unknown(view: View) -> Tensor:
         depth = true_depth(view).clone()
