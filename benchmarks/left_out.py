@@ -22,8 +22,8 @@ from pathlib import Path
 from statistics import fmean
 from time import process_time
 
-from benchmarks.left_out_scenes import CHANGES, thinned
-from benchmarks.results_plan import CASES, PIPELINES
+from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
+from benchmarks.results_plan import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
 from registry.ablation.planning.making import pipeline_digest
@@ -37,7 +37,6 @@ from registry.training.trainer import Trainer
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
 DEFAULT_CASES = "llff_fern-6,llff_flower-6,dtu_scan24-6,dtu_scan65-6"
-SCENES = {f"{case.data}-{case.views}": case.overrides for case in CASES}
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ class Bench:
         )
 
     def _load(self, case: str) -> Scene:
-        pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", SCENES[case])
+        pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", OVERRIDES[case])
         scene = thinned(load_scene(pipeline, device=self.device))
         for name in self.changes:
             scene = CHANGES[name](scene)
@@ -209,7 +208,7 @@ def main() -> int:
     parser.add_argument("variants", nargs="+", type=Variant.parse, help='"name: one=1; two=2"')
     parser.add_argument("--pipeline", type=Path, default=PIPELINES / "weightfree_fast.yaml")
     parser.add_argument(
-        "--cases", default=DEFAULT_CASES, help="by commas; of: " + ", ".join(SCENES)
+        "--cases", default=DEFAULT_CASES, help="by commas; of: " + ", ".join(OVERRIDES)
     )
     parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 on")
     parser.add_argument(

@@ -9,8 +9,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from benchmarks.results_plan import CASES, DATA
 from registry import Scene, View
 
+OVERRIDES = {f"{case.data}-{case.views}": case.overrides for case in CASES} | {
+    f"mview_temple-{views}": (
+        f"scene={{use: nerfstudio, path: '${{{DATA}}}/mview_temple', train_views: {views}}}",
+        "metrics=[psnr, ssim]",
+    )
+    for views in (9, 12)
+}
+"""What `--set` would say for a scene, by data set and number of training views."""
 TURN = 0.7
 """Pixels, root mean square, by which `turned` moves the middle of a photograph."""
 GAIN, TINT = 0.15, 0.05
