@@ -47,6 +47,8 @@ def margin(view: ViewDepth) -> Layer:
 
 def _low_percentile(nearness: Floats) -> Floats:
     """Of the values around each of `[R, C]`, the border going on outside."""
+    if not nearness.size:  # of a picture too small for a ring
+        return nearness
     padded = np.pad(nearness, WINDOW // 2, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (WINDOW, WINDOW))
     around = around.reshape(*nearness.shape, WINDOW**2)
