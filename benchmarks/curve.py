@@ -52,7 +52,7 @@ def _panel(axes: Axes, plan: Plan, curves: Curves, scene: str) -> None:
             [sample.value for sample in samples],
             [sample.spread or 0 for sample in samples],
             marker=".",
-            label=plan.describe(combination),
+            label=combination.choices[0].label if combination.choices[0] else None,
         )
     axes.set_xscale("log")
     axes.set_xticks(_TICKS, [str(tick) for tick in _TICKS])
@@ -63,10 +63,10 @@ def _panel(axes: Axes, plan: Plan, curves: Curves, scene: str) -> None:
 
 
 def main() -> None:
-    plan = plan_of(read_matrix(MATRIX), Plugins())
     folder = AblationFolder(OUT)
-    results = {run: folder.results(run) for run in plan.runs}
     try:
+        plan = plan_of(read_matrix(MATRIX), Plugins())
+        results = {run: folder.results(run) for run in plan.runs}
         if missing := [run.name for run, found in results.items() if not found]:
             raise RunError(
                 f"{len(missing)} of {len(results)} runs are missing",
