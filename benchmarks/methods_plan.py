@@ -9,7 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
-from benchmarks.planned_training import written, written_digest
+from benchmarks.planned_training import written_digest
 from benchmarks.results_plan import DATA, PIPELINES
 from registry.pipeline.edits import apply_override, set_value
 from registry.pipeline.pipeline import Pipeline, build_pipeline
@@ -187,7 +187,7 @@ def _plane_sweep(tree: Node, place: Place) -> str:
     """The name of the pipeline's plane sweep; one is added where there is none."""
     priors = list(_items(tree, "priors"))
     for prior in priors:
-        said = written(prior)
+        said = prior.as_written()
         names = said if isinstance(said, dict) else {"use": said}
         if names["use"] == "plane_sweep":
             return str(names.get("name", "plane_sweep"))

@@ -42,16 +42,7 @@ class PlannedTraining(Protocol):
 Planned = TypeVar("Planned", bound=PlannedTraining)
 
 
-def written(node: Node) -> Any:
-    """A node as plain values, environment variables as they are written."""
-    if isinstance(node.content, dict):
-        return {key: written(child) for key, child in node.content.items()}
-    if isinstance(node.content, list):
-        return [written(child) for child in node.content]
-    return node.content
-
-
 def written_digest(tree: Node) -> str:
     """Ten hexadecimal digits that change with anything that is written in a pipeline."""
-    text = json.dumps(written(tree), sort_keys=True)
+    text = json.dumps(tree.as_written(), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:10]

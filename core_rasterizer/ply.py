@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import logging
 import os
-import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -40,6 +39,7 @@ _CONSTANT_BAND = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_POSITION, *_CONSTANT_BAND, "opacity", *_SCALE, *_ROTATION)
+_REST = "f_rest_"
 _REST_COUNTS = (0, 9, 24, 45)
 """How many f_rest_* properties SH degrees 0 to 3 have."""
 
@@ -83,7 +83,7 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
     if dropped:
         _log.warning("%s: left out %d of %d Gaussians that are not finite", path, dropped, count)
         columns = columns[finite]
-    rest_names = tuple(f"f_rest_{i}" for i in range(rest.shape[1]))
+    rest_names = tuple(f"{_REST}{i}" for i in range(rest.shape[1]))
     names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
     from plyfile import PlyData, PlyElement  # only who reads or writes such files waits for it
@@ -223,16 +223,20 @@ def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:
 
 
 def _rest_names(available: set[str], path: Path) -> list[str]:
-    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9; f_rest_01 is none."""
-    found = (re.fullmatch(r"f_rest_(0|[1-9][0-9]{0,3})", name) for name in available)
-    numbers = sorted(int(match[1]) for match in found if match)
-    if len(numbers) not in _REST_COUNTS or numbers != list(range(len(numbers))):
+    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9.
+
+    Others of that beginning, such as f_rest_01, are refused: to ignore them would lose bands of colour.
+    """
+    found = [name for name in available if name.startswith(_REST)]
+    names = [f"{_REST}{number}" for number in range(len(found))]
+    if len(found) not in _REST_COUNTS or set(found) != set(names):
+        odd = max(set(found) - set(names) or found, key=lambda name: (len(name), name))
         raise PlyError(
-            f"the vertices have {len(numbers)} f_rest properties, up to f_rest_{numbers[-1]}",
+            f"the vertices have {len(found)} f_rest properties, among them {odd[:40]}",
             where=str(path),
             fix="SH degrees 0, 1, 2, 3 have 0, 9, 24, 45 of them, numbered from 0",
         )
-    return [f"f_rest_{number}" for number in numbers]
+    return names
 
 
 def _column(vertex: NDArray[np.void], name: str, path: Path) -> Tensor:

@@ -64,6 +64,14 @@ class Node:
             return "a list"
         return "empty" if self.content is None else repr(self.content)
 
+    def as_written(self) -> Any:
+        """Plain values, environment variables not filled in."""
+        if isinstance(self.content, dict):
+            return {key: child.as_written() for key, child in self.content.items()}
+        if isinstance(self.content, list):
+            return [child.as_written() for child in self.content]
+        return self.content
+
     def at(self, path: tuple[str | int, ...]) -> Node:
         """The node at a path of keys and indices, or the last one on the way that exists."""
         node = self

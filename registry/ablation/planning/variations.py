@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from ...errors import PipelineError
 from ...pipeline.edits import item_names
@@ -117,13 +116,4 @@ def _label(value: Node) -> str:
     if isinstance(value.content, str):
         return value.content
     names = item_names(value)
-    return names[0] if names else json.dumps(_raw(value), ensure_ascii=False)
-
-
-def _raw(node: Node) -> Any:
-    """Plain values as written, without environment variables filled in."""
-    if isinstance(node.content, dict):
-        return {key: _raw(child) for key, child in node.content.items()}
-    if isinstance(node.content, list):
-        return [_raw(child) for child in node.content]
-    return node.content
+    return names[0] if names else json.dumps(value.as_written(), ensure_ascii=False)

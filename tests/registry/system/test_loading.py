@@ -17,12 +17,16 @@ frozen = gc.get_freeze_count()
 with collector_at_rest():
     stays = [[number] for number in range(100_000)]
     assert sum(one["collections"] for one in gc.get_stats()) == collections
+    {loads}
 print(gc.isenabled(), gc.get_freeze_count() - frozen > 100_000)
 """
 
 
 @pytest.mark.parametrize(("before", "works"), [("", True), ("gc.disable()", False)])
-def test_it_rests_within_and_is_then_as_it_was(before: str, *, works: bool) -> None:
-    code = CODE.format(before=before)
+@pytest.mark.parametrize(("loads", "frozen"), [("import wave", True), ("import gc", False)])
+def test_it_rests_within_and_is_then_as_it_was(
+    before: str, loads: str, *, works: bool, frozen: bool
+) -> None:
+    code = CODE.format(before=before, loads=loads)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.stdout, done.stderr) == (f"{works} True\n", "")
+    assert (done.stdout, done.stderr) == (f"{works} {frozen}\n", "")
