@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from . import cache, image_fitting, photos, virtual_views, web_page
+    from . import cache, image_fitting, photos, triangulation, virtual_views, web_page
     from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
         Appearance,
@@ -177,6 +177,7 @@ __all__ = [
     "side_by_side",
     "smooth_path",
     "trained_gaussians",
+    "triangulation",
     "upright_rotation",
     "validate",
     "virtual_views",

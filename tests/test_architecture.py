@@ -53,6 +53,7 @@ FACES = {
     "registry.cache": "registry/cache/__init__.py",
     "registry.image_fitting": "registry/image_fitting.py",
     "registry.photos": "registry/photos/__init__.py",
+    "registry.triangulation": "registry/triangulation.py",
     "registry.virtual_views": "registry/virtual_views.py",
     "registry.web_page": "registry/web_page/__init__.py",
 }

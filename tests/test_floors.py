@@ -16,7 +16,7 @@ FLOORS = (
     ("errors", "system", "messages", "web_page"),
     ("contract", "cache", "image_fitting", "calls"),
     ("drawing", "plugins", "photos", "view_parameters", "virtual_views"),
-    ("priors", "pipeline"),
+    ("priors", "pipeline", "triangulation"),
     ("training", "inspection"),
     ("runs",),
     ("choosing", "exporting", "viewing"),

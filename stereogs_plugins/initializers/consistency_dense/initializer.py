@@ -59,6 +59,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .understanding.contradictions import without_outvoted
         from .understanding.plain_background import PlainAreas
         from .understanding.understanding import Understanding
+        from .view_depth import ViewDepth
 
         needed = self._min_consistent(scene)
         areas = PlainAreas.of(scene.train)
@@ -69,8 +70,15 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         confirmed = shown.without_background(confirmed)
         if shown.wide:
             confirmed = without_outvoted(scene.train, confirmed, scene.bounds)
-        views = self._completed(scene, choices, confirmed, shown)
-        return self._point_cloud(self._layers(scene, views, shown), views, shown)
+        guessed = self._guessed(scene, confirmed, shown)
+        views = [
+            ViewDepth(view, choice.answer, sure, found)
+            for view, choice, sure, found in zip(
+                scene.train, choices, confirmed, guessed or _nothing(confirmed), strict=True
+            )
+        ]
+        points = self._point_cloud(self._layers(scene, views, shown), views, shown)
+        return self._matched(scene, points) if guessed is None else points
 
     def _choices(
         self,
@@ -148,38 +156,35 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             _log.warning("no other view confirms any depth of %s; it gives no points", name)
         return confirmed
 
-    def _completed(
-        self,
-        scene: TrainingScene,
-        choices: Sequence[Choice],
-        confirmed: list[DepthImage],
-        shown: Understanding,
-    ) -> list[ViewDepth]:
-        """The views with their guesses, if those are wanted and there is enough to guess from."""
-        import numpy as np
-
+    def _guessed(
+        self, scene: TrainingScene, confirmed: list[DepthImage], shown: Understanding
+    ) -> list[DepthImage] | None:
+        """Depths for the holes of each view, none if none are wanted; None: too little is confirmed."""
         from .completing.guesses import LEAST_CONFIRMED, confirmed_share, guesses
-        from .view_depth import ViewDepth
 
-        filled = [np.zeros_like(depth) for depth in confirmed]
-        if self.settings.fill:
-            found = guesses(scene, confirmed, shown)
-            share = confirmed_share(confirmed, found)
-            if share >= LEAST_CONFIRMED:
-                filled = found
-            else:
-                _log.warning(
-                    "%s: other views confirm %.0f %% of the surface, too little to guess the rest from; more "
-                    "photographs, or some nearer to each other, would help",
-                    scene.name,
-                    100 * share,
-                )
-        return [
-            ViewDepth(view, choice.answer, sure, guessed)
-            for view, choice, sure, guessed in zip(
-                scene.train, choices, confirmed, filled, strict=True
-            )
-        ]
+        if not self.settings.fill:
+            return _nothing(confirmed)
+        found = guesses(scene, confirmed, shown)
+        share = confirmed_share(confirmed, found)
+        if share >= LEAST_CONFIRMED:
+            return found
+        _log.warning(
+            "%s: other views confirm %.0f %% of the surface, too little to guess the rest from; more "
+            "photographs, or some nearer to each other, would help",
+            scene.name,
+            100 * share,
+        )
+        return None
+
+    def _matched(self, scene: TrainingScene, points: PointCloud) -> PointCloud:
+        """Points of matched features in place of the few that are confirmed, if there are enough."""
+        from .matched import matched_points
+
+        found = matched_points(scene, points, self.context.seed, self._chosen)
+        if found is None:
+            return points
+        _log.info("%s: it starts from %d matched features instead", scene.name, len(found))
+        return found
 
     def _layers(
         self, scene: TrainingScene, views: list[ViewDepth], shown: Understanding
@@ -248,6 +253,12 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
             kinds={kind: kinds[chosen] == number for number, kind in enumerate(layers)},
         )
+
+
+def _nothing(depths: Sequence[DepthImage]) -> list[DepthImage]:
+    import numpy as np
+
+    return [np.zeros_like(depth) for depth in depths]
 
 
 @hookimpl

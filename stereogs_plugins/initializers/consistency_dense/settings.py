@@ -40,7 +40,8 @@ class ConsistencyDenseSettings(Settings):
     """First opacity; null: the pipeline's `training.initial_opacity`."""
     fill: bool = False
     """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
-    the scene's background, and nowhere if less than a quarter of what would then be known is confirmed."""
+    the scene's background. If less than a quarter of what would then be known is confirmed, nothing is
+    guessed, and matched features are the points, as of `sfm`, unless there are few."""
     back_layer: bool = False
     """Put coarse points of the background's colour behind the edges of the foreground."""
     margin: bool = False

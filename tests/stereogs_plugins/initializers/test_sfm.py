@@ -7,9 +7,6 @@ import torch
 
 from registry import PointCloud, Scene, SceneError, View
 from stereogs_plugins.initializers.sfm import SfmInitializer, stereogs_register_initializers
-from stereogs_plugins.initializers.sfm.triangulation import triangulate
-from stereogs_plugins.scenes.llff import LLFFScene
-from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.depth_scenes import distance_to_surface, pixels_of
 
@@ -60,17 +57,6 @@ def test_off_center_principal_points_are_respected(scene: Scene, points: PointCl
     assert distance.median() < 1e-3
 
 
-def test_settings_limit_error_and_angle(scene: Scene) -> None:
-    loose, strict = (
-        triangulate(scene.train, max_reprojection_error=error, min_angle=1.5, seed=0)
-        for error in (4.0, 0.5)
-    )
-    assert strict.errors.max() <= 0.5 < loose.errors.max()
-    assert (loose.seen_by.sum(dim=1) >= 2).all()
-    wide = triangulate(scene.train, max_reprojection_error=4.0, min_angle=12.0, seed=0)
-    assert 0 < len(wide.positions) < len(loose.positions)
-
-
 def test_source_chooses(scene: Scene, points: PointCloud) -> None:
     bare = replace(scene, points=None)
     assert build(SfmInitializer).initialize(scene, {}) is scene.points
@@ -100,15 +86,3 @@ def test_points_outside_the_bounds_are_dropped(scene: Scene, points: PointCloud)
     assert 0 < len(found) < len(points)
     pose = scene.train[0].camera.world_to_camera
     assert (found.positions.double() @ pose[2, :3] + pose[2, 3]).median() < 3.3
-
-
-@pytest.mark.proof
-@pytest.mark.parametrize(("name", "least"), [("llff_fern", 550), ("llff_flower", 1500)])
-def test_three_real_photographs_give_points(name: str, least: int) -> None:
-    scene = build(LLFFScene, path=data_folder(name)).load()
-    found = triangulate(scene.train, max_reprojection_error=2.0, min_angle=1.5, seed=0)
-    assert len(found.positions) > least
-    assert found.errors.mean() < 0.5
-    assert scene.points is not None  # the data set's own points, from all photographs
-    distance = torch.cdist(found.positions, scene.points.positions).amin(dim=1)
-    assert distance.median() < 0.02 * scene.bounds[1]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from torch import Tensor
 from registry import PluginError, PointCloud, Scene, SceneError, View
 from stereogs_plugins.initializers.consistency_dense import (
     ConsistencyDense,
+    matched,
     stereogs_register_initializers,
 )
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
@@ -92,19 +94,53 @@ def test_completion_fills_what_the_filter_leaves(scene: Scene) -> None:
         np.testing.assert_allclose(facts["depth_quantiles"], truth, rtol=0.1)
 
 
-@pytest.mark.parametrize(("known", "guessed"), [(0.5, True), (0.15, False)])
-def test_nothing_is_guessed_from_too_little(
-    scene: Scene, caplog: pytest.LogCaptureFixture, known: float, *, guessed: bool
-) -> None:
-    def lower_rows(view: View) -> Tensor:
+def in_lowest(share: float) -> Callable[[View], Tensor]:
+    """True depths in the lowest rows alone."""
+
+    def depth_of(view: View) -> Tensor:
         depth = true_depth(view).clone()
-        depth[: round((1 - known) * depth.shape[0])] = 0
+        depth[: round((1 - share) * depth.shape[0])] = 0
         return depth
 
-    points = dense(scene, lower_rows, **COMPLETE)
-    assert (points.facts["points_by_kind"]["filled"] > 0) == guessed
-    assert ("too little to guess" in caplog.text) != guessed
-    assert points.facts["points_by_kind"]["confirmed"] > 0
+    return depth_of
+
+
+def test_where_much_is_confirmed_the_rest_is_guessed(scene: Scene) -> None:
+    kinds = dense(scene, in_lowest(0.5), **COMPLETE).facts["points_by_kind"]
+    assert kinds["confirmed"] > 0
+    assert kinds["filled"] > 0
+
+
+def test_where_little_is_confirmed_matched_features_are_the_points(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    points = dense(scene, in_lowest(0.15), stride=3, sigma=0.5, opacity=0.9, **COMPLETE)
+    assert "too little to guess" in caplog.text
+    assert f"starts from {len(points)} matched features" in caplog.text
+    assert points.facts["points_by_kind"] == {"matched": len(points)}
+    assert points.kinds["matched"].all()
+    assert points.scales is None  # as `sfm` has them
+    assert points.opacities is None
+    assert distance_to_surface(scene, points).median() < 0.003
+    few = dense(scene, in_lowest(0.15), stride=3, max_points=50, **COMPLETE)
+    assert len(few) == 50
+
+
+def test_confirmed_points_stay_where_hardly_any_feature_is_matched(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = dense(scene, in_lowest(0.15), **COMPLETE).facts["points_by_kind"]
+    assert every["confirmed"] > 6_000  # a point a pixel: features are less than a tenth
+    assert every["filled"] == 0
+
+    def none(*_: object, **__: object) -> PointCloud:
+        raise SceneError("no point could be triangulated")
+
+    monkeypatch.setattr(matched, "triangulated_points", none)
+    sparse = dense(scene, in_lowest(0.15), stride=3, **COMPLETE).facts["points_by_kind"]
+    assert sparse["confirmed"] > 0
+    assert sparse["filled"] == 0
 
 
 def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> None:

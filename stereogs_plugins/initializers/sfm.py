@@ -20,13 +20,6 @@ from registry import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import torch
-
-    from .triangulation import Triangulation
-
-BOUNDS_MARGIN = 1.1
-"""A point nearer than near / margin or farther than far * margin comes from a wrong match."""
-
 
 class SfmSettings(Settings):
     source: Literal["auto", "scene", "triangulate"] = "auto"
@@ -51,7 +44,14 @@ class SfmInitializer(Initializer[SfmSettings]):
         if source == "auto":
             source = "scene" if has_points else "triangulate"
         if source == "triangulate":
-            return self._triangulate(scene)
+            from registry.triangulation import triangulated_points
+
+            return triangulated_points(
+                scene,
+                max_reprojection_error=self.settings.max_reprojection_error,
+                min_angle=self.settings.min_triangulation_angle,
+                seed=self.context.seed,
+            )
         if scene.points is None or not has_points:
             raise SceneError(
                 "the scene brings no points that its training views see",
@@ -59,43 +59,6 @@ class SfmInitializer(Initializer[SfmSettings]):
                 fix="use `source: triangulate`, or the initializer `random`",
             )
         return scene.points
-
-    def _triangulate(self, scene: TrainingScene) -> PointCloud:
-        from .triangulation import triangulate
-
-        if len(scene.train) < 2:
-            raise SceneError(
-                "points cannot be triangulated from one training view",
-                where=scene.name,
-                fix="use two or more training views, or the initializer `random`",
-            )
-        found = triangulate(
-            scene.train,
-            max_reprojection_error=self.settings.max_reprojection_error,
-            min_angle=self.settings.min_triangulation_angle,
-            seed=self.context.seed,
-        )
-        keep = _within_bounds(found, scene)
-        if not keep.any():
-            raise SceneError(
-                f"no point could be triangulated from the {len(scene.train)} training views",
-                where=scene.name,
-                fix="use the initializer `random`, add training views that overlap, or raise "
-                "`max_reprojection_error` if the poses are rough",
-            )
-        return PointCloud(positions=found.positions[keep], colors=found.colors[keep])
-
-
-def _within_bounds(found: Triangulation, scene: TrainingScene) -> torch.Tensor:
-    """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
-    import torch
-
-    near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
-    keep = torch.ones(len(found.positions), dtype=torch.bool)
-    for index, view in enumerate(scene.train):
-        _, _, depth = view.camera.project(found.positions)
-        keep &= ~found.seen_by[:, index] | ((depth > near) & (depth < far))
-    return keep
 
 
 @hookimpl

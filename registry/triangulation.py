@@ -16,8 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import TrainingView, grey
-from registry.photos import import_pycolmap
+from .contract.scene import PointCloud
+from .drawing.pictures import grey
+from .errors import SceneError
+from .photos.cameras.safe_pycolmap import import_pycolmap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,8 +28,14 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
+    from .contract.scene import TrainingScene, TrainingView
+
+__all__ = ["Triangulation", "triangulate", "triangulated_points"]
+
 CONTRAST_THRESHOLD = 0.002
 """Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
+BOUNDS_MARGIN = 1.1
+"""A point nearer than near / margin or farther than far * margin comes from a wrong match."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +60,37 @@ class _Features:
     keypoints: Any  # pycolmap.FeatureKeypoints
     descriptors: Any  # pycolmap.FeatureDescriptors
     pixels: NDArray[np.float64]  # [F, 2], centre of the top-left pixel at (0.5, 0.5)
+
+
+def triangulated_points(
+    scene: TrainingScene, *, max_reprojection_error: float = 2.0, min_angle: float = 1.5, seed: int
+) -> PointCloud:
+    """At least one point, from the training photographs alone and within the scene's bounds.
+
+    Args:
+        max_reprojection_error, min_angle, seed: as for `triangulate`.
+
+    Raises:
+        SceneError: one training view, or views that agree on no point.
+    """
+    if len(scene.train) < 2:
+        raise SceneError(
+            "points cannot be triangulated from one training view",
+            where=scene.name,
+            fix="use two or more training views, or the initializer `random`",
+        )
+    found = triangulate(
+        scene.train, max_reprojection_error=max_reprojection_error, min_angle=min_angle, seed=seed
+    )
+    keep = _within_bounds(found, scene)
+    if not keep.any():
+        raise SceneError(
+            f"no point could be triangulated from the {len(scene.train)} training views",
+            where=scene.name,
+            fix="use the initializer `random`, add training views that overlap, or raise "
+            "`max_reprojection_error` if the poses are rough",
+        )
+    return PointCloud(positions=found.positions[keep], colors=found.colors[keep])
 
 
 def triangulate(
@@ -194,3 +233,13 @@ def _color(view: TrainingView, pixel: NDArray[np.float64]) -> NDArray[np.float32
     row = min(max(int(pixel[1]), 0), view.camera.height - 1)
     color: NDArray[np.float32] = view.image[row, column].numpy()
     return color
+
+
+def _within_bounds(found: Triangulation, scene: TrainingScene) -> Tensor:
+    """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
+    keep = torch.ones(len(found.positions), dtype=torch.bool)
+    for index, view in enumerate(scene.train):
+        _, _, depth = view.camera.project(found.positions)
+        keep &= ~found.seen_by[:, index] | ((depth > near) & (depth < far))
+    return keep
