@@ -10,12 +10,12 @@ import sys
 
 from benchmarks.campaign import Campaign
 from benchmarks.methods_page import BEGIN, END, page_text
-from benchmarks.methods_plan import METHODS, SCENES, SEEDS, planned_runs
+from benchmarks.methods_plan import GROUPS, METHODS, planned_runs
 
 METHODS_CAMPAIGN = Campaign(
     name="methods",
-    data=SCENES,
-    plan=lambda plugins: planned_runs(METHODS, SCENES, SEEDS, plugins),
+    data=[case.data for group in GROUPS for case in group.cases],
+    plan=lambda plugins: planned_runs(METHODS, GROUPS, plugins),
     page="methods.md",
     marks=(BEGIN, END),
     text=page_text,

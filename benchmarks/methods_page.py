@@ -5,17 +5,9 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Sequence
 
-from benchmarks.methods_plan import (
-    BASELINE,
-    METHODS,
-    PROTOCOL,
-    SCENES,
-    SEEDS,
-    Method,
-    MethodRun,
-    Points,
-)
+from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.paired import NONE, difference, spread
+from benchmarks.results_plan import Case
 from benchmarks.training_records import Record
 from registry.comparing.paper_tables import PaperTables, paper_tables
 
@@ -25,11 +17,11 @@ PAPER = "stereogs"
 TITLES: dict[Points, str] = {"own": "Own points", "same": "Same points"}
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several;
-*both* is the mean over the two scenes, and what follows over those that a row has. *to 3DGS* is the mean
+*mean* is over the scenes, and what follows over those that a row has. *to 3DGS* is the mean
 difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
 (Student's t) from three pairs on. *CPU s* is the processor time of loading, initialization and training, over
 all threads, without scoring; nothing came from the cache of prior answers. *MB* is the most memory that the
-process took until scoring. *paper* are averages over all eight LLFF scenes from {source}. {notes}
+process took until scoring. *paper* are averages over all scenes of a data set from {source}. {notes}
 """
 
 
@@ -37,33 +29,51 @@ def page_text(records: Sequence[Record[MethodRun]]) -> str:
     """The measured part of the page, in Markdown."""
     paper = paper_tables(PAPER)
     parts = []
-    for points, title in TITLES.items():
-        own = [record for record in records if record.run.points == points]
-        if own:
-            parts += [f"### {title}\n", _table(own, paper)]
+    for group in GROUPS:
+        for points in group.points:
+            shown = [r for r in records if r.run.points == points and r.run.case in group.cases]
+            if shown:
+                title = f"{TITLES[points]} {group.title}".rstrip()
+                parts += [f"### {title}\n", _table(group, shown, paper)]
     parts.append(NOTES.format(source=paper.source, notes=" ".join(paper.notes)))
     devices = dict.fromkeys(record.measured["device"]["name"] for record in records)
-    planned = sum(len(method.points) for method in METHODS) * len(SCENES) * len(SEEDS)
     parts.append(
-        f"{len(records)} of {planned} runs, on {' and '.join(devices) or 'no device yet'}.\n"
+        f"{len(records)} of {_planned()} runs, on {' and '.join(devices) or 'no device yet'}.\n"
     )
     return "\n".join(parts)
 
 
-def _table(records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
-    headings = ["method", "seeds", *SCENES, "both", "to 3DGS", "SSIM", "LPIPS"]
-    headings += ["Gaussians", "CPU s", "MB", "paper: PSNR", "SSIM", "LPIPS"]
+def _planned() -> int:
+    """How many runs there are in all."""
+    return sum(
+        len(group.cases) * len(group.seeds)
+        for group in GROUPS
+        for method in METHODS
+        for points in group.points
+        if points in method.points
+    )
+
+
+def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
+    scenes = [case.data for case in group.cases]
+    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS"]
+    headings += ["Gaussians", "CPU s", "MB", *_papers_columns(group, paper)]
     baseline = [record for record in records if record.run.method is BASELINE]
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
     for method in METHODS:
         own = [record for record in records if record.run.method is method]
         if own:
-            lines.append([method.title, *_cells(own, baseline), *_published(method, paper)])
+            cells = _cells(group.cases, own, baseline)
+            lines.append([method.title, *cells, *_published(group, method, paper)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _cells(own: Sequence[Record[MethodRun]], baseline: Sequence[Record[MethodRun]]) -> list[str]:
-    by_scene = [[record for record in own if record.run.data == scene] for scene in SCENES]
+def _cells(
+    cases: Sequence[Case],
+    own: Sequence[Record[MethodRun]],
+    baseline: Sequence[Record[MethodRun]],
+) -> list[str]:
+    by_scene = [[record for record in own if record.run.case is case] for case in cases]
     compared = None if own[0].run.method is BASELINE else difference(_psnr(own), _psnr(baseline))
 
     def mean(number: Callable[[Record[MethodRun]], float], form: str) -> str:
@@ -85,13 +95,29 @@ def _cells(own: Sequence[Record[MethodRun]], baseline: Sequence[Record[MethodRun
 
 
 def _psnr(records: Sequence[Record[MethodRun]]) -> dict[tuple[str, int], float]:
-    return {(record.run.data, record.run.seed): record.scores["psnr"] for record in records}
+    return {(record.run.case.data, record.run.seed): record.scores["psnr"] for record in records}
 
 
-def _published(method: Method, paper: PaperTables) -> list[str]:
-    numbers = paper.results[PROTOCOL].get(method.paper) if method.paper else None
-    if numbers is None:
-        return [NONE] * len(paper.metrics)
-    forms = {"psnr": ".2f"}
-    named = zip(paper.metrics, numbers, strict=True)
-    return [format(number, forms.get(name, ".3f")) for name, number in named]
+def _protocols(group: Group) -> list[str]:
+    return list(dict.fromkeys(case.protocol for case in group.cases))
+
+
+def _papers_columns(group: Group, paper: PaperTables) -> list[str]:
+    """All of a paper's metrics by one protocol, of several protocols the first metric by each."""
+    protocols = _protocols(group)
+    if len(protocols) == 1:
+        first, *others = [metric.upper() for metric in paper.metrics]
+        return [f"paper: {first}", *others]
+    return [f"paper: {name}" for name in protocols]
+
+
+def _published(group: Group, method: Method, paper: PaperTables) -> list[str]:
+    protocols = _protocols(group)
+    metrics = paper.metrics if len(protocols) == 1 else paper.metrics[:1]
+    cells = []
+    for protocol in protocols:
+        numbers = paper.results[protocol].get(method.paper) if method.paper else None
+        for index, name in enumerate(metrics):
+            form = ".2f" if name == "psnr" else ".3f"
+            cells.append(NONE if numbers is None else format(numbers[index], form))
+    return cells

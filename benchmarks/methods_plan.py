@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.planned_training import written_digest
-from benchmarks.results_plan import DATA, PIPELINES
+from benchmarks.results_plan import CASES, PIPELINES, Case
 from registry.pipeline.edits import apply_override, set_value
 from registry.pipeline.pipeline import Pipeline, build_pipeline
 from registry.pipeline.yaml_source import Node, Place, read
@@ -19,12 +18,24 @@ from registry.plugins.discovery import Plugins
 Points = Literal["own", "same"]
 """Whether a method starts from the points that it asks for, or from those that all are given."""
 
-PROTOCOL = "llff-3"
-SCENES = ("llff_fern", "llff_flower")
-SEEDS = (0, 1, 2)
 POINTS: tuple[Points, ...] = ("own", "same")
 SAME_POINTS = PIPELINES / "weightfree.yaml"
 """The pipeline whose initializer and prior the methods get in the column *same*."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases that stand in one table.
+
+    Args:
+        title: the table's word for them.
+        points: the columns, a table each.
+    """
+
+    title: str
+    cases: tuple[Case, ...]
+    points: tuple[Points, ...]
+    seeds: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,7 @@ class MethodRun:
 
     method: Method
     points: Points
-    data: str
+    case: Case
     seed: int
     pipeline: Pipeline
     digest: str
@@ -65,7 +76,7 @@ class MethodRun:
     @property
     def name(self) -> str:
         """Of its files."""
-        return f"{self.method.file.stem}_{self.points}_{self.data}_{self.seed}"
+        return f"{self.method.file.stem}_{self.points}_{self.case.data}_{self.seed}"
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -73,7 +84,7 @@ class MethodRun:
         return {
             "method": self.method.file.stem,
             "points": self.points,
-            "data": self.data,
+            "data": self.case.data,
             "seed": self.seed,
         }
 
@@ -134,27 +145,44 @@ METHODS = (
 """In the order in which they train: what the others are compared with first, the dearest last."""
 
 
+def _cases(*names: str) -> tuple[Case, ...]:
+    return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
+
+
+GROUPS = (
+    Group("", _cases("llff_fern-3", "llff_flower-3"), POINTS, (0, 1, 2)),
+    Group(
+        "around objects", _cases("dtu_scan24-3", "dtu_scan65-3", "blender_lego-8"), ("same",), (0,)
+    ),
+)
+
+
 def planned_runs(
-    methods: Sequence[Method], scenes: Sequence[str], seeds: Sequence[int], plugins: Plugins
+    methods: Sequence[Method], groups: Sequence[Group], plugins: Plugins
 ) -> list[MethodRun]:
-    """All runs, the first seed of everything before the second; in each, `NETWORKED` last.
+    """All runs, the first seed of everything before the second; of each group, `NETWORKED` last.
 
     Raises:
         PipelineError: a pipeline cannot be read or contradicts the protocol.
     """
     return [
-        planned_run(method, points, data, seed, plugins)
-        for seed, stereo in product(seeds, (False, True))
-        for data, method in product(scenes, methods)
+        planned_run(method, points, case, seed, plugins)
+        for seed in sorted({seed for group in groups for seed in group.seeds})
+        for group in groups
+        if seed in group.seeds
+        for stereo in (False, True)
+        for case in group.cases
+        for method in methods
         if stereo == (method in NETWORKED)
-        for points in method.points
+        for points in group.points
+        if points in method.points
     ]
 
 
 def planned_run(
-    method: Method, points: Points, data: str, seed: int, plugins: Plugins
+    method: Method, points: Points, case: Case, seed: int, plugins: Plugins
 ) -> MethodRun:
-    """A method on a scene, checked.
+    """A method on a case, checked.
 
     Raises:
         PipelineError: see `planned_runs`.
@@ -164,12 +192,11 @@ def planned_run(
         apply_override(tree, override)
     if points == "same":
         _start_from_the_same(tree)
-    scene = f"scene={{use: llff, path: '${{{DATA}}}/{data}'}}"
     metrics = "metrics=[psnr, ssim, lpips]"
-    for override in (f"protocol={PROTOCOL}", scene, metrics, f"training.seed={seed}"):
+    for override in (*case.overrides, metrics, f"training.seed={seed}"):
         apply_override(tree, override)
     pipeline = build_pipeline(tree, plugins)
-    return MethodRun(method, points, data, seed, pipeline, written_digest(tree))
+    return MethodRun(method, points, case, seed, pipeline, written_digest(tree))
 
 
 def _start_from_the_same(tree: Node) -> None:

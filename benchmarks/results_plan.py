@@ -32,12 +32,14 @@ class Case:
     Args:
         data: the data set's name, which is its folder's too.
         views: how many photographs train.
+        protocol: its name, as in papers' tables.
         overrides: what `--set` would say to both pipelines: the protocol and the scene.
         baseline_overrides: the same for the baseline alone.
     """
 
     data: str
     views: int
+    protocol: str
     overrides: tuple[str, ...]
     baseline_overrides: tuple[str, ...] = ()
 
@@ -100,8 +102,9 @@ METHODS = (
 
 
 def _standard(protocol: str, loader: str, data: str, views: int) -> Case:
+    name = f"{protocol}-{views}"
     scene = f"scene={{use: {loader}, path: '${{{DATA}}}/{data}'}}"
-    return Case(data, views, (f"protocol={protocol}-{views}", scene))
+    return Case(data, views, name, (f"protocol={name}", scene))
 
 
 def _bonsai(views: int) -> Case:
@@ -109,12 +112,13 @@ def _bonsai(views: int) -> Case:
 
     Triangulating grows with the pairs of photographs, minutes here: the baseline starts at random.
     """
-    data = "mip360_bonsai"
+    data, protocol = "mip360_bonsai", f"mipnerf360-{views}"
     return Case(
         data,
         views,
+        protocol,
         (
-            f"protocol={{use: mipnerf360-{views}, modified: [scene.images]}}",
+            f"protocol={{use: {protocol}, modified: [scene.images]}}",
             f"scene={{use: llff, path: '${{{DATA}}}/{data}', images: images_800, bounds: estimate}}",
         ),
         ("initializer=random",),

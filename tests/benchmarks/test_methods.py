@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,9 @@ from rich.console import Console
 from benchmarks import methods_page, training_process, training_records, trainings
 from benchmarks.methods_plan import (
     BASELINE,
+    GROUPS,
     METHODS,
     NETWORKED,
-    SCENES,
-    SEEDS,
     Method,
     MethodRun,
     Points,
@@ -24,12 +24,16 @@ from benchmarks.methods_plan import (
     planned_runs,
 )
 from benchmarks.paired import NONE, difference
+from benchmarks.results_plan import Case
 from benchmarks.training_records import Record
 from registry import RunError
 from registry.plugins.discovery import Plugins
 from registry.session import build_pipeline
 
 PLUGINS = Plugins()
+FACING, OBJECTS = GROUPS
+FERN, _ = FACING.cases
+ROOM = Case("room", 3, "", ())
 TINY = """\
 name: tiny
 scene: {{use: procedural, width: 48, height: 36, test_views: 2, points: 100}}
@@ -52,13 +56,13 @@ def tiny(place: Path, metrics: str = "[psnr, ssim]") -> Path:
 
 
 def run_of(file: Path, seed: int = 0) -> MethodRun:
-    return MethodRun(Method("Tiny", file), "own", "room", seed, build_pipeline(file), "0123456789")
+    return MethodRun(Method("Tiny", file), "own", ROOM, seed, build_pipeline(file), "0123456789")
 
 
 def record(
-    method: Method, data: str, seed: int, psnr: float, points: Points = "own"
+    method: Method, case: Case, seed: int, psnr: float, points: Points = "own"
 ) -> Record[MethodRun]:
-    run = MethodRun(method, points, data, seed, None, "")  # type: ignore[arg-type]
+    run = MethodRun(method, points, case, seed, None, "")  # type: ignore[arg-type]
     measured: dict[str, Any] = {
         "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25},
         "gaussians": 12_345,
@@ -71,21 +75,32 @@ def record(
 
 def test_one_seed_of_everything_comes_before_the_next_and_networks_last_in_it() -> None:
     some = (*NETWORKED, BASELINE)
-    runs = planned_runs(some, SCENES, (0, 1), PLUGINS)
+    runs = planned_runs(some, [replace(FACING, seeds=(0, 1))], PLUGINS)
     assert [run.seed for run in runs] == sorted(run.seed for run in runs)
     first = [run.method in NETWORKED for run in runs if run.seed == 0]
     assert first == sorted(first)
     columns = sum(len(method.points) for method in some)
-    assert len({run.name for run in runs}) == len(runs) == columns * len(SCENES) * 2
-    assert {(run.pipeline.training.seed, run.data) for run in runs} == {
-        (seed, data) for seed in (0, 1) for data in SCENES
+    assert len({run.name for run in runs}) == len(runs) == columns * len(FACING.cases) * 2
+    assert {(run.pipeline.training.seed, run.case) for run in runs} == {
+        (seed, case) for seed in (0, 1) for case in FACING.cases
     }
+
+
+def test_objects_have_one_seed_and_come_before_the_second() -> None:
+    runs = planned_runs((BASELINE,), GROUPS, PLUGINS)
+    around = [run for run in runs if run.case in OBJECTS.cases]
+    assert [run.case.data for run in around] == ["dtu_scan24", "dtu_scan65", "blender_lego"]
+    assert {(run.points, run.seed) for run in around} == {("same", 0)}
+    assert [run.seed for run in runs] == sorted(run.seed for run in runs)
+    for run in around:
+        assert run.pipeline.protocol is not None
+        assert run.pipeline.protocol.written == run.case.protocol
 
 
 def test_the_same_points_are_the_same_for_all() -> None:
     starts = set()
     for method in METHODS:
-        run = planned_run(method, "same", SCENES[0], 0, PLUGINS)
+        run = planned_run(method, "same", FERN, 0, PLUGINS)
         initializer = run.pipeline.one("initializer")
         settings = initializer.settings.model_dump(exclude={"prior", "hand_on_depth"})
         wanted = initializer.settings.model_dump()["prior"]
@@ -96,12 +111,12 @@ def test_the_same_points_are_the_same_for_all() -> None:
 
 
 def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.MonkeyPatch) -> None:
-    here = planned_run(BASELINE, "own", SCENES[0], 0, PLUGINS)
+    here = planned_run(BASELINE, "own", FERN, 0, PLUGINS)
     monkeypatch.setenv("STEREOGS_DATA", "elsewhere")
-    there = planned_run(BASELINE, "own", SCENES[0], 0, PLUGINS)
+    there = planned_run(BASELINE, "own", FERN, 0, PLUGINS)
     assert here.pipeline.to_yaml() != there.pipeline.to_yaml()
     assert here.digest == there.digest
-    assert planned_run(BASELINE, "own", SCENES[0], 1, PLUGINS).digest != here.digest
+    assert planned_run(BASELINE, "own", FERN, 1, PLUGINS).digest != here.digest
 
 
 def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str]:
@@ -160,7 +175,7 @@ def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
     training_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
     assert [one.scores["psnr"] for one in training_records.read([run], tmp_path)] == [20.0]
-    changed = MethodRun(run.method, "own", "room", 0, run.pipeline, "another")
+    changed = MethodRun(run.method, "own", ROOM, 0, run.pipeline, "another")
     assert training_records.read([changed], tmp_path) == []
     next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
     with pytest.raises(RunError, match="cannot be read"):
@@ -184,8 +199,8 @@ def test_a_difference_is_over_pairs_of_scene_and_seed() -> None:
 
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
-    records = [record(BASELINE, data, 0, 16.0) for data in SCENES]
-    records += [record(dropgaussian, SCENES[0], seed, 20.0 + seed) for seed in SEEDS]
+    records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
+    records += [record(dropgaussian, FERN, seed, 20.0 + seed) for seed in FACING.seeds]
     text = methods_page.page_text(records)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
@@ -199,3 +214,18 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     assert "### Own points" in text
     assert "### Same points" not in text
     assert "5 of" in text
+
+
+def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
+    dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
+    records = [record(BASELINE, case, 0, 15.0, "same") for case in OBJECTS.cases]
+    records += [record(dropgaussian, case, 0, 17.5, "same") for case in OBJECTS.cases]
+    text = methods_page.page_text(records)
+    assert "### Same points around objects" in text
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
+    (heads,) = [row for row in rows if row and row[0] == "method"]
+    assert heads[2:7] == ["dtu_scan24", "dtu_scan65", "blender_lego", "mean", "to 3DGS"]
+    assert heads[-2:] == ["paper: dtu-3", "paper: blender-8"]
+    (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
+    assert ours[1:7] == ["1 + 1 + 1", "17.50", "17.50", "17.50", "17.50", "+2.50 ± 0.00"]
+    assert ours[-2:] == [NONE, "24.42"]

@@ -31,7 +31,7 @@ from registry import RunError
 from registry.plugins.discovery import Plugins
 
 ROOM = Case(
-    "room", 3, ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
+    "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
 )
 SEED = LPIPS_SEED + 1
 TINY = """\
@@ -156,7 +156,7 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
         other = Measurement(case, run.method, seed, run.pipeline, run.digest)
         return Record(other, record.measured | {"scores": {"psnr": psnr, "ssim": 0.5}})
 
-    den = Case("room", 4, ())
+    den = Case("room", 4, "", ())
     records = [moved(plain, ROOM, seed, 10) for seed in SEEDS]
     records += [moved(better, ROOM, seed, 12 + seed) for seed in SEEDS]
     records += [moved(better, den, 0, 21)]
