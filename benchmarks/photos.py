@@ -83,8 +83,10 @@ def measure(scene: str, count: int | None) -> Record:
         found = reconstruct(photos, decoder, True, Path(name))
         seconds = time.process_time() - start
         placed = len(found.pieces[0].members) if found.pieces else 0
-        errors = _errors(found, photos, published) if found.pieces else (None, None, None)
-    return Record(scene, len(photos), placed, *errors, seconds)
+        median, largest, focal = (
+            _errors(found, photos, published) if found.pieces else (None, None, None)
+        )
+    return Record(scene, len(photos), placed, median, largest, focal, seconds)
 
 
 def _pictures(scene: str, count: int | None) -> tuple[list[UnposedPhoto], dict[str, Published]]:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from core_rasterizer import Device
 from registry import Context, Disparity
-from stereogs_plugins.priors.sgm import SgmPrior
+from stereogs_plugins.priors.sgm import SgmPrior, SgmSettings
 
 NAMES = ("cones", "tsukuba", "motorcycle", "playground")
 REPEATS = 3
@@ -100,7 +100,7 @@ def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]
             continue
         pair = load_pair(folder)
         for variant, chosen in variants.items():
-            settings = SgmPrior.Settings(max_disparity=pair.largest, **chosen)
+            settings = SgmSettings(max_disparity=pair.largest, **chosen)
             prior = SgmPrior(settings, Context("sgm", 0, device))
             answer = prior.disparity(pair.left, pair.right)
             found = score(answer, pair)
