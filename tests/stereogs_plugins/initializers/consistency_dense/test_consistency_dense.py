@@ -17,6 +17,7 @@ from stereogs_plugins.initializers.consistency_dense import (
     matched,
     stereogs_register_initializers,
 )
+from stereogs_plugins.initializers.sfm import SfmInitializer
 from stereogs_plugins.priors.plane_sweep import PlaneSweep
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
@@ -120,9 +121,10 @@ def test_where_little_is_confirmed_matched_features_are_the_points(
     assert f"starts from {len(points)} matched features" in caplog.text
     assert points.facts["points_by_kind"] == {"matched": len(points)}
     assert points.kinds["matched"].all()
-    assert points.scales is None  # as `sfm` has them
-    assert points.opacities is None
-    assert distance_to_surface(scene, points).median() < 0.003
+    sparse = build(SfmInitializer, source="triangulate").initialize(scene, {})
+    assert torch.equal(points.positions, sparse.positions)
+    assert torch.equal(points.colors, sparse.colors)
+    assert points.scales is points.opacities is None  # as `sfm` has them
     few = dense(scene, in_lowest(0.15), stride=3, max_points=50, **COMPLETE)
     assert len(few) == 50
 
