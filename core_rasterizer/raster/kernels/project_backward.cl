@@ -31,6 +31,15 @@ static inline void prefetch_slots(__global const real *pair_sums, __global const
         PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR);
 }
 
+/* Neither does a processor foresee sixty rows that are written, and an uncached line is read before it is
+ * written. Reaching beyond a row's end does no harm. */
+static inline void prefetch_gradients(__global real *gradients, size_t capacity, size_t i, int count)
+{
+    if (LANES > 1 && i % 16 == 0) /* a cache line */
+        for (int row = 0; row < count; row++)
+            PREFETCH_TO_WRITE(gradients + row * capacity + i + ROWS_AHEAD);
+}
+
 /* What overflowed is no gradient: it becomes 0, so that no step of an optimizer can be undefined. */
 static inline void put(__global real *row, lane value, int accumulate)
 {
@@ -201,6 +210,7 @@ void project_backward(
         pose_sums[k] = 0;
 #endif
     const int rows = ROW_SH + 3 * (degree + 1) * (degree + 1);
+    prefetch_gradients(gradients, stride, i, rows);
     int any = 0;
     for (int l = 0; l < LANES; l++)
         any |= slot_count[i + l] > 0;
