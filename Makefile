@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
 	stress kills fuzz lint types check docs site flight viewer-bundle methods results curve profile \
-	bench-engine bench-error bench-skips bench-left-out bench-photos bench-priors clean help
+	bench-engine bench-peer bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,6 +79,12 @@ methods: $(VENV)/.dev ## every published method on two scenes; rewrites the tabl
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine
+
+# Without what it depends on, which its plain torch path does not need.
+bench-peer: $(VENV)/.dev ## the engine's projection beside gsplat's in plain torch: time and agreement
+	$(PIP) --no-deps --upgrade --target $(VENV)/gsplat gsplat
+	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m pytest tests/benchmarks/test_peer.py
+	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m benchmarks.peer
 
 bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
 	$(BIN)/python -m benchmarks.error --write-docs

@@ -2,65 +2,23 @@ from __future__ import annotations
 
 import io
 import json
-import math
-import shutil
-import signal
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from rich.console import Console
-from torch import Tensor
 
-import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import Fact, PluginError, RunError, Scene, SceneError
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
+from registry import Fact, PluginError, RunError, SceneError
+from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.observing.metrics_log import MetricsLog
 from registry.runs.origin.source_code import checkout
-from registry.runs.run import Run
-from registry.runs.training_run import open_run, resume, start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from registry.training.trainer import Trainer
+from registry.runs.training_run import open_run, start
+from tests.registry.runs.toy_run import pipeline, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
-
-TEXT = """\
-name: toy
-scene: {use: toy_scene, path: here}
-initializer: toy_points
-regularizers: [{use: toy_term, weight: 0.1}]
-modifiers: [toy_dropout]
-densification: {use: toy_growth, every: 10, stop: 25}
-opacity: {use: toy_fade, every: 7}
-metrics: [psnr]
-exporters: [toy_files]
-reports: [toy_report]
-training: {iterations: 30, sh_degree: 1, sh_every: 10, evaluate_every: 20}
-"""
-
-
-def pipeline(plugins: Plugins, *overrides: str) -> Pipeline:
-    return parse_pipeline(TEXT, plugins, source="toy.yaml", overrides=overrides)
-
-
-def run(
-    plugins: Plugins, device: Device, out: Path, *overrides: str
-) -> tuple[RunFolder, bool, str]:
-    stream = io.StringIO()
-    done = start(
-        pipeline(plugins, *overrides), device=device, out=out, console=Console(file=stream)
-    )
-    return done.folder_or_refuse(), done.finished, stream.getvalue()
-
-
-def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
-    return resume(path, plugins=plugins, device=device, console=Console(file=io.StringIO()))
 
 
 def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: Path) -> None:
@@ -184,90 +142,6 @@ def _evaluated(folder: RunFolder) -> list[int]:
     return [line["iteration"] for line in lines if "test" in line]
 
 
-@pytest.fixture
-def _ctrl_c_as_on_a_terminal() -> Iterator[None]:
-    """A shell's background job ignores Ctrl-C, and so would the tests in it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("_ctrl_c_as_on_a_terminal")
-@pytest.mark.parametrize(
-    ("iteration", "number"), [(1, signal.SIGINT), (10, signal.SIGTERM), (17, signal.SIGINT)]
-)
-def test_a_signal_then_resume_ends_in_the_same_bits(
-    toys: Plugins,
-    device: Device,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    iteration: int,
-    number: signal.Signals,
-) -> None:
-    whole = run(toys, device, tmp_path / "whole")[0].results()
-
-    def add_and_interrupt(self: MetricsLog, done: Any, seconds: float, *, last: bool) -> None:
-        if done.number == iteration:
-            signal.raise_signal(number)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(MetricsLog, "add", add_and_interrupt)
-        folder, finished, _ = run(toys, device, tmp_path / "parts")
-    assert not finished
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    assert not (folder.path / "results.json").exists()
-    opened = open_run(folder.path, plugins=toys, device=device)
-    assert opened.iteration == iteration
-    assert resumed(folder.path, toys, device).finished
-    results = folder.results()
-    assert results["hash"] == whole["hash"]
-    assert results["test"] == whole["test"]
-    assert results["gaussians"] == whole["gaussians"]
-    (again,) = json.loads((folder.path / "provenance.json").read_text())["resumed"]
-    assert (again["after"], again["device"]["name"]) == (iteration, device.name)
-
-
-def test_a_second_ctrl_c_stops_at_once(
-    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def impatient(self: MetricsLog, done: Any, seconds: float, *, last: bool) -> None:
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(MetricsLog, "add", impatient)
-    with pytest.raises(KeyboardInterrupt):
-        run(toys, device, tmp_path / "run")
-
-
-def test_a_finished_run_may_be_resumed_to_the_same_results(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    before = folder.results()
-    (folder.path / "results.json").unlink()
-    assert resumed(folder.path, toys, device).finished
-    assert folder.results()["hash"] == before["hash"]
-    assert folder.results()["test"] == before["test"]
-
-
-def test_a_failure_leaves_the_last_checkpoint(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
-    out = tmp_path / "run"
-    with pytest.raises(PluginError, match="not finite") as caught:
-        run(
-            toys,
-            device,
-            out,
-            "regularizers.toy_term.fault=nan",
-            "regularizers.toy_term.start=21",
-            "training.checkpoint_every=8",
-        )
-    assert "iteration 21" in caught.value.where
-    assert open_run(out, plugins=toys, device=device).iteration == 16
-
-
 @pytest.mark.parametrize(
     ("overrides", "kind", "message"),
     [
@@ -329,176 +203,3 @@ def test_the_module_writes_with_the_projects_own_plugins(
     assert results["train"]["psnr"] > 22
     assert 0 < results["test"]["ssim"] < 1
     assert len(load_ply(folder.path / "exports" / "scene.ply")) == results["gaussians"]
-
-
-def test_changed_inputs_are_refused_unless_accepted(
-    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    load = ToyScene.load
-
-    def darker(self: ToyScene) -> Scene:
-        scene = load(self)
-        first = replace(scene.train[0], image=scene.train[0].image * 0.5)
-        return replace(scene, train=(first, *scene.train[1:]))
-
-    monkeypatch.setattr(ToyScene, "load", darker)
-    quiet = Console(file=io.StringIO())
-    with pytest.raises(RunError, match="changed: the photograph of view0\n") as caught:
-        resume(folder.path, plugins=toys, device=device, console=quiet)
-    assert "--accept-changed-inputs" in caught.value.fix
-    assert folder.results()["changed_inputs"] == []
-    again = resume(
-        folder.path, plugins=toys, device=device, console=quiet, accept_changed_inputs=True
-    )
-    assert again.finished
-    assert folder.results()["changed_inputs"] == ["the photograph of view0"]
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
-
-
-def test_a_run_that_kept_no_digests_goes_on(toys: Plugins, device: Device, tmp_path: Path) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    (folder.path / "inputs.json").unlink()
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
-
-
-EDITS = {
-    "iterations: 30": ("iterations: 60", "`iterations: 60` in place of `iterations: 30`"),
-    "seed: 0": ("seed: 5", "`seed: 5` in place of `seed: 0`"),
-    "weight: 0.1": ("weight: 0.2", "`weight: 0.2` in place of `weight: 0.1`"),
-    "opacity: 0.05": ("opacity: 0.06", "`opacity: 0.06` in place of `opacity: 0.05`"),
-}
-
-
-@pytest.mark.parametrize(("line", "edit", "said"), [(k, *v) for k, v in EDITS.items()])
-def test_an_edited_pipeline_is_refused_with_its_line(
-    toys: Plugins, device: Device, tmp_path: Path, line: str, edit: str, said: str
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    text = folder.pipeline.read_text()
-    assert line in text
-    folder.pipeline.write_text(f"# a comment means nothing\n{text}")
-    assert open_run(folder.path, plugins=toys, device=device).finished
-    folder.pipeline.write_text(text.replace(line, edit))
-    with pytest.raises(RunError, match="not the one that the run was made with") as caught:
-        resumed(folder.path, toys, device)
-    assert said in caught.value.what
-    number = int(caught.value.where.rpartition(":")[2])
-    assert folder.pipeline.read_text().splitlines()[number - 1].strip() in caught.value.what
-
-
-def newest(folder: RunFolder) -> Path:
-    return max((folder.path / "checkpoint").iterdir())
-
-
-def test_another_runs_checkpoint_is_refused(toys: Plugins, device: Device, tmp_path: Path) -> None:
-    mine, other = (run(toys, device, tmp_path / name)[0] for name in ("mine", "other"))
-    shutil.rmtree(mine.path / "checkpoint")
-    shutil.copytree(other.path / "checkpoint", mine.path / "checkpoint")
-    with pytest.raises(RunError, match="another run's"):
-        resumed(mine.path, toys, device)
-
-
-def written_anew(folder: RunFolder, **changes: Any) -> None:
-    """A newest checkpoint that somebody has changed, hashes and all."""
-    place = newest(folder)
-    forged = replace(read_checkpoint(place), **changes)
-    shutil.rmtree(place)
-    write_checkpoint(forged, place)
-
-
-def test_an_iteration_beyond_the_end_is_refused(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    written_anew(folder, iteration=1_000_000_000)
-    with pytest.raises(RunError, match="says iteration 1000000000, and the run has 30"):
-        resumed(folder.path, toys, device)
-
-
-MISFITS: dict[str, Callable[[Tensor], Tensor | None]] = {
-    "model/means": lambda t: t[:-1],
-    "model/sh": lambda t: None,
-    "model/opacity_logits": lambda t: t * math.nan,
-    "optimizer/first_moments": lambda t: t[:, :1],
-    "optimizer/steps": lambda t: None,
-    "statistics/screen": lambda t: t[:, :1],
-    "topology/generator": lambda t: t[:9],
-    "views/left": lambda t: torch.tensor([7]),
-    "views/generator": lambda t: None,
-    "components/regularizers.toy_term/generator": lambda t: t.float(),
-    "components/regularizers.toy_term/state/calls": lambda t: None,
-}
-
-
-def test_state_that_does_not_fit_is_explained(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    tensors = read_checkpoint(newest(folder)).tensors
-    for name, change in MISFITS.items():
-        changed = change(tensors[name])
-        rest = {key: value for key, value in tensors.items() if key != name}
-        written_anew(folder, tensors=rest if changed is None else {**rest, name: changed})
-        with pytest.raises(ExplainedError) as caught:
-            resumed(folder.path, toys, device)
-        assert "checkpoint" in caught.value.where, name
-
-
-def test_a_damaged_checkpoint_costs_iterations_and_not_the_run(
-    toys: Plugins, device: Device, tmp_path: Path
-) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run", "training.checkpoint_every=20")
-    before = folder.results()
-    (newest(folder) / "tensors.safetensors").write_bytes(b"")
-    again = resumed(folder.path, toys, device)
-    assert again.finished
-    assert folder.results()["hash"] == before["hash"]
-    assert [line["iteration"] for line in again.metrics] == [30]
-
-
-def test_a_run_can_be_resumed_from_its_first_moment(
-    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = run(toys, device, tmp_path / "whole")[0].results()
-
-    def die(self: Trainer) -> None:
-        raise SystemError
-
-    monkeypatch.setattr(Trainer, "run", die)
-    with pytest.raises(SystemError):
-        run(toys, device, tmp_path / "run")
-    monkeypatch.undo()
-    assert resumed(tmp_path / "run", toys, device).hash == whole["hash"]
-
-
-def test_checkpoints_are_saved_by_the_clock_too(
-    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    saved: list[int] = []
-    save = Run.save_checkpoint
-
-    def noted(self: Run) -> None:
-        saved.append(self.iteration)
-        save(self)
-
-    monkeypatch.setattr(Run, "save_checkpoint", noted)
-    run(toys, device, tmp_path / "slow")
-    assert saved == [30]
-    monkeypatch.setattr(training_run, "AUTOMATIC_SECONDS", 0.0)
-    monkeypatch.setattr(training_run, "AUTOMATIC_SHARE", 1e9)
-    saved.clear()
-    folder, _, _ = run(toys, device, tmp_path / "quick", "training.iterations=3")
-    assert saved == [1, 2, 3, 3]
-    assert [path.name for path in sorted((folder.path / "checkpoint").iterdir())] == [
-        "iteration-0000002",
-        "iteration-0000003",
-    ]
-
-
-def test_a_run_at_work_is_left_alone(toys: Plugins, device: Device, tmp_path: Path) -> None:
-    folder, _, _ = run(toys, device, tmp_path / "run")
-    lines = (folder.path / "metrics.jsonl").read_text()
-    with folder.to_itself(), pytest.raises(RunError, match="in use by another process"):
-        resumed(folder.path, toys, device)
-    assert (folder.path / "metrics.jsonl").read_text() == lines

@@ -1,0 +1,19 @@
+"""The reference projection against gsplat's, which shares no line with it."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.peer import disagreement
+
+
+def test_projection_and_its_gradients_are_those_of_gsplat():
+    peer = pytest.importorskip(
+        "gsplat.cuda._torch_impl", reason="`make bench-peer` installs gsplat", exc_type=ImportError
+    )
+    found = disagreement(peer, 300)
+    assert set(found) == {
+        *("places", "conics", "colours"),
+        *(f"gradient of {name}" for name in ("means", "quaternions", "log_scales", "sh")),
+    }
+    assert max(found.values()) < 1e-12

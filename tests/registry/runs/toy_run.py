@@ -1,0 +1,50 @@
+"""A short run of toy components, to its end or resumed."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from rich.console import Console
+
+from core_rasterizer import Device
+from registry.pipeline.pipeline import Pipeline, parse_pipeline
+from registry.plugins.discovery import Plugins
+from registry.runs.folder import RunFolder
+from registry.runs.run import Run
+from registry.runs.training_run import resume, start
+
+TEXT = """\
+name: toy
+scene: {use: toy_scene, path: here}
+initializer: toy_points
+regularizers: [{use: toy_term, weight: 0.1}]
+modifiers: [toy_dropout]
+densification: {use: toy_growth, every: 10, stop: 25}
+opacity: {use: toy_fade, every: 7}
+metrics: [psnr]
+exporters: [toy_files]
+reports: [toy_report]
+training: {iterations: 30, sh_degree: 1, sh_every: 10, evaluate_every: 20}
+"""
+
+
+def pipeline(plugins: Plugins, *overrides: str) -> Pipeline:
+    """The toy run's pipeline."""
+    return parse_pipeline(TEXT, plugins, source="toy.yaml", overrides=overrides)
+
+
+def run(
+    plugins: Plugins, device: Device, out: Path, *overrides: str
+) -> tuple[RunFolder, bool, str]:
+    """Trained: its folder, whether it is finished, and what was printed."""
+    stream = io.StringIO()
+    done = start(
+        pipeline(plugins, *overrides), device=device, out=out, console=Console(file=stream)
+    )
+    return done.folder_or_refuse(), done.finished, stream.getvalue()
+
+
+def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
+    """The same from its last checkpoint on."""
+    return resume(path, plugins=plugins, device=device, console=Console(file=io.StringIO()))
