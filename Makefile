@@ -83,7 +83,7 @@ bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 # Without what it depends on, which its plain torch path does not need.
 bench-peer: $(VENV)/.dev ## the engine's projection beside gsplat's in plain torch: time and agreement
 	$(PIP) --no-deps --upgrade --target $(VENV)/gsplat gsplat
-	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m pytest tests/benchmarks/test_peer.py
+	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m pytest tests/core_rasterizer/test_against_gsplat.py
 	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m benchmarks.peer
 
 bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
