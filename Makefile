@@ -98,7 +98,7 @@ bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out: how 
 bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
 
-bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, hours; rewrites its table in docs; resumable
+bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, over an hour; rewrites its table in docs; resumable
 	$(BIN)/python -m benchmarks.skips --write-docs
 
 profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage; rewrites its page in docs
