@@ -2,7 +2,8 @@
 
 gsplat (Ye et al. 2024) keeps, beside its CUDA kernels, each of them in plain torch. Of these the projection
 of Gaussians and their colours run without a CUDA card, its rasterization does not. So the two are compared on
-the same scene, in one run, forward and backward, and held to one another in double precision:
+the same scene, in one run, forward and backward (our kernels also cull and find extents), and held to one
+another in double precision:
 `core_rasterizer.reference` to gsplat, which share no line.
 """
 
@@ -26,7 +27,6 @@ from benchmarks.yardsticks import all_torch_threads
 from core_rasterizer import Camera, Gaussians, open_device, reference
 
 COUNTS = (10_000, 126_000)
-NEAR = 0.2
 Parts = dict[str, Tensor]
 """What a projection makes of all Gaussians: places, ellipses and colours."""
 
@@ -51,7 +51,7 @@ def gsplat_projection(peer: Any, parameters: Parts, camera: Camera) -> Parts:
         intrinsics[None],
         camera.width,
         camera.height,
-        near_plane=NEAR,
+        near_plane=reference.NEAR,
     )
     colours = peer._spherical_harmonics(3, means, parameters["sh"]) + 0.5
     return {"places": places[0], "conics": conics[0], "colours": colours.clamp_min(0)}
@@ -66,7 +66,6 @@ def reference_projection(parameters: Parts, camera: Camera) -> tuple[Parts, Tens
         parameters["opacity_logits"].sigmoid(),
         parameters["sh"],
         camera,
-        near=NEAR,
     )
     inverse = torch.linalg.inv(seen.covariances)
     conics = torch.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], 1)

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.peer import disagreement
 
 
-def test_projection_and_its_gradients_are_those_of_gsplat():
+def test_projection_and_its_gradients_are_those_of_gsplat() -> None:
     peer = pytest.importorskip(
         "gsplat.cuda._torch_impl", reason="`make bench-peer` installs gsplat", exc_type=ImportError
     )
