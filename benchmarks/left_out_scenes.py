@@ -17,7 +17,7 @@ OVERRIDES = {f"{case.data}-{case.views}": case.overrides for case in CASES} | {
         f"scene={{use: nerfstudio, path: '${{{DATA}}}/mview_temple', train_views: {views}}}",
         "metrics=[psnr, ssim]",
     )
-    for views in (9, 12)
+    for views in (9, 12, 20)
 }
 """What `--set` would say for a scene, by data set and number of training views."""
 TURN = 0.7

@@ -18,7 +18,7 @@ from .protocol_rules import AppliedProtocol, apply_protocol
 from .ready import find_pipeline
 from .schedule import HostSettings, Schedule, in_iterations
 from .settings_check import escape_variables, plain, validate_settings
-from .training_settings import TrainingSettings, iterations_of_a_run, per_view
+from .training_settings import TrainingSettings, iterations_of_a_run, per_view, plain_training
 from .yaml_source import Node, Place, parse, read, to_yaml
 
 
@@ -108,10 +108,12 @@ class Pipeline:
         return replace(self, items=items, training=training, iterations_per_view=None)
 
     def for_views(self, views: int) -> Pipeline:
-        """The pipeline for a scene with so many training views: as long as it says for them."""
+        """The pipeline for a scene with so many training views: as long, with such steps, as it says for them."""
         if self.iterations_per_view is None:
             return self
-        return self.scaled(self.iterations_per_view * views)
+        scaled = self.scaled(self.iterations_per_view * views)
+        rates = scaled.training.learning_rates.for_views(views)
+        return replace(scaled, training=scaled.training.model_copy(update={"learning_rates": rates}))
 
     def wrote(self, text: str) -> bool:
         """Whether a run of it, with however many training views, has such a pipeline file in its folder."""
@@ -131,7 +133,7 @@ class Pipeline:
                 continue  # as in pipelines of before there were observers
             bare = point.holds == "one" or (point.holds == "one or list" and len(written) < 2)
             tree[point.section] = (written[0] if written else None) if bare else written
-        tree["training"] = self.training.model_dump(mode="json")
+        tree["training"] = plain_training(self.training)
         if self.iterations_per_view is not None:
             tree["training"]["iterations"] = f"{self.iterations_per_view} per view"
         return tree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field
 
@@ -22,6 +22,9 @@ _IN_A_RUN = re.compile(r"^training:\n  iterations: ([0-9]{1,9})$", re.MULTILINE)
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[int, Field(ge=1)]
+
+
+_RATES = ("position", "position_final", "sh_constant", "sh_rest", "opacity", "scale", "rotation")
 
 
 class LearningRates(Settings):
@@ -45,6 +48,17 @@ class LearningRates(Settings):
     """Of the quaternions."""
     final_share: Annotated[float, Field(ge=0, le=1)] = 1.0
     """What is left at the end of all rates but that of the means; half a cosine leads there."""
+    views: Positive | None = None
+    """Training views up to which the rates are these, where each view brings iterations; with more, all are
+    lower in proportion: twice the steps, half as long. Null: they are these for any number."""
+
+    def for_views(self, views: int) -> Self:
+        """The rates for so many training views."""
+        if self.views is None:
+            return self
+        factor = min(1.0, self.views / views)
+        changed = {name: factor * getattr(self, name) for name in _RATES}
+        return self.model_copy(update={**changed, "views": None})
 
 
 class TrainingSettings(Settings):
@@ -98,6 +112,17 @@ class TrainingSettings(Settings):
             "learning_rates": rates,
         }
         return self.model_validate({**self.model_dump(), **changes})
+
+
+def plain_training(settings: TrainingSettings) -> dict[str, Any]:
+    """Plain values for a pipeline file, every default written out.
+
+    But for `learning_rates.views` where it is not set, as in pipelines of before there was one.
+    """
+    values = settings.model_dump(mode="json")
+    if settings.learning_rates.views is None:
+        del values["learning_rates"]["views"]
+    return values
 
 
 def per_view(settings: Mapping[str, Node]) -> tuple[dict[str, Node], int | None]:

@@ -89,8 +89,37 @@ def test_iterations_for_each_view_are_written_so(toys: Plugins) -> None:
     assert (again.to_yaml(), again.iterations_per_view) == (text, 200)
 
 
+RATES = ("position", "position_final", "sh_constant", "sh_rest", "opacity", "scale", "rotation")
+
+
+@pytest.mark.parametrize(("views", "share"), [(1, 1), (6, 1), (12, 1 / 2), (24, 1 / 4)])
+def test_many_views_take_more_and_shorter_steps(toys: Plugins, views: int, share: float) -> None:
+    asked = per_view(toys, "training.learning_rates.views=6")
+    written = asked.training.learning_rates
+    found = asked.for_views(views).training.learning_rates
+    for name in RATES:
+        assert getattr(found, name) == pytest.approx(share * getattr(written, name), rel=1e-12)
+    assert (found.final_share, found.views) == (written.final_share, None)
+
+
+def test_rates_hold_for_any_number_of_views_unless_it_is_said(toys: Plugins) -> None:
+    asked = per_view(toys)
+    assert "views" not in asked.plain()["training"]["learning_rates"]
+    rates = asked.for_views(40).training.learning_rates
+    assert [getattr(rates, name) for name in RATES] == [
+        getattr(asked.training.learning_rates, name) for name in RATES
+    ]
+
+
+def test_the_number_of_views_of_the_rates_is_written(toys: Plugins) -> None:
+    text = per_view(toys, "training.learning_rates.views=6").to_yaml()
+    assert "    views: 6\n" in text
+    assert parse_pipeline(text, toys).to_yaml() == text
+
+
 def test_a_pipeline_knows_what_its_runs_wrote(toys: Plugins) -> None:
-    for asked in (per_view(toys), pipeline(toys)):
+    rates_too = per_view(toys, "training.learning_rates.views=3")
+    for asked in (per_view(toys), pipeline(toys), rates_too):
         wrote = asked.for_views(5).to_yaml()
         assert asked.wrote(wrote)
         assert not asked.wrote(wrote.replace("sh_every", "sh_never"))
