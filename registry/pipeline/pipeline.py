@@ -108,12 +108,14 @@ class Pipeline:
         return replace(self, items=items, training=training, iterations_per_view=None)
 
     def for_views(self, views: int) -> Pipeline:
-        """The pipeline for a scene with so many training views: as long, with such steps, as it says for them."""
+        """The pipeline for a scene with so many training views: its length and rates are what it says for them."""
         if self.iterations_per_view is None:
             return self
         scaled = self.scaled(self.iterations_per_view * views)
         rates = scaled.training.learning_rates.for_views(views)
-        return replace(scaled, training=scaled.training.model_copy(update={"learning_rates": rates}))
+        return replace(
+            scaled, training=scaled.training.model_copy(update={"learning_rates": rates})
+        )
 
     def wrote(self, text: str) -> bool:
         """Whether a run of it, with however many training views, has such a pipeline file in its folder."""
