@@ -108,7 +108,7 @@ class Pipeline:
         return replace(self, items=items, training=training, iterations_per_view=None)
 
     def for_views(self, views: int) -> Pipeline:
-        """The pipeline for a scene with so many training views: its length and rates are what it says for them."""
+        """The pipeline for so many training views: its length and rates are what it says for them."""
         if self.iterations_per_view is None:
             return self
         scaled = self.scaled(self.iterations_per_view * views)
