@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from core_rasterizer import Device
 from tests.core_rasterizer.training import short_training
 
@@ -14,6 +16,7 @@ def test_five_runs_give_one_digest(device: Device) -> None:
     assert len({short_training(device) for _ in range(5)}) == 1
 
 
+@pytest.mark.proof
 def test_one_thread_and_two_threads_give_one_digest() -> None:
     """In processes of their own, since PoCL reads its number of threads when it is loaded."""
     units, digests = [], []

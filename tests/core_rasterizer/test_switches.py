@@ -147,7 +147,11 @@ def test_each_degree_of_the_exponential_has_its_error(device: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dtype", "bound"), [(torch.float32, 1e-6), (torch.float64, 1e-12)], ids=["float", "double"]
+    ("dtype", "bound"),
+    [
+        pytest.param(torch.float32, 1e-6, id="float"),
+        pytest.param(torch.float64, 1e-12, id="double", marks=pytest.mark.proof),
+    ],
 )
 def test_tiles_and_vectors_of_any_size_give_the_same_images_and_gradients(
     device: Device, dtype: torch.dtype, bound: float
