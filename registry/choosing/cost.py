@@ -8,9 +8,9 @@ from ..errors import RunError
 
 LEAST_ITERATIONS = 50
 """Fewer are no training worth the seconds before and after it."""
-CLOSING = 0.6
+CLOSING = 0.35
 """Checkpoints, exports and pages, as a part of the seconds that quick scores of all views take: both are
-decoding, drawing and compressing of as many pictures on one core."""
+decoding, drawing and compressing of as many pictures."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,9 @@ Clock = Callable[[], float]
 
 MOMENTS = (1 / 8, 3 / 8, 5 / 8, 7 / 8)
 """Parts of the run in whose middle iterations are measured: photographs may be small at first."""
-WARM_UP = 3
-"""Iterations that are not counted: kernels are loaded, buffers find their sizes."""
+WARM_UP, WARM = 3, 1
+"""Iterations that are not counted: before all others kernels are loaded and buffers find their sizes, at
+later moments of the run photographs may change theirs."""
 MOST_MEASURED = 10
 """Iterations at each moment."""
 
@@ -64,19 +65,24 @@ def rehearse(beginning: Beginning, count: int, clock: Clock, seconds: float) -> 
     model = new_model(gaussians, pipeline.training, beginning.device)
     parts = Parts(pipeline, beginning.device)
     trainer = Trainer(pipeline.training, parts, scene, model, beginning.points.maps)
-    spans = []
+    spans: list[tuple[float, int]] = []
     for moment in MOMENTS:
-        trainer.iteration = max(0, int(moment * pipeline.training.iterations) - WARM_UP)
-        spans.append(_measured(trainer, clock, seconds / len(MOMENTS)))
+        skipped = WARM if spans else WARM_UP
+        trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
+        spans.append(_measured(trainer, skipped, clock, seconds / len(MOMENTS)))
     iteration = fmean(took / done for took, done in spans)
     done = sum(done for _, done in spans)
     return Measured(iteration, _after(beginning, model, parts, clock), done, len(gaussians))
 
 
-def _measured(trainer: Trainer, clock: Clock, seconds: float) -> tuple[float, int]:
-    """Seconds of some iterations from where the trainer is, and how many they were."""
+def _measured(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tuple[float, int]:
+    """Seconds of some iterations from where the trainer is, and how many they were.
+
+    Args:
+        skipped: not counted, the first so many.
+    """
     done, begin = 0, clock()
-    for count, _ in enumerate(trainer.run(), 1 - WARM_UP):
+    for count, _ in enumerate(trainer.run(), 1 - skipped):
         if count <= 0:
             begin = clock()
             continue

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from ..contract.scene import View
+from ..photos import in_parallel
 from ..system.files import replacing
 
 if TYPE_CHECKING:
@@ -93,9 +94,12 @@ def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPi
     depth = depth_picture(rendering)
     for file in (files.depth, files.comparison):
         file.parent.mkdir(exist_ok=True)
-    save_png(rendering.rgb, files.render)
-    save_png(depth, files.depth, _depth_texts(rendering))
-    save_png(side_by_side(view.image, rendering.rgb, depth), files.comparison)
+    pictures = [
+        (rendering.rgb, files.render, None),
+        (depth, files.depth, _depth_texts(rendering)),
+        (side_by_side(view.image, rendering.rgb, depth), files.comparison, None),
+    ]
+    in_parallel(lambda picture: save_png(*picture), pictures)
     return files
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from registry.photos import in_parallel
+
 from .completing.back_layer import back_layer
 from .completing.margin import margin
 from .layers import Layer, joined, surface
@@ -25,39 +27,47 @@ def surfaces(
         bounds: (near, far) z-depth of the scene's content, world units.
         merge: leave out confirmed points on surfaces that an earlier view confirms.
     """
-    confirmed = [surface(view, view.confirmed > 0, stride) for view in views]
-    if merge:
-        for index, layer in enumerate(confirmed):
-            earlier = [views[k] for k in _witnesses(views, index, bounds) if k < index]
-            cameras, depths = [o.camera for o in earlier], [o.confirmed for o in earlier]
-            confirmed[index] = layer.without(covered(layer.positions, cameras, depths))
-    filled = [surface(view, view.filled > 0, stride) for view in views]
-    return {"confirmed": joined(confirmed), "filled": joined(filled)}
+
+    def confirmed(index: int) -> Layer:
+        layer = surface(views[index], views[index].confirmed > 0, stride)
+        if not merge:
+            return layer
+        earlier = [views[k] for k in _witnesses(views, index, bounds) if k < index]
+        cameras, depths = [o.camera for o in earlier], [o.confirmed for o in earlier]
+        return layer.without(covered(layer.positions, cameras, depths))
+
+    def filled(view: ViewDepth) -> Layer:
+        return surface(view, view.filled > 0, stride)
+
+    return {
+        "confirmed": joined(in_parallel(confirmed, range(len(views)))),
+        "filled": joined(in_parallel(filled, views)),
+    }
 
 
 def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """The back layers of all views, as far as other views neither refute nor replace them."""
-    layers = []
-    for index, view in enumerate(views):
-        layer = back_layer(view)
+
+    def replacing(index: int) -> Layer:
+        layer = back_layer(views[index])
         others = [views[k] for k in _witnesses(views, index, bounds)]
         cameras = [other.camera for other in others]
         layer = layer.without(hides(layer.positions, cameras, [o.confirmed for o in others]))
-        layers.append(
-            layer.without(covered(layer.positions, cameras, [o.completed for o in others]))
-        )
-    return joined(layers)
+        return layer.without(covered(layer.positions, cameras, [o.completed for o in others]))
+
+    return joined(in_parallel(replacing, range(len(views))))
 
 
 def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """The margins of all views, outside the images of all others."""
-    layers = []
-    for index, view in enumerate(views):
-        layer = margin(view)
+
+    def outside(index: int) -> Layer:
+        layer = margin(views[index])
         others = [views[k] for k in _witnesses(views, index, bounds)]
         cameras, depths = [o.camera for o in others], [o.completed for o in others]
-        layers.append(layer.without(overlooked(layer.positions, cameras, depths)))
-    return joined(layers)
+        return layer.without(overlooked(layer.positions, cameras, depths))
+
+    return joined(in_parallel(outside, range(len(views))))
 
 
 def _witnesses(views: Sequence[ViewDepth], index: int, bounds: tuple[float, float]) -> list[int]:

@@ -137,13 +137,17 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _confirmed(self, scene: TrainingScene, choices: Sequence[Choice]) -> list[DepthImage]:
         """Confirmed depths of each view, without small patches."""
+        from registry.photos import in_parallel
+
         from .confirming.geometric_filter import without_small_patches
 
         least = self.settings.min_component
-        confirmed = [
-            without_small_patches(choice.confirmed, min_pixels=least, max_step=PATCH_STEP)
-            for choice in choices
-        ]
+        confirmed = in_parallel(
+            lambda choice: without_small_patches(
+                choice.confirmed, min_pixels=least, max_step=PATCH_STEP
+            ),
+            choices,
+        )
         empty = [view.name for view, d in zip(scene.train, confirmed, strict=True) if not d.any()]
         if len(empty) == len(confirmed):
             raise SceneError(
@@ -221,8 +225,10 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     ) -> PointCloud:
         import torch
 
+        from registry.photos import in_parallel
+
         from .layers import joined
-        from .view_depth import PICTURE_COLUMNS
+        from .view_depth import PICTURE_COLUMNS, ViewDepth
 
         settings, points = self.settings, joined(list(layers.values()))
         chosen = self._chosen(len(points))
@@ -247,9 +253,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
                 "views": {view.view.name: view.facts() for view in views},
             },
-            pictures={
-                f"{view.view.name.removesuffix('.png')}_depth": view.picture() for view in views
-            },
+            pictures=dict(
+                zip(
+                    (f"{view.view.name.removesuffix('.png')}_depth" for view in views),
+                    in_parallel(ViewDepth.picture, views),
+                    strict=True,
+                )
+            ),
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
             kinds={kind: kinds[chosen] == number for number, kind in enumerate(layers)},
         )

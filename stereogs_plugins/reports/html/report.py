@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import pydantic
 
 from registry import Register, Report, Scene, Settings, hookimpl, write_text
+from registry.photos import in_parallel
 from registry.web_page import (
     Cell,
     choice,
@@ -139,10 +140,9 @@ def _initialization(run: RunFiles) -> str:
     apart = (_BY_KIND, _COLUMNS, _BY_VIEW)
     facts = {name: value for name, value in run.initialization.items() if name not in apart}
     columns = headings(run.initialization.get(_COLUMNS, ()))
-    pictures = {
-        path.stem: figure(path.stem, columns + image(path, path.stem))
-        for path in run.initial_pictures
-    }
+    paths = run.initial_pictures
+    figures = in_parallel(lambda path: figure(path.stem, columns + image(path, path.stem)), paths)
+    pictures = {path.stem: its for path, its in zip(paths, figures, strict=True)}
     by_kind: Mapping[str, int] = run.initialization.get(_BY_KIND, {})
     return (
         subsection("Initial points by kind", _kinds(by_kind))

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from registry import RAMP, ViewPictures, depth_ends, ramp_picture
+from registry.photos import in_parallel
 from registry.web_page import choice, color_scale, figure, grid, image, note, wipe
 
 from .scores import score
@@ -31,11 +32,10 @@ _LONGEST_SIDE = 1000
 
 def unseen_views(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
     """A part for each test view that has a render, of which one is shown at a time."""
-    parts = {}
-    for view in _some(scene.test):
-        files = ViewPictures.of(view.name, folder / RENDERS)
-        if files.render.is_file() and files.depth.is_file():
-            parts[view.name] = _part(view, files, results)
+    files = {view: ViewPictures.of(view.name, folder / RENDERS) for view in _some(scene.test)}
+    shown = [view for view, its in files.items() if its.render.is_file() and its.depth.is_file()]
+    made = in_parallel(lambda view: _part(view, files[view], results), shown)
+    parts = {view.name: part for view, part in zip(shown, made, strict=True)}
     text = f"{len(parts)} of {len(scene.test)} test views; the others lie in the folder {RENDERS}."
     remark = note(text) if 0 < len(parts) < len(scene.test) else ""
     return choice("view", parts) + remark

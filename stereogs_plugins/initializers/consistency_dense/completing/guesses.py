@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from registry.photos import in_parallel
+
 from ..layers import is_background
 from ..other_views import hides
 from ..projection import lift, pixel_centers
@@ -37,11 +39,11 @@ def guesses(
     """
     cameras = [view.camera for view in scene.train]
     asked = list(map(Evidence.of, scene.train, confirmed)) if shown.wide else []
-    filled = []
-    for index, view in enumerate(scene.train):
+
+    def filled(index: int) -> DepthImage:
+        view = scene.train[index]
         if not confirmed[index].any():  # nothing to guess from
-            filled.append(confirmed[index].copy())
-            continue
+            return confirmed[index].copy()
         depth = fill_holes(view.image.numpy(), confirmed[index])
         points = lift(view.camera, *pixel_centers(view.camera), depth)
         others = witnesses(cameras, index, scene.bounds)
@@ -51,8 +53,9 @@ def guesses(
             depth[miscolored(points, view.image.numpy(), view.camera, evidence)] = 0
         depth[is_background(view.image.numpy(), scene.background)] = 0
         depth[shown.backgrounds[index]] = 0
-        filled.append(depth)
-    return filled
+        return depth
+
+    return in_parallel(filled, range(len(scene.train)))
 
 
 def confirmed_share(confirmed: Sequence[DepthImage], filled: Sequence[DepthImage]) -> float:

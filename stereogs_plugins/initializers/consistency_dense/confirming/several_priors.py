@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from registry.photos import in_parallel
+
 from .geometric_filter import Limits, supported
 
 if TYPE_CHECKING:
@@ -49,18 +51,17 @@ def most_confirmed(
     Args:
         answers: of each prior, for each view `[H, W]` depths, 0 where unknown.
     """
-    choices = []
-    for index in range(len(cameras)):
+
+    def choice(index: int) -> Choice:
         found = [supported(cameras, depths, index, limits) for depths in answers]
         prior = np.argmax([votes for _, votes in found], axis=0)  # the first of equals
-        choices.append(
-            Choice(
-                answer=_chosen([depths[index] for depths in answers], prior),
-                confirmed=_chosen([confirmed for confirmed, _ in found], prior),
-                prior=prior,
-            )
+        return Choice(
+            answer=_chosen([depths[index] for depths in answers], prior),
+            confirmed=_chosen([confirmed for confirmed, _ in found], prior),
+            prior=prior,
         )
-    return choices
+
+    return in_parallel(choice, range(len(cameras)))
 
 
 def _chosen(depths: Sequence[DepthImage], prior: NDArray[np.intp]) -> DepthImage:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from registry.photos import in_parallel
+
 from ..image_filters import lowest_and_highest
 from ..other_views import FREE_SPACE
 from ..projection import inside, lift, pixel_centers, project
@@ -93,9 +95,12 @@ def without_outvoted(
         bounds: (near, far) z-depth of the scene's content, world units.
     """
     cameras = [view.camera for view in views]
-    evidence = [Evidence.of(view, depth) for view, depth in zip(views, depths, strict=True)]
-    kept = []
-    for index, (view, depth) in enumerate(zip(views, depths, strict=True)):
+    evidence = in_parallel(
+        lambda index: Evidence.of(views[index], depths[index]), range(len(views))
+    )
+
+    def not_outvoted(index: int) -> DepthImage:
+        view, depth = views[index], depths[index]
         points = lift(view.camera, *pixel_centers(view.camera), depth)
         balance = np.zeros(depth.shape, dtype=np.intp)
         for other in witnesses(cameras, index, bounds):
@@ -103,7 +108,9 @@ def without_outvoted(
                 points, view.image.numpy(), view.camera
             )
             balance += confirmed.astype(np.intp) - past - miscolored
-        kept.append(np.where(balance < 0, np.float32(0), depth))
+        return np.where(balance < 0, np.float32(0), depth)
+
+    kept = in_parallel(not_outvoted, range(len(views)))
     return kept if any(depth.any() for depth in kept) else list(depths)
 
 
