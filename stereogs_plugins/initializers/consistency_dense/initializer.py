@@ -168,7 +168,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
         if not self.settings.fill:
             return _nothing(confirmed)
-        found = guesses(scene, confirmed, shown)
+        found = guesses(scene, confirmed, shown, also_shown=self.settings.fill_shown)
         share = confirmed_share(confirmed, found)
         if share >= LEAST_CONFIRMED:
             return found

@@ -42,6 +42,9 @@ class ConsistencyDenseSettings(Settings):
     """Guess depths where none is confirmed, from neighbours of the same colour; not where a pixel shows
     the scene's background. If less than a quarter of what would then be known is confirmed, nothing is
     guessed, and matched features are the points, as of `sfm`, unless there are few."""
+    fill_shown: bool = True
+    """With `fill`: guess also where a confirmed point of another view falls that has the pixel's colour.
+    Without, there are fewer points, and fewer wrong ones around objects (docs/engine_notes.md)."""
     back_layer: bool = False
     """Put coarse points of the background's colour behind the edges of the foreground."""
     margin: bool = False

@@ -12,6 +12,7 @@ from ..projection import lift, pixel_centers
 from ..understanding.contradictions import Evidence, miscolored
 from ..witnesses import witnesses
 from .fill import fill_holes
+from .shown_elsewhere import shown_elsewhere
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,29 +30,41 @@ a toy before white it is 33 %, and they gain 0.4 dB (docs/engine_notes.md)."""
 
 
 def guesses(
-    scene: TrainingScene, confirmed: Sequence[DepthImage], shown: Understanding
+    scene: TrainingScene,
+    confirmed: Sequence[DepthImage],
+    shown: Understanding,
+    *,
+    also_shown: bool = True,
 ) -> list[DepthImage]:
     """Depths `[H, W]` of each view where none is confirmed, 0 where nothing is to be guessed.
 
     Args:
         confirmed: of each view, 0 in holes.
         shown: what the photographs show; nothing is guessed on a plain background.
+        also_shown: guess also where a confirmed point of another view falls that has the pixel's colour.
     """
     cameras = [view.camera for view in scene.train]
-    asked = list(map(Evidence.of, scene.train, confirmed)) if shown.wide else []
+    images = [view.image.numpy() for view in scene.train]
+    asked: list[Evidence] = []
+    if shown.wide or not also_shown:
+        asked = in_parallel(
+            lambda index: Evidence.of(scene.train[index], confirmed[index]), range(len(images))
+        )
 
     def filled(index: int) -> DepthImage:
-        view = scene.train[index]
+        camera, image = cameras[index], images[index]
         if not confirmed[index].any():  # nothing to guess from
             return confirmed[index].copy()
-        depth = fill_holes(view.image.numpy(), confirmed[index])
-        points = lift(view.camera, *pixel_centers(view.camera), depth)
+        depth = fill_holes(image, confirmed[index])
+        points = lift(camera, *pixel_centers(camera), depth)
         others = witnesses(cameras, index, scene.bounds)
         depth[hides(points, [cameras[k] for k in others], [confirmed[k] for k in others])] = 0
-        if asked:
-            evidence = [asked[k] for k in others]
-            depth[miscolored(points, view.image.numpy(), view.camera, evidence)] = 0
-        depth[is_background(view.image.numpy(), scene.background)] = 0
+        evidence = [asked[k] for k in others] if asked else []
+        if shown.wide:
+            depth[miscolored(points, image, camera, evidence)] = 0
+        if not also_shown:
+            depth[shown_elsewhere(asked[index], evidence, [images[k] for k in others])] = 0
+        depth[is_background(image, scene.background)] = 0
         depth[shown.backgrounds[index]] = 0
         return depth
 

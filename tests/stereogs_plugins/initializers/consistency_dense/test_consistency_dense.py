@@ -168,6 +168,26 @@ def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> 
     assert ((layers.colors[guessed:] - 1).abs() > 2 / 255).any(dim=1).all()
 
 
+def test_what_another_view_shows_need_not_be_guessed(scene: Scene) -> None:
+    first = scene.train[0].name
+
+    def right_half_unknown(view: View) -> Tensor:
+        depth = true_depth(view).clone()
+        if view.name == first:
+            depth[:, depth.shape[1] // 2 :] = 0
+        return depth
+
+    every, fewer = (
+        dense(scene, right_half_unknown, fill=True, fill_shown=also) for also in (True, False)
+    )
+    shares = [points.facts["views"][first]["filled"] for points in (every, fewer)]
+    assert shares[0] > 0.4
+    assert shares[1] < 0.6 * shares[0]
+    counts = [points.facts["points_by_kind"] for points in (every, fewer)]
+    assert counts[0]["confirmed"] == counts[1]["confirmed"]
+    assert counts[0]["filled"] > counts[1]["filled"]
+
+
 def test_size_follows_distance_stride_and_sigma(scene: Scene) -> None:
     points = dense(scene, stride=4, sigma=0.5)
     view = scene.train[0]
