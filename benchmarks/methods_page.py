@@ -20,7 +20,8 @@ PSNR is over a scene's test views, ± the sample standard deviation over seeds w
 *mean* is over the scenes, and what follows over those that a row has. *to 3DGS* is the mean
 difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
 (Student's t) from three pairs on. *CPU s* is the processor time of loading, initialization and training, over
-all threads, without scoring; nothing came from the cache of prior answers. *MB* is the most memory that the
+all threads, without scoring, over the scenes that were trained on the machine, if there are several; nothing
+came from the cache of prior answers. *MB* is the most memory that the
 process took until scoring. *paper* are averages over all scenes of a data set from {source}. {notes}
 """
 
@@ -36,10 +37,8 @@ def page_text(records: Sequence[Record[MethodRun]]) -> str:
                 title = f"{TITLES[points]} {group.title}".rstrip()
                 parts += [f"### {title}\n", _table(group, shown, paper)]
     parts.append(NOTES.format(source=paper.source, notes=" ".join(paper.notes)))
-    devices = dict.fromkeys(record.measured["device"]["name"] for record in records)
-    parts.append(
-        f"{len(records)} of {_planned()} runs, on {' and '.join(devices) or 'no device yet'}.\n"
-    )
+    devices = " and ".join(_devices(records)) or "no device yet"
+    parts.append(f"{len(records)} of {_planned()} runs, on {devices}.\n")
     return "\n".join(parts)
 
 
@@ -56,14 +55,15 @@ def _planned() -> int:
 
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
-    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS"]
-    headings += ["Gaussians", "CPU s", "MB", *_papers_columns(group, paper)]
+    devices = _devices(records)
+    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS", "Gaussians"]
+    headings += [*_times(devices), "MB", *_papers_columns(group, paper)]
     baseline = [record for record in records if record.run.method is BASELINE]
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
     for method in METHODS:
         own = [record for record in records if record.run.method is method]
         if own:
-            cells = _cells(group.cases, own, baseline)
+            cells = _cells(group.cases, own, baseline, devices)
             lines.append([method.title, *cells, *_published(group, method, paper)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
@@ -72,13 +72,17 @@ def _cells(
     cases: Sequence[Case],
     own: Sequence[Record[MethodRun]],
     baseline: Sequence[Record[MethodRun]],
+    devices: Sequence[str],
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
     compared = None if own[0].run.method is BASELINE else difference(_psnr(own), _psnr(baseline))
 
-    def mean(number: Callable[[Record[MethodRun]], float], form: str) -> str:
-        means = [statistics.mean(map(number, records)) for records in by_scene if records]
-        return format(statistics.mean(means), form)
+    def mean(
+        number: Callable[[Record[MethodRun]], float], form: str, device: str | None = None
+    ) -> str:
+        scenes = [[r for r in records if device in (None, _device(r))] for records in by_scene]
+        means = [statistics.mean(map(number, records)) for records in scenes if records]
+        return format(statistics.mean(means), form) if means else NONE
 
     psnr = mean(lambda record: record.scores["psnr"], ".2f")
     return [
@@ -89,9 +93,25 @@ def _cells(
         mean(lambda record: record.scores["ssim"], ".3f"),
         mean(lambda record: record.scores["lpips"], ".3f"),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
-        mean(lambda record: record.measured["cpu_seconds"], ",.0f"),
+        *(mean(lambda record: record.measured["cpu_seconds"], ",.0f", d) for d in devices),
         mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),
     ]
+
+
+def _device(record: Record[MethodRun]) -> str:
+    """The name of the device that it was trained on."""
+    return str(record.measured["device"]["name"])
+
+
+def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:
+    return list(dict.fromkeys(map(_device, records)))
+
+
+def _times(devices: Sequence[str]) -> list[str]:
+    """A heading for each machine's times, which say nothing about another's."""
+    if len(devices) == 1:
+        return ["CPU s"]
+    return [f"CPU s, {name.removeprefix('pthread-')}" for name in devices]
 
 
 def _psnr(records: Sequence[Record[MethodRun]]) -> dict[tuple[str, int], float]:
