@@ -229,3 +229,18 @@ def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert ours[1:7] == ["1 + 1 + 1", "17.50", "17.50", "17.50", "17.50", "+2.50 ± 0.00"]
     assert ours[-2:] == [NONE, "24.42"]
+
+
+def test_times_of_several_machines_stand_in_columns_of_their_own() -> None:
+    records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
+    elsewhere = {"device": {"name": "pthread-another"}, "cpu_seconds": 27.1}
+    records[1] = replace(records[1], measured=records[1].measured | elsewhere)
+    records.append(record(METHODS[1], FERN, 0, 20.0))
+    text = methods_page.page_text(records)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
+    (heads,) = [row for row in rows if row and row[0] == "method"]
+    assert heads[8:12] == ["Gaussians", "CPU s, a processor", "CPU s, another", "MB"]
+    (both,) = [row for row in rows if row and row[0] == BASELINE.title]
+    (one,) = [row for row in rows if row and row[0] == METHODS[1].title]
+    assert both[9:11] == ["68", "27"]
+    assert one[9:11] == ["68", NONE]
