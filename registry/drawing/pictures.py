@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from ..contract.scene import View
-from ..photos import in_parallel
 from ..system.files import replacing
+from ..system.parallel import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from ..system.parallel import in_parallel
     from .arrays import read_array, read_arrays
     from .cameras.bounds import Bounds, estimate_bounds
     from .cameras.colmap_files import ColmapCamera, ColmapImage, ColmapPoint
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
     from .images.image_source import ImageSourceSettings
     from .images.opening import open_image
-    from .images.parallel import in_parallel
     from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
     from .loaded_photos import LoadedPhotos
     from .posed_photos import PosedPhoto, load_views

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..contract.scene import View
+from ..system.parallel import in_parallel
 from .cameras.undistortion import undistort
 from .images.decoder import Decoder, read_mask
 from .images.image_files import find_image
-from .images.parallel import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

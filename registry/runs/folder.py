@@ -216,7 +216,7 @@ class RunFolder:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
         from ..drawing.pictures import save_png
-        from ..photos import in_parallel
+        from ..system.parallel import in_parallel
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)

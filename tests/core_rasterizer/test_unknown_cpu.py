@@ -81,6 +81,9 @@ with FileIO("/proc/self/mem", "r+b") as memory:
         print("elsewhere")
         raise SystemExit
     before = found[0][1]
+    if not {name!r} and before == b"generic\\0":
+        print("elsewhere")  # this processor's own name does not build
+        raise SystemExit
     memory.seek(found[0][0])
     memory.write({name!r} or before)
     print(self_test(device).passed)
@@ -100,7 +103,7 @@ def outcome_for_a_processor_named(name: bytes, **environment: str) -> list[str]:
     )
     answers = result.stdout.split()
     if answers == ["elsewhere"]:
-        pytest.skip("the driver keeps no name here")
+        pytest.skip("the driver keeps no name here, or none that builds")
     return answers
 
 

@@ -1,7 +1,7 @@
-"""Work on many photographs at once.
+"""Work on many photographs or views at once.
 
-Each thread holds one photograph at full size (3 or 4 bytes a pixel) and its result; a view in memory
-takes 12 bytes a pixel of the training size.
+Each thread holds what its work takes: one photograph at full size is 3 or 4 bytes a pixel, a view in memory
+12 bytes a pixel of the training size.
 """
 
 from __future__ import annotations
