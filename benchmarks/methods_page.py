@@ -6,9 +6,10 @@ import statistics
 from collections.abc import Callable, Sequence
 
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
-from benchmarks.paired import NONE, difference, spread
 from benchmarks.results_plan import Case
+from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record
+from registry.ablation.showing.paired import difference
 from registry.comparing.paper_tables import PaperTables, paper_tables
 
 BEGIN = "<!-- measured: `make methods` rewrites everything from here to the end mark -->"
@@ -89,7 +90,7 @@ def _cells(
         " + ".join(str(len(records)) for records in by_scene),
         *(spread([record.scores["psnr"] for record in records]) for records in by_scene),
         psnr if all(by_scene) else NONE,
-        NONE if compared is None else str(compared),
+        NONE if compared is None else compared.text(),
         mean(lambda record: record.scores["ssim"], ".3f"),
         mean(lambda record: record.scores["lpips"], ".3f"),
         mean(lambda record: record.measured["gaussians"], ",.0f"),

@@ -6,9 +6,10 @@ import statistics
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TypeVar
 
-from benchmarks.paired import NONE, difference, spread
 from benchmarks.results_plan import CASES, METHODS, SEEDS, Measurement, Method
+from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
+from registry.ablation.showing.paired import difference
 
 Record = AnyRecord[Measurement]
 Records = Sequence[Record]
@@ -101,7 +102,7 @@ def _to_plain(records: Records, method: Method) -> str:
         for plain in (False, True)
     }
     found = difference(psnr[False], psnr[True])
-    return NONE if found is None else str(found)
+    return NONE if found is None else found.text()
 
 
 def _mean_of(name: str, form: str = ".3f") -> Cells:

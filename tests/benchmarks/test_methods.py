@@ -23,8 +23,8 @@ from benchmarks.methods_plan import (
     planned_run,
     planned_runs,
 )
-from benchmarks.paired import NONE, difference
 from benchmarks.results_plan import Case
+from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry import RunError
 from registry.plugins.discovery import Plugins
@@ -180,21 +180,6 @@ def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
     next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
     with pytest.raises(RunError, match="cannot be read"):
         training_records.read([run], tmp_path)
-
-
-def test_a_difference_is_over_pairs_of_scene_and_seed() -> None:
-    baseline = {("fern", seed): 10.0 * seed + 5 for seed in range(3)}
-    ours = {("fern", seed): 10.0 * seed + 5 + gain for seed, gain in enumerate((1.0, 2.0, 3.0))}
-    alone = {("flower", 2): 99.0}
-    found = difference(ours | alone, baseline)
-    assert found is not None
-    assert found.half is not None
-    assert found.mean == pytest.approx(2)
-    # Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
-    assert found.half == pytest.approx(2.4841, abs=1e-3)
-    del ours["fern", 2]
-    assert str(difference(ours, baseline)) == "+1.50"
-    assert difference(alone, baseline) is None
 
 
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:

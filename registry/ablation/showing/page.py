@@ -11,6 +11,7 @@ from ..planning.plan import Plan
 from ..running.folder import AblationFolder
 from . import table
 from .against_time import Reference, against_time
+from .differences import differences
 from .plots import plots
 from .samples import read_curves
 from .scores import Results
@@ -32,6 +33,7 @@ def as_page(
             "what comes before and after."
         ),
         *(_table(plan, results, title, scene) for title, scene in table.titles(plan)),
+        *_differences(plan, results),
         *(note(line) for line in table.notes(plan, results)),
         section("Against seconds", against_time(plan, results, curves, references)),
         section("Plots", grid(list(plots(plan, results)))),
@@ -54,6 +56,19 @@ def _table(plan: Plan, results: Results, caption: str, scene: str | None) -> str
     ]
     head = [*chosen, *measured, *(["runs"] * incomplete)]
     return score_table(head, rows, names=len(chosen), caption=caption)
+
+
+def _differences(plan: Plan, results: Results) -> list[str]:
+    gained = differences(plan, results)
+    if gained is None:
+        return []
+    chosen, _ = table.headings(plan, results)
+    rows = []
+    for combination, texts in zip(plan.combinations, gained.rows, strict=True):
+        toggles, choices = table.labels(combination)
+        rows.append([Cell(text) for text in (*toggles, *choices, *texts)])
+    head = [*chosen, *gained.headings]
+    return [score_table(head, rows, names=len(chosen), caption=gained.title)]
 
 
 def _pictures(plan: Plan, results: Results, folder: AblationFolder, scene: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rich import box
@@ -13,9 +14,10 @@ from ...messages.terminal import PlainConsole
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder
 from . import scores
+from .differences import NONE, Differences, differences
 from .scores import COUNTS, Column, Figure, Results
 
-TICK, CROSS, NONE = "✓", "✗", "-"
+TICK, CROSS = "✓", "✗"
 _WIDTH = 400
 """Characters; wide enough that no cell is ever cut."""
 
@@ -87,6 +89,9 @@ def as_text(plan: Plan, results: Results) -> str:
     console = PlainConsole(file=file, width=_WIDTH, markup=False, highlight=False)
     for title, scene in titles(plan):
         console.print(_table(plan, results, f"{plan.name}, {title}", scene))
+    gained = differences(plan, results)
+    if gained is not None:
+        console.print(_differences(plan, results, gained))
     for line in notes(plan, results):
         console.print(line)
     return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
@@ -97,6 +102,9 @@ def notes(plan: Plan, results: Results) -> list[str]:
     lines = [f"{NONE} {name}: {reason}" for name, reason in scores.unavailable(results).items()]
     if len(plan.seeds) > 1:
         lines.append(f"± standard deviation over {len(plan.seeds)} seeds")
+    gained = differences(plan, results)
+    if gained is not None:
+        lines.append(gained.note)
     everywhere = scores.without_effect(plan, results)
     lines += [_same(plan, group, "") for group in everywhere]
     for scene in plan.scenes if len(plan.scenes) > 1 else ():
@@ -141,18 +149,31 @@ def _exact(number: float | None) -> str:
 
 
 def _table(plan: Plan, results: Results, title: str, scene: str | None) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    chosen, measured = headings(plan, results)
-    for heading in chosen:
-        table.add_column(heading, justify="center")
-    for heading in measured:
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = _empty(title, *headings(plan, results))
     found = rows(plan, results, scene)
     incomplete = any(row.progress for row in found)
     if incomplete:
         table.add_column("runs", justify="right")
     for row in found:
         table.add_row(*row.toggles, *row.values, *row.numbers, *([row.progress] * incomplete))
+    return table
+
+
+def _differences(plan: Plan, results: Results, gained: Differences) -> Table:
+    chosen, _ = headings(plan, results)
+    table = _empty(f"{plan.name}, {gained.title}", chosen, gained.headings)
+    for combination, texts in zip(plan.combinations, gained.rows, strict=True):
+        toggles, choices = labels(combination)
+        table.add_row(*toggles, *choices, *texts)
+    return table
+
+
+def _empty(title: str, chosen: Sequence[str], measured: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for heading in chosen:
+        table.add_column(heading, justify="center")
+    for heading in measured:
+        table.add_column(heading, justify="right", no_wrap=True)
     return table
 
 

@@ -179,7 +179,7 @@ def test_the_page_stands_alone_and_escapes(made: Plan, tmp_path: Path) -> None:
     assert "<view>" not in text
     assert "<b>" in page.text
     assert "opacity on, opacity.factor 0.6, psnr 21" in page.text
-    assert page.tags.count("table") == 3
+    assert page.tags.count("table") == 4, "the mean, two scenes, differences"
     assert page.tags.count("svg") == 2, "psnr and ssim against the factor"
     assert page.tags.count("circle") == 4, "two points a plot; the row that is off has none"
     # For each scene the photograph, and each combination's render and depth for the first seed.

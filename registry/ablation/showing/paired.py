@@ -1,26 +1,23 @@
-"""Means over seeds with their spread, and differences over pairs with their interval."""
+"""Differences over pairs of runs, with their interval."""
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
-
-from scipy.stats import t as student  # type: ignore[attr-defined]  # its stubs lack distributions
 
 Pair = TypeVar("Pair", bound=Hashable)
 
 ENOUGH_PAIRS = 3
 """Pairs from which on a difference has an interval."""
 CONFIDENCE = 0.95
-NONE = "\u2013"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a method is from the baseline, in dB.
+    """How far runs are from those that they are compared with.
 
     Args:
         mean: over the pairs.
@@ -30,8 +27,10 @@ class Difference:
     mean: float
     half: float | None
 
-    def __str__(self) -> str:
-        return f"{self.mean:+.2f}" + ("" if self.half is None else f" ± {self.half:.2f}")
+    def text(self, decimals: int = 2) -> str:
+        """`+0.31 ± 0.08`, without the second number if there is none."""
+        mean = f"{self.mean:+.{decimals}f}"
+        return mean if self.half is None else f"{mean} ± {self.half:.{decimals}f}"
 
 
 def difference(values: Mapping[Pair, float], baseline: Mapping[Pair, float]) -> Difference | None:
@@ -39,6 +38,8 @@ def difference(values: Mapping[Pair, float], baseline: Mapping[Pair, float]) -> 
 
     Its interval is Student's t, from `ENOUGH_PAIRS` pairs on.
     """
+    from scipy.stats import t as student  # type: ignore[attr-defined]  # its stubs lack distributions
+
     pairs = [value - baseline[key] for key, value in values.items() if key in baseline]
     if not pairs:
         return None
@@ -47,11 +48,3 @@ def difference(values: Mapping[Pair, float], baseline: Mapping[Pair, float]) -> 
         return Difference(mean, None)
     quantile = float(student.ppf((1 + CONFIDENCE) / 2, count - 1))
     return Difference(mean, quantile * statistics.stdev(pairs) / math.sqrt(count))
-
-
-def spread(values: Sequence[float], form: str = ".2f") -> str:
-    """A mean, with the sample standard deviation where there are several."""
-    if not values:
-        return NONE
-    mean = format(statistics.mean(values), form)
-    return mean if len(values) == 1 else f"{mean} ± {statistics.stdev(values):{form}}"
