@@ -10,8 +10,8 @@ from ...web_page import Axis, Cell, Line, Point, grid, line_plot, note, score_ta
 from ..planning.plan import Plan
 from . import scores
 from .samples import Curves, Sample, curve, front, reached
-from .scores import Column, Figure, Results
-from .table import NONE, best_of
+from .scores import NONE, Column, Figure, Results
+from .table import best_of
 
 MOMENTS = (5, 20, 120)
 """Seconds at which all are compared."""

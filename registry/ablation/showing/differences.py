@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from ..planning.plan import Combination, Plan
 from . import scores
 from .paired import CONFIDENCE, ENOUGH_PAIRS, difference
-from .scores import Column, Results
-
-NONE = "-"
+from .scores import NONE, Column, Results
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,10 @@ COUNTS = {
 """Measurements of results.json beside the metrics, and their headings."""
 
 
+NONE = "-"
+"""A cell without a number."""
+
+
 @dataclass(frozen=True)
 class Column:
     """Something that was measured.

@@ -14,8 +14,8 @@ from ...messages.terminal import PlainConsole
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder
 from . import scores
-from .differences import NONE, Differences, differences
-from .scores import COUNTS, Column, Figure, Results
+from .differences import Differences, differences
+from .scores import COUNTS, NONE, Column, Figure, Results
 
 TICK, CROSS = "✓", "✗"
 _WIDTH = 400
