@@ -46,14 +46,12 @@ class Method:
         title: the table's word for it.
         file: its pipeline.
         paper: the row of the StereoGS paper's tables, or None.
-        overrides: what `--set` would say.
         points: the columns it has.
     """
 
     title: str
     file: Path
     paper: str | None = None
-    overrides: tuple[str, ...] = ()
     points: tuple[Points, ...] = POINTS
 
 
@@ -93,33 +91,10 @@ def _short(title: str, name: str, paper: str | None = None) -> Method:
     return Method(title, PIPELINES / "methods" / f"{name}-short.yaml", paper)
 
 
-def _stereogs(title: str, name: str, paper: str) -> Method:
-    """StereoGS in 2,000 iterations, scaled by 1/15, with IterMVS and HITNet.
-
-    Two stereo passes in each iteration would take an hour of a processor: the network is asked again
-    when the render it has seen has changed, as in pipelines/stereogs_weightfree.yaml.
-    """
-    models = "${STEREOGS_MODELS}"
-    overrides = (
-        f"priors.multi_view.model='{models}/itermvs/itermvs_blendedmvs.onnx'",
-        "priors.multi_view.min_confidence=0.3",
-        f"priors.stereo.model='{models}/hitnet_eth3d/hitnet_eth3d.onnx'",
-        "priors.stereo.family=generic",
-        "priors.stereo.max_disparity=128",
-        "regularizers.stereo_depth.start=66.7%",
-        "regularizers.stereo_depth.refresh_threshold=0.01",
-        "densification.start=100",
-        "opacity.start=3.35%",
-        "training.iterations=2000",
-        "training.sh_every=67",
-    )
-    return Method(title, PIPELINES / f"{name}.yaml", paper, overrides)
-
-
 BASELINE = _short("3DGS", "3dgs", "3dgs")
 NETWORKED = (
-    _stereogs("StereoGS", "stereogs", "stereogs"),
-    _stereogs("StereoGS, dropout", "stereogs_dropout", "stereogs_drop"),
+    Method("StereoGS", PIPELINES / "stereogs_short.yaml", "stereogs"),
+    Method("StereoGS, dropout", PIPELINES / "stereogs_dropout_short.yaml", "stereogs_drop"),
 )
 """Methods whose networks take most of the time."""
 METHODS = (
@@ -188,8 +163,6 @@ def planned_run(
         PipelineError: see `planned_runs`.
     """
     tree = read(method.file)
-    for override in method.overrides:
-        apply_override(tree, override)
     if points == "same":
         _start_from_the_same(tree)
     metrics = "metrics=[psnr, ssim, lpips]"

@@ -52,8 +52,9 @@ def test_the_papers_schedule_and_numbers() -> None:
     assert pipeline.items["modifiers"] == ()
 
 
-def test_the_starred_rows_differ_by_dropout_alone() -> None:
-    plain, starred = load("stereogs"), load("stereogs_dropout")
+@pytest.mark.parametrize("short", ["", "_short"])
+def test_the_starred_rows_differ_by_dropout_alone(short: str) -> None:
+    plain, starred = load(f"stereogs{short}"), load(f"stereogs_dropout{short}")
     assert only(starred, "modifiers").settings.model_dump() == {
         "rate": 0.3,
         "ramp": False,
@@ -65,8 +66,9 @@ def test_the_starred_rows_differ_by_dropout_alone() -> None:
     assert starred.training == plain.training
 
 
-def test_the_short_one_has_the_same_parts_at_the_same_shares() -> None:
-    paper, short = load("stereogs"), load("stereogs_weightfree")
+@pytest.mark.parametrize("name", ["stereogs_weightfree", "stereogs_short"])
+def test_the_short_ones_have_the_same_parts_at_the_same_shares(name: str) -> None:
+    paper, short = load("stereogs"), load(name)
     for section in ("initializer", "regularizers", "densification", "opacity"):
         assert only(short, section).host.use == only(paper, section).host.use
     for section in ("regularizers", "densification", "opacity"):
