@@ -177,7 +177,11 @@ def _start_from_the_same(tree: Node) -> None:
     place = Place(SAME_POINTS.name)
     given = deepcopy(read(SAME_POINTS))
     initializer, own = _parts(given, "initializer"), _parts(tree, "initializer")
-    initializer.pop("fill_shown")  # younger than the first records: the points stay what they were
+    for younger in (
+        "fill_shown",
+        "background_range",
+    ):  # than the first records, which had their defaults
+        initializer.pop(younger)
     if "hand_on_depth" in own:  # a loss of the method needs it, the points do not change
         initializer["hand_on_depth"] = own["hand_on_depth"]
     initializer["prior"] = Node(_plane_sweep(tree, place), place)

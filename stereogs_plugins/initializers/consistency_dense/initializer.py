@@ -168,7 +168,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
         if not self.settings.fill:
             return _nothing(confirmed)
-        found = guesses(scene, confirmed, shown, also_shown=self.settings.fill_shown)
+        found = guesses(
+            scene,
+            confirmed,
+            shown,
+            background_range=self.settings.background_range,
+            also_shown=self.settings.fill_shown,
+        )
         share = confirmed_share(confirmed, found)
         if share >= LEAST_CONFIRMED:
             return found
@@ -205,7 +211,8 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         if settings.margin:
             coarse["margin"] = margins(views, bounds)
         for kind, layer in coarse.items():
-            layers[kind] = layer.without(is_background(layer.colors, scene.background))
+            empty = is_background(layer.colors, scene.background, settings.background_range)
+            layers[kind] = layer.without(empty)
         return {
             kind: layer.without(shown.refutes(layer.positions, guessed=kind != "confirmed"))
             for kind, layer in layers.items()

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .view_depth import ViewDepth
 
-SAME_COLOR = 2 / 255
-"""Difference of each channel up to which a colour is the background's."""
 SAME_SURFACE = 0.05
 """Relative depth difference up to which pixels of one cell show one surface."""
 
@@ -46,13 +44,16 @@ class Layer:
         return Layer(self.positions[~dropped], self.colors[~dropped], self.spacings[~dropped])
 
 
-def is_background(colors: NDArray[np.float32], background: Sequence[float]) -> Mask:
+def is_background(colors: NDArray[np.float32], background: Sequence[float], levels: int) -> Mask:
     """Which colours `[..., 3]` are the scene's background, which is drawn where no Gaussian is.
 
     A guess of that colour says nothing, and stands in front of what other views may know.
+
+    Args:
+        levels: of 255; each channel must differ by less.
     """
     background_color = np.asarray(background, np.float32)
-    result: Mask = (np.abs(colors - background_color) < SAME_COLOR).all(axis=-1)
+    result: Mask = (np.abs(colors - background_color) < levels / 255).all(axis=-1)
     return result
 
 

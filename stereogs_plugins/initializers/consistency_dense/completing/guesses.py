@@ -34,6 +34,7 @@ def guesses(
     confirmed: Sequence[DepthImage],
     shown: Understanding,
     *,
+    background_range: int,
     also_shown: bool = True,
 ) -> list[DepthImage]:
     """Depths `[H, W]` of each view where none is confirmed, 0 where nothing is to be guessed.
@@ -41,6 +42,7 @@ def guesses(
     Args:
         confirmed: of each view, 0 in holes.
         shown: what the photographs show; nothing is guessed on a plain background.
+        background_range: 8-bit levels up to which a colour is the background, where nothing is guessed.
         also_shown: guess also where a confirmed point of another view falls that has the pixel's colour.
     """
     cameras = [view.camera for view in scene.train]
@@ -64,7 +66,7 @@ def guesses(
             depth[miscolored(points, image, camera, evidence)] = 0
         if not also_shown:
             depth[shown_elsewhere(asked[index], evidence, [images[k] for k in others])] = 0
-        depth[is_background(image, scene.background)] = 0
+        depth[is_background(image, scene.background, background_range)] = 0
         depth[shown.backgrounds[index]] = 0
         return depth
 
