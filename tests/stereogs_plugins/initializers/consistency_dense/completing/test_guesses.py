@@ -92,12 +92,13 @@ def test_confirmed_points_stay_where_hardly_any_feature_is_matched(
     assert sparse["filled"] == 0
 
 
-def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> None:
-    def right_half_unknown(view: View) -> Tensor:
-        depth = true_depth(view).clone()
-        depth[:, depth.shape[1] // 2 :] = 0
-        return depth
+def right_half_unknown(view: View) -> Tensor:
+    depth = true_depth(view).clone()
+    depth[:, depth.shape[1] // 2 :] = 0
+    return depth
 
+
+def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> None:
     def with_empty_rows(view: View) -> View:
         image = view.image.clone()
         image[:60] = 1
@@ -113,6 +114,25 @@ def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> 
     layers = dense(empty, right_half_unknown, **COMPLETE)
     guessed = layers.facts["points_by_kind"]["confirmed"]  # those come first
     assert ((layers.colors[guessed:] - 1).abs() > 2 / 255).any(dim=1).all()
+
+
+def test_a_backdrop_may_miss_the_background_by_a_few_levels(scene: Scene) -> None:
+    def nearly_white_within(view: View) -> View:
+        image = view.image.clone()
+        image[60:120, 150:230] = 1 - 10 / 255
+        return replace(view, image=image)
+
+    white = replace(
+        scene, train=tuple(map(nearly_white_within, scene.train)), background=(1.0, 1, 1)
+    )
+    shares = [
+        dense(white, right_half_unknown, background_range=levels, **COMPLETE).facts["views"][
+            scene.train[0].name
+        ]["filled"]
+        for levels in (2, 9, 12)
+    ]
+    assert shares[0] == shares[1]
+    assert shares[2] == pytest.approx(shares[0] - 60 * 80 / (189 * 252), abs=0.01)
 
 
 def test_what_another_view_shows_need_not_be_guessed(scene: Scene) -> None:
