@@ -1,4 +1,4 @@
-"""Images brought to a size that a network takes, and its answers brought back.
+"""Images brought to a size that a network takes, its answers brought back, maps brought to a render's size.
 
 Sizes are (height, width). A graph may leave a side open, for any multiple of a number, or freeze it.
 """
@@ -17,6 +17,7 @@ __all__ = [
     "Padding",
     "Size",
     "ValueRange",
+    "at_size",
     "full_size_maps",
     "in_range",
     "padded",
@@ -181,3 +182,23 @@ def full_size_maps(
             fix="export the graph with an output at the size of its images, or name the one that is",
         )
     return answer.reshape(shape)
+
+
+def at_size(pixels: Tensor, height: int, width: int) -> Tensor:
+    """A map of a photograph's pixels at the size of a render of it, which samplers may make smaller.
+
+    Each pixel takes the value of the one that its middle falls into; nothing is averaged, so that depths
+    of two surfaces and what is unknown stay apart. A map of that size is returned as it is.
+
+    Args:
+        pixels: `[H, W]` of any type.
+        height, width: of the render.
+    """
+    import torch
+
+    rows, columns = pixels.shape
+    if (rows, columns) == (height, width):
+        return pixels
+    down = (torch.arange(height) * 2 + 1) * rows // (2 * height)
+    right = (torch.arange(width) * 2 + 1) * columns // (2 * width)
+    return pixels[down[:, None], right]

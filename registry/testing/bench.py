@@ -62,6 +62,7 @@ class Bench:
         device: where the Gaussians live.
         priors: what components are given.
         size: how large the scene is.
+        shrink: renders have so many times fewer columns and rows than photographs, as samplers may ask.
 
     Attributes:
         seconds: what the component's own methods took so far.
@@ -71,6 +72,7 @@ class Bench:
     device: Device
     priors: dict[str, Prior[Any]]
     size: Size = SMALL
+    shrink: int = 1
     seconds: float = field(default=0.0, init=False)
     megabytes: float | None = field(default=None, init=False)
 
@@ -123,7 +125,8 @@ class Bench:
     def begun(self) -> Moment:
         """Before the render."""
         model = self.model()
-        return Moment(step_of(model, self.scene, priors=self.priors, maps=self.maps()), model)
+        step = step_of(model, self.scene, priors=self.priors, maps=self.maps(), shrink=self.shrink)
+        return Moment(step, model)
 
     def rendered(self, *, absolute: bool = False) -> Moment:
         """After the render; there is one other field.
@@ -134,11 +137,11 @@ class Bench:
         moment = self.begun()
         step = moment.step
         rendering = moment.model.render(
-            step.view.camera, collect_statistics=True, collect_absolute=absolute
+            step.sample.camera, collect_statistics=True, collect_absolute=absolute
         )
         other = self.model()
         look = StepRenderer(other, step.sample, gradients=False)
-        seen = OtherField(1, other.reader(), look(step.view.camera), look)
+        seen = OtherField(1, other.reader(), look(step.sample.camera), look)
         step.rendered(lambda: rendering, (seen,))
         return moment
 

@@ -55,7 +55,8 @@ def check(
     Its settings are written and read back. It is asked what the host would ask on a small scene, on
     images of 320 x 240 with 5,000 Gaussians, on a scene with nothing in view and on images of one pixel
     with one Gaussian; on the last two it may refuse with an error that explains itself
-    (`registry.PluginError`, `registry.SceneError`). What works in the training loop is trained with,
+    (`registry.PluginError`, `registry.SceneError`), and so it may where renders have half the photographs'
+    size, as samplers may ask. What works in the training loop is trained with,
     stopped and resumed after each iteration, while Gaussians come and go. An observer hears a run that is
     stopped and resumed, and one that fails.
 
@@ -87,6 +88,8 @@ def check(
         with suppress(Refusal):
             _at_size(component, chosen, bench, size)
     if point.section in TRAINING_SECTIONS:
+        with suppress(Refusal):
+            _at_size(component, chosen, bench, bench.size, shrink=2)
         rehearse(component, chosen, bench)
     if point.observes:
         listen(component, chosen, bench)
@@ -110,9 +113,11 @@ def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -
     return answer
 
 
-def _at_size(component: type[Component[Any]], settings: Settings, small: Bench, size: Size) -> Cost:
+def _at_size(
+    component: type[Component[Any]], settings: Settings, small: Bench, size: Size, shrink: int = 1
+) -> Cost:
     """What an answer at another size costs."""
-    bench = Bench(small.device, small.priors, size)
+    bench = Bench(small.device, small.priors, size, shrink)
     built = _built(component, settings, bench)
     ASK[point_of(component).section](bench, built)
     return Cost(bench.seconds, bench.megabytes)

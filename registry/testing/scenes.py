@@ -102,6 +102,7 @@ def step_of(
     priors: Mapping[str, Prior[Any]] | None = None,
     maps: Mapping[str, DepthMap] | None = None,
     log: Callable[[str, float], None] | None = None,
+    shrink: int = 1,
 ) -> Step:
     """An iteration that looks at a scene's first training view, for tests of one's own.
 
@@ -114,11 +115,14 @@ def step_of(
         priors: prior models by name.
         maps: the initializer's depth by the view's name.
         log: what `step.log` calls; None only checks that it is given a name and a number.
+        shrink: the sample's camera and target have so many times fewer columns and rows than the view.
     """
     known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
     extent = known.extent if extent is None else extent
     view = known.train[0]
-    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
+    camera = view.camera.resized(-(-view.camera.width // shrink), -(-view.camera.height // shrink))
+    target = view.image[::shrink, ::shrink].contiguous()
+    sample = Sample(view, camera, target, known.background, model.sh_degree)
     step = Step(
         iteration=iteration,
         iterations=iterations,

@@ -19,6 +19,7 @@ from registry import (
     Step,
     hookimpl,
 )
+from registry.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,7 +53,8 @@ class DistantL1(Regularizer[DistantL1Settings]):
             prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
             self._far[view.name] = farthest(prior.inverse_depth_of(view), self.settings.share)
         difference = (step.rendering.rgb.clamp(0, 1) - step.sample.target).abs()
-        return (difference * self._far[view.name][:, :, None]).mean()
+        far = at_size(self._far[view.name], *difference.shape[:2])
+        return (difference * far[:, :, None]).mean()
 
 
 def farthest(inverse: Tensor, share: float) -> Tensor:

@@ -22,6 +22,7 @@ from registry import (
     hookimpl,
     virtual_views,
 )
+from registry.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -77,7 +78,8 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         name = step.view.name
         if name not in self._known:
             self._known[name] = prior.inverse_depth_of(step.view)
-        return step.rendering.depth, self._known[name]
+        depth = step.rendering.depth
+        return depth, at_size(self._known[name], *depth.shape)
 
     def _ramp(self, iteration: int) -> float:
         done, length = iteration - self.settings.ramp_start, self.settings.ramp_length

@@ -28,7 +28,8 @@ class ResolutionScheduleSettings(Settings):
 class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
     """The same view through a camera of fewer pixels; each is the mean of those that it covers.
 
-    For losses on colours: a term that compares with a map of the photograph's own size does not fit.
+    A term that compares with a map of the photograph takes its pixels at the render's size
+    (`registry.image_fitting.at_size`), as those of this package do.
     """
 
     def __init__(self, settings: ResolutionScheduleSettings, context: Context) -> None:

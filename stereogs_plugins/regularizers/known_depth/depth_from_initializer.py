@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import PluginError, Regularizer, Settings, Step
+from registry.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -28,7 +29,11 @@ class DepthFromInitializer(Regularizer[Settings]):
                 fix="use one that does, for example consistency_dense with `hand_on_depth: true`",
             )
         known = step.maps.get(step.view.name)
-        if known is None or not known.valid.any():
+        if known is None:
             return step.rendering.depth.new_zeros(())
-        true = known.depth[known.valid]
-        return ((step.rendering.depth[known.valid] - true) / true).abs().mean()
+        rendered = step.rendering.depth
+        valid = at_size(known.valid, *rendered.shape)
+        if not valid.any():
+            return rendered.new_zeros(())
+        true = at_size(known.depth, *rendered.shape)[valid]
+        return ((rendered[valid] - true) / true).abs().mean()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import DepthMap, MonocularDepthPrior, MultiViewDepthPrior
+from registry.image_fitting import at_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +29,7 @@ class Farness:
         self._known: dict[str, tuple[Tensor, Tensor]] = {}
 
     def of(self, step: Step) -> tuple[Tensor, Tensor]:
-        """Of the step's view.
+        """Of the step's view, at the size of its render.
 
         Returns:
             `[H, W]` float32 that grows with depth: the depth itself, world units, or minus a monocular
@@ -40,7 +41,9 @@ class Farness:
         name = step.view.name
         if name not in self._known:
             self._known |= self._asked(step)
-        return self._known[name]
+        farness, known = self._known[name]
+        size = step.rendering.depth.shape
+        return at_size(farness, *size), at_size(known, *size)
 
     def _asked(self, step: Step) -> dict[str, tuple[Tensor, Tensor]]:
         import torch

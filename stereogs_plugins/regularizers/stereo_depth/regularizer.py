@@ -24,6 +24,7 @@ from registry import (
     TrainingView,
     hookimpl,
 )
+from registry.image_fitting import at_size
 from registry.photos import dark_background
 
 from .baseline import BaselineSettings, choose_baseline
@@ -146,6 +147,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:
         """The loss. Pixels are selected before anything is divided: 0 times infinity is not 0."""
         depth, alpha = step.rendering.depth, step.rendering.alpha
+        disparity = at_size(disparity, *depth.shape)
         used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
         used &= depth >= SMALLEST_DEPTH * step.scene.bounds[0]
         count = int(used.sum())

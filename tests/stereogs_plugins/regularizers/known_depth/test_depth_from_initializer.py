@@ -41,6 +41,14 @@ def test_value_and_gradient_are_those_of_mvpgs() -> None:
     )
 
 
+def test_a_render_smaller_than_the_photograph_is_held_to_the_pixels_under_its_own() -> None:
+    true = torch.tensor([[2.0, 9.0, 4.0, 9.0]]).repeat(2, 1)
+    valid = torch.ones(2, 4, dtype=torch.bool)
+    known = DepthMap(true[:, [1, 0, 3, 2]], valid, valid.float())
+    step = step_with_depth(torch.tensor([[3.0, 4.0]]), maps={"view": known})
+    assert float(build(DepthFromInitializer).loss(step)) == pytest.approx((1 / 2 + 0 / 4) / 2)
+
+
 def test_without_maps_it_is_refused_and_an_empty_one_adds_nothing() -> None:
     depth = torch.ones(2, 2)
     with pytest.raises(PluginError, match="no depth maps"):
