@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -115,14 +115,16 @@ def step_of(
         priors: prior models by name.
         maps: the initializer's depth by the view's name.
         log: what `step.log` calls; None only checks that it is given a name and a number.
-        shrink: the sample's camera and target have so many times fewer columns and rows than the view.
+        shrink: >= 1; the sample's camera and target have so many times fewer columns and rows than the view.
     """
     known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
     extent = known.extent if extent is None else extent
     view = known.train[0]
-    camera = view.camera.resized(-(-view.camera.width // shrink), -(-view.camera.height // shrink))
-    target = view.image[::shrink, ::shrink].contiguous()
-    sample = Sample(view, camera, target, known.background, model.sh_degree)
+    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
+    if shrink > 1:
+        target = view.image[::shrink, ::shrink].contiguous()
+        camera = view.camera.resized(target.shape[1], target.shape[0])
+        sample = replace(sample, camera=camera, target=target)
     step = Step(
         iteration=iteration,
         iterations=iterations,
