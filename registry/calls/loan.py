@@ -127,6 +127,11 @@ def of_rendering(rendering: Rendering) -> Loan:
     return Loan(renderings=(rendering,))
 
 
+def of_kinds(kinds: Mapping[str, Tensor]) -> Loan:
+    """Which Gaussians descend from which kind of initial point."""
+    return Loan({f"which Gaussians are {kind}": mask for kind, mask in kinds.items()})
+
+
 def of_maps(maps: Mapping[str, DepthMap]) -> Loan:
     """The initializer's depth of the training views."""
     return Loan(

@@ -101,6 +101,9 @@ class Step:
         log: records a number under a name in the run's metrics.
         maps: what the initializer knows of each training view's depth, by the view's name.
         learning_rates: Adam's step size of each parameter group in this iteration.
+        kinds: which Gaussians descend from initial points of a kind, `[N]` bool by its name
+            (`PointCloud.kinds`); empty if the initializer tells none apart. Whoever changes the number
+            of Gaussians changes these too, before the next component is asked.
         others: the other fields, from the render on; empty with a single field.
     """
 
@@ -115,6 +118,7 @@ class Step:
     log: Callable[[str, float], None]
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
     learning_rates: Mapping[str, float] = field(default_factory=dict)
+    kinds: Mapping[str, Tensor] = field(default_factory=dict)
     others: tuple[OtherField, ...] = ()
     _rendering: Callable[[], Rendering] | None = None
 

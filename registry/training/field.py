@@ -17,7 +17,7 @@ from torch import Tensor
 
 from core_rasterizer import Adam, Carried, Edit, GaussianModel, Rendering, apply_edit
 
-from ..calls.loan import Loan, are_checked, of_maps, of_rendering, of_scene
+from ..calls.loan import Loan, are_checked, of_kinds, of_maps, of_rendering, of_scene
 from ..contract.answers import (
     check_colors,
     check_edit,
@@ -121,7 +121,8 @@ class Field:
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)
-        self._lent = self._around.lent + Loan(models=(self.model,) if are_checked() else ())
+        self._lent = self._around.lent + of_kinds(self.kinds)
+        self._lent += Loan(models=(self.model,) if are_checked() else ())
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -134,6 +135,7 @@ class Field:
             log=self._log_for_component,
             maps=self._around.maps,
             learning_rates=MappingProxyType(learning_rates(iteration, settings, self._extent)),
+            kinds=MappingProxyType(self.kinds),
         )
         for part in self.parts.due("samplers", iteration):
             with part.at_work(iteration, self._lent):
@@ -307,10 +309,10 @@ class Field:
     def _refine(self) -> bool:
         """Ask the densification policies; whether Gaussians came or went."""
         edited = False
-        step = self._step
-        for part in self.parts.due("densification", step.iteration):
-            with part.at_work(step.iteration, self._lent):
-                wanted = check_edit(part.component.refine(step), self.model.count)
+        iteration = self._step.iteration
+        for part in self.parts.due("densification", iteration):
+            with part.at_work(iteration, self._lent):
+                wanted = check_edit(part.component.refine(self._step), self.model.count)
             if wanted is None:
                 continue
             edit = self._within_limit(wanted)
@@ -318,7 +320,7 @@ class Field:
                 self.model.reset_statistics()
                 continue
             count = self.model.count
-            with blame(part.item, step.iteration):
+            with blame(part.item, iteration):
                 carried = apply_edit(self.model, self.optimizer, edit, self._topology)
             self._carry(carried, count)
             edited = True
@@ -340,6 +342,7 @@ class Field:
     def _carry(self, carried: Carried, count: int) -> None:
         """What belongs to single Gaussians follows an edit of `count` of them."""
         self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+        self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
         self.parts.carry(carried.source, carried.fresh, count, self._step.iteration)
 
     def _log_number(self, name: str, value: float) -> None:
