@@ -106,7 +106,7 @@ class Bench:
         points = self._first_points(case, pipeline, parts, scene)
         had_points = process_time()
         model = new_model(initial_gaussians(points, settings), settings, self.device)
-        for _ in Trainer(settings, parts, scene, model, points.maps).run():
+        for _ in Trainer(settings, parts, scene, model, points.maps, points.kinds).run():
             pass
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians
 from core_rasterizer.layout import PARAMETERS
@@ -61,10 +62,12 @@ def rehearse(beginning: Beginning, count: int, clock: Clock, seconds: float) -> 
         seconds: about how long iterations are done; at least one beyond the warm-up is.
     """
     pipeline, scene = beginning.pipeline, beginning.scene
-    gaussians = _grown(beginning.gaussians, count)
+    points, repeated = beginning.points, torch.arange(count) % len(beginning.gaussians)
+    gaussians = _grown(beginning.gaussians, repeated)
     model = new_model(gaussians, pipeline.training, beginning.device)
     parts = Parts(pipeline, beginning.device)
-    trainer = Trainer(pipeline.training, parts, scene, model, beginning.points.maps)
+    kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
     spans: list[tuple[float, int]] = []
     for moment in MOMENTS:
         skipped = WARM if spans else WARM_UP
@@ -109,6 +112,5 @@ def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Cloc
     return len(test) * whole + len(train) * light + CLOSING * (len(test) + len(train)) * light
 
 
-def _grown(gaussians: Gaussians, count: int) -> Gaussians:
-    which = torch.arange(count) % len(gaussians)
+def _grown(gaussians: Gaussians, which: Tensor) -> Gaussians:
     return Gaussians(**{name: getattr(gaussians, name)[which] for name in PARAMETERS})

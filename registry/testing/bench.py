@@ -10,6 +10,7 @@ from time import monotonic
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
 
@@ -122,10 +123,22 @@ class Bench:
         known = torch.full((self.size.height, self.size.width), not self.size.hidden)
         return DepthMap(3.0 * known, known, known.float())
 
+    def kinds(self) -> dict[str, Tensor]:
+        """Every second point is measured, the others are guessed."""
+        guessed = torch.arange(len(self.points())) % 2 == 1
+        return {"confirmed": ~guessed, "back_layer": guessed}
+
     def begun(self) -> Moment:
         """Before the render."""
         model = self.model()
-        step = step_of(model, self.scene, priors=self.priors, maps=self.maps(), shrink=self.shrink)
+        step = step_of(
+            model,
+            self.scene,
+            priors=self.priors,
+            maps=self.maps(),
+            kinds=self.kinds(),
+            shrink=self.shrink,
+        )
         return Moment(step, model)
 
     def rendered(self, *, absolute: bool = False) -> Moment:

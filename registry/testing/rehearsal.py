@@ -102,7 +102,7 @@ def _trainer(
     model = bench.model()
     if part is not None:
         model = new_model(Gaussians(**part("model")), training, bench.device)
-    return Trainer(training, parts, bench.scene, model, bench.maps())
+    return Trainer(training, parts, bench.scene, model, bench.maps(), bench.kinds())
 
 
 def _copied(state: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from core_rasterizer import Camera, GaussianModel, Rendering
 
@@ -101,6 +102,7 @@ def step_of(
     extent: float | None = None,
     priors: Mapping[str, Prior[Any]] | None = None,
     maps: Mapping[str, DepthMap] | None = None,
+    kinds: Mapping[str, Tensor] | None = None,
     log: Callable[[str, float], None] | None = None,
     shrink: int = 1,
 ) -> Step:
@@ -114,6 +116,7 @@ def step_of(
         extent: world units; None takes the scene's.
         priors: prior models by name.
         maps: the initializer's depth by the view's name.
+        kinds: which Gaussians descend from initial points of a kind.
         log: what `step.log` calls; None only checks that it is given a name and a number.
         shrink: >= 1; the sample's camera and target have so many times fewer columns and rows than the view.
     """
@@ -136,6 +139,7 @@ def step_of(
         render=StepRenderer(model, sample),
         log=log or _check_log,
         maps=maps or {},
+        kinds=kinds or {},
         learning_rates=learning_rates(iteration, settings, extent),
     )
     if rendering is not None:

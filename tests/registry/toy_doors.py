@@ -89,6 +89,10 @@ class ToyNoise(r.Perturbation[NoiseSettings]):
     """Moves means by noise as large as Adam's step."""
 
     def offsets(self, step: r.Step) -> Mapping[str, Tensor]:
+        rows = {len(mask) for mask in step.kinds.values()}
+        assert rows <= {step.model.count}
+        if step.kinds:
+            step.log("even", int(step.kinds["even"].sum()))
         count = step.model.count + self.settings.wrong
         noise = torch.randn(count, 3, generator=self.generator)
         return {"means": step.learning_rates["means"] * noise}
@@ -181,7 +185,7 @@ class GuidedSettings(r.Settings):
 
 
 class ToyGuided(r.Initializer[GuidedSettings]):
-    """The scene's points, and a wall at 3 for each view."""
+    """The scene's points, those of even and of odd number told apart, and a wall at 3 for each view."""
 
     def initialize(self, scene: r.TrainingScene, priors: Mapping[str, Any]) -> r.PointCloud:
         assert scene.points is not None
@@ -191,7 +195,8 @@ class ToyGuided(r.Initializer[GuidedSettings]):
             depth = torch.full(view.image.shape[:2], 3.0)
             valid = torch.ones_like(depth, dtype=torch.bool)
             maps[view.name] = r.DepthMap(depth, valid, valid.float())
-        return replace(scene.points, maps=maps)
+        odd = torch.arange(len(scene.points)) % 2 == 1
+        return replace(scene.points, maps=maps, kinds={"even": ~odd, "odd": odd})
 
 
 class MoveSettings(r.Settings):

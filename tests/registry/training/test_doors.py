@@ -31,7 +31,7 @@ def make(doors: Plugins, device: Device) -> Make:
         parts, scene = Parts(pipeline, device), tiny_scene()
         points = parts.one("initializer").component.initialize(scene.for_training(), {})
         model = new_model(initial_gaussians(points, pipeline.training), pipeline.training, device)
-        return Trainer(pipeline.training, parts, scene, model, points.maps)
+        return Trainer(pipeline.training, parts, scene, model, points.maps, points.kinds)
 
     return make
 
@@ -239,6 +239,14 @@ def test_a_perturbation_comes_after_the_step(make: Make) -> None:
     with pytest.raises(PluginError, match="offset of 'means'") as caught:
         train(make("perturbations: [{use: toy_noise, wrong: true}]\n"))
     assert "toy_noise" in caught.value.where
+
+
+def test_kinds_of_points_follow_an_edit_before_the_next_component_asks(make: Make) -> None:
+    text = "densification: {use: toy_move, children: 3, every: 2}\nperturbations: [toy_noise]\n"
+    trainer = make(text)
+    counts = [done.logged["even"] for done in train(trainer)]
+    assert counts == [30, 32, 32, 32, 32, 34]  # what was second is first then
+    assert int(trainer.fields[0].kinds["even"].sum()) == 34
 
 
 def test_a_perturbation_that_makes_a_parameter_infinite_is_named(

@@ -86,7 +86,7 @@ def train(pipeline: Pipeline) -> tuple[list[Iteration], str]:
     points = points_of(pipeline, parts)
     gaussians = initial_gaussians(points, pipeline.training)
     model = new_model(gaussians, pipeline.training, device)
-    trainer = Trainer(pipeline.training, parts, room(), model, points.maps)
+    trainer = Trainer(pipeline.training, parts, room(), model, points.maps, points.kinds)
     return list(trainer.run()), model.digest()
 
 
