@@ -155,6 +155,7 @@ ELSEWHERE = {
     "observers.wandb": "observers/test_wandb.py",
     "opacity.expected_opacity": "opacity/test_expected_opacity.py",
     "perturbations.position_noise": "perturbations/test_position_noise.py",
+    "perturbations.held_colors": "perturbations/test_held_colors.py",
     "perturbations.size_limit": "perturbations/test_size_limit.py",
     "priors.dis_flow": "priors/test_dis_flow.py",
     "priors.onnx_flow": "priors/test_onnx_flow.py",
