@@ -1,9 +1,11 @@
 """`held_colors`: Gaussians that descend from guessed points keep the colours that they were guessed with.
 
-What lies behind the edge of something near is guessed by the initializer in the colour of the background
-(`consistency_dense`'s back layers). In training it shines through what is before it, above all with dropout,
-and learns the colour of that: a blur of the foreground's colour stands beside it in the next camera. Held, it
-leaves the foreground only one way to be right: to cover it.
+What lies behind the edge of something near is guessed by the initializer in the colour of what is seen
+beside it (`consistency_dense`'s kind `back_layer`). In training it shines through what is before it, above
+all with dropout, and learns the colour of that: a blur of the foreground's colour stands beside it in the
+next camera. Held, it leaves the foreground only one way to be right: to cover it. Around objects nothing
+should be held: behind the edge of something solid comes its own side (kind `far_side`), of about the colour
+that it learns.
 """
 
 from __future__ import annotations

@@ -207,7 +207,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         layers = surfaces(views, bounds, stride=settings.stride, merge=settings.merge)
         coarse = {}
         if settings.back_layer:
-            coarse["back_layer"] = back_layers(views, bounds)
+            # Behind the edge of a solid object comes the object's own side, not what was seen beside it.
+            behind = "far_side" if shown.kind == "object" else "back_layer"
+            coarse[behind] = back_layers(views, bounds)
         if settings.margin:
             coarse["margin"] = margins(views, bounds)
         for kind, layer in coarse.items():

@@ -175,6 +175,7 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
     assert "taken as object" in caplog.text
     assert points.facts["scene_kind"] == "object"
     assert points.facts["plain_background"] == pytest.approx(0.7, abs=0.05)
+    assert list(points.kinds) == ["confirmed", "filled", "far_side", "margin"]
     guessed = points.positions[points.facts["points_by_kind"]["confirmed"] :]
     assert len(guessed) > 100
     for view in scene.train:
@@ -182,7 +183,9 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
         inside = (depth > 0) & (u > 10) & (u < 242) & (v > 10) & (v < 179)
         beside = inside & ((u < 50) | (u > 200) | (v < 30) | (v > 160))
         assert not beside.any()
-    assert dense(scene, stride=4).facts["scene_kind"] == "forward-facing"
+    room = dense(scene, stride=4, **COMPLETE)
+    assert room.facts["scene_kind"] == "forward-facing"
+    assert list(room.kinds) == ["confirmed", "filled", "back_layer", "margin"]
 
 
 @pytest.mark.parametrize("plain_background", [True, False])
