@@ -55,7 +55,7 @@ another view confirms, as `consistency_dense` does it: at 2 pixels and 5 %, with
   degrees apart with 2, 3 and 6 views. *slanted* are surfaces seen at more than 60 degrees from
   their normal, *even* those with next to no texture.
 - Of photographs the truth is the points of the reconstruction from *all* of them that at least three
-  see.
+  see; of bonsai, which brings none, points triangulated from the twelve training views to within a pixel.
 - Of an object the silhouette is known. The first number counts its pixels alone, the second is the share of
   all confirmed depths that lie on it: the more, the fewer were made up for the background.
 - IterMVS (BlendedMVS weights, 512x384) counts where its confidence is above 0.3.

@@ -2,7 +2,8 @@
 
 Exact depth is known of the procedural room, whose cameras stand further apart the fewer there are. Of
 photographs in the folder that STEREOGS_DATA names it is the points of the reconstruction from *all* of
-them, or the silhouette of an object, on which all depths should lie.
+them; where the data set brings none, points triangulated from the training views, or the silhouette of an
+object, on which all depths should lie.
 
 A training view is compared where it sees a point itself, and only with points that three photographs
 or more see: of the others, many are wrong. The filter is that of the initializer `consistency_dense`: a
@@ -23,11 +24,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter  # type: ignore[attr-defined]
+from torch import Tensor
 
 from benchmarks.results_plan import CASES, DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, MultiViewDepthPrior, Scene, View, grey
 from registry.session import build_pipeline, load_scene
+from registry.triangulation import triangulate
 from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
     Limits,
     consistent_depths,
@@ -70,30 +73,50 @@ class Known:
 
     Args:
         name: for the table.
-        points: the file of reconstructed points, or None.
+        seen: the points `[P, 3]` that each training view sees, or None.
     """
 
     name: str
     scene: Scene
-    points: Path | None = None
+    seen: Sequence[Tensor] | None = None
 
 
-def point_errors(folder: Path, scene: Scene, depths: Sequence[DepthImage]) -> Floats:
+def reconstructed(file: Path, scene: Scene) -> list[Tensor]:
+    """The points that each training view sees, of the reconstruction that an LLFF scene brings.
+
+    Args:
+        file: its `points3d.npz`.
+    """
+    with np.load(file) as arrays:
+        positions, lengths = arrays["xyz"].astype(np.float64), arrays["track_len"]
+        owners, photographs = np.repeat(np.arange(len(lengths)), lengths), arrays["track_image_ids"]
+    numbers: Any = scene.fact("train_photographs")
+    found = []
+    for number in numbers:
+        seen = np.unique(owners[photographs == number + 1])
+        found.append(torch.from_numpy(positions[seen[lengths[seen] >= SHORTEST_TRACK]]))
+    return found
+
+
+def triangulated(scene: Scene) -> list[Tensor]:
+    """The points that each training view sees, from the training views."""
+    found = triangulate(
+        scene.train, scene.bounds, max_reprojection_error=1.0, min_angle=1.5, seed=0
+    )
+    agreed = found.seen_by.sum(dim=1) >= SHORTEST_TRACK
+    return [found.positions[agreed & seen].double() for seen in found.seen_by.unbind(dim=1)]
+
+
+def point_errors(scene: Scene, seen: Sequence[Tensor], depths: Sequence[DepthImage]) -> Floats:
     """Relative depth errors of all training views at the points they see; inf where depth is 0.
 
     Args:
-        folder: of the LLFF scene, with `points3d.npz`.
+        seen: the points `[P, 3]` that each training view sees.
         depths: `[H, W]` z-depth for each training view.
     """
-    with np.load(folder / "points3d.npz") as arrays:
-        positions, lengths = arrays["xyz"].astype(np.float64), arrays["track_len"]
-        owners, photographs = np.repeat(np.arange(len(lengths)), lengths), arrays["track_image_ids"]
     errors = []
-    numbers: Any = scene.fact("train_photographs")
-    for view, number, depth in zip(scene.train, numbers, depths, strict=True):
-        seen = np.unique(owners[photographs == number + 1])
-        seen = seen[lengths[seen] >= SHORTEST_TRACK]
-        camera, points = view.camera, torch.from_numpy(positions[seen])
+    for view, points, depth in zip(scene.train, seen, depths, strict=True):
+        camera = view.camera
         u, v, z = (values.numpy() for values in camera.project(points))
         inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height) & (z > 0)
         found = depth[v[inside].astype(int), u[inside].astype(int)]
@@ -177,8 +200,16 @@ def _scenes(device: Device) -> Iterator[Known]:
         if (root / name).is_dir():
             case = cases[name, views]
             pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", case.overrides)
-            points = root / name if (root / name / "points3d.npz").is_file() else None
-            yield Known(f"{name}, {views} views", load_scene(pipeline, device=device), points)
+            scene = load_scene(pipeline, device=device)
+            yield Known(f"{name}, {views} views", scene, _seen(root / name, scene))
+
+
+def _seen(folder: Path, scene: Scene) -> list[Tensor] | None:
+    """The points that training views of photographs see; None if an object's silhouette is known."""
+    if (folder / "points3d.npz").is_file():
+        return reconstructed(folder / "points3d.npz", scene)
+    known = all(view.mask is not None or view.alpha is not None for view in scene.train)
+    return None if known else triangulated(scene)
 
 
 def _scores(
@@ -190,8 +221,8 @@ def _scores(
         for part, mask in (("all", _whole), ("slanted", _slanted), ("even", _even)):
             masks = [mask(view) for view in views]
             yield part, _share(masks, depths), _within(_exact_errors(views, masks, depths))
-    elif known.points is not None:
-        errors = point_errors(known.points, known.scene, depths)
+    elif known.seen is not None:
+        errors = point_errors(known.scene, known.seen, depths)
         yield "all", _share(list(map(_whole, views)), depths), _within(errors)
     else:
         objects = [_silhouette(view) for view in views]
@@ -237,8 +268,7 @@ def _truth(view: View) -> DepthImage:
 def _silhouette(view: View) -> Mask:
     """Where the view shows its object, by its mask or by its alpha channel."""
     shown = view.mask if view.mask is not None else view.alpha
-    if shown is None:
-        raise ValueError(f"nothing is known of the depths of {view.name}")
+    assert shown is not None  # else the truth is points, see `_seen`
     return shown.numpy() > 0.5
 
 

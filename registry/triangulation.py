@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from core_rasterizer.matching import source_views
 
 from .contract.scene import PointCloud
 from .drawing.pictures import grey
@@ -34,6 +35,8 @@ __all__ = ["Triangulation", "triangulate", "triangulated_points"]
 
 CONTRAST_THRESHOLD = 0.002
 """Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
+MOST_PARTNERS = 8
+"""Photographs that one is matched with, so that time grows with their number and not with its square."""
 BOUNDS_MARGIN = 1.1
 """A point nearer than near / margin or farther than far * margin comes from a wrong match."""
 
@@ -80,7 +83,11 @@ def triangulated_points(
             fix="use two or more training views, or the initializer `random`",
         )
     found = triangulate(
-        scene.train, max_reprojection_error=max_reprojection_error, min_angle=min_angle, seed=seed
+        scene.train,
+        scene.bounds,
+        max_reprojection_error=max_reprojection_error,
+        min_angle=min_angle,
+        seed=seed,
     )
     keep = _within_bounds(found, scene)
     if not keep.any():
@@ -94,12 +101,19 @@ def triangulated_points(
 
 
 def triangulate(
-    views: Sequence[TrainingView], *, max_reprojection_error: float, min_angle: float, seed: int
+    views: Sequence[TrainingView],
+    bounds: tuple[float, float],
+    *,
+    max_reprojection_error: float,
+    min_angle: float,
+    seed: int,
 ) -> Triangulation:
     """Triangulate; poses and intrinsics stay as they are.
 
     Args:
-        views: at least two photographs.
+        views: at least two photographs. Each is matched with up to eight that see the same from a little to
+            the side.
+        bounds: (near, far) z-depth of the scene's content, world units; nearer and farther points may come.
         max_reprojection_error: pixels; also the largest distance of a match from its epipolar line.
         min_angle: least angle between two rays that make a point, degrees.
         seed: of pycolmap's random choices; one seed, one result.
@@ -118,7 +132,10 @@ def triangulate(
         folder = Path(name)
         with colmap.Database.open(folder / "matches.db") as database:
             _write_images(database, model, cameras, features)
-            _write_matches(colmap, database, model, cameras, features, max_reprojection_error)
+            pairs = pairs_to_match([view.camera for view in views], bounds)
+            _write_matches(
+                colmap, database, model, cameras, features, pairs, max_reprojection_error
+            )
         result = colmap.triangulate_points(
             model,
             folder / "matches.db",
@@ -127,6 +144,20 @@ def triangulate(
             options=_options(colmap, max_reprojection_error, min_angle, seed),
         )
     return _collect(result, views, features)
+
+
+def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> list[tuple[int, int]]:
+    """Which photographs are matched: each with those that are likely to show the same, a pair once.
+
+    Args:
+        cameras: of the photographs; up to nine are all matched with each other.
+        bounds: (near, far) z-depth of the scene's content, world units.
+    """
+    found = set()
+    for index in range(len(cameras)):
+        for partner in source_views(cameras, index, MOST_PARTNERS, bounds):
+            found.add((min(index, partner), max(index, partner)))
+    return sorted(found)
 
 
 def _colmap_camera(colmap: Any, identity: int, camera: Camera) -> Any:
@@ -165,12 +196,13 @@ def _write_matches(
     model: Any,
     cameras: list[Any],
     features: list[_Features],
+    pairs: list[tuple[int, int]],
     max_error: float,
 ) -> None:
     options = colmap.FeatureMatchingOptions()
     options.num_threads = 1
     matcher = colmap.FeatureMatcher.create(options, colmap.Device.cpu)
-    for first, second in combinations(range(len(features)), 2):
+    for first, second in pairs:
         relative = (
             model.image(second + 1).cam_from_world()
             * model.image(first + 1).cam_from_world().inverse()
