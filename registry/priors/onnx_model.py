@@ -198,6 +198,7 @@ class OnnxModel:
             raise PluginError(what, where=str(self.path), fix=fix) from error
         finally:
             watch.cancel()
+            watch.join()  # else it may still be there when the host counts the threads
 
     def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
         import torch

@@ -6,6 +6,7 @@ import hashlib
 import logging
 import os
 import re
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -259,6 +260,14 @@ def test_an_endless_graph_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(PluginError, match=r"no answer within 0\.3 s") as caught:
         network.run({"x": torch.ones(1, 1, 4, 4)})
     assert "loops without end" in caught.value.fix
+
+
+def test_no_thread_outlives_an_answer(tmp_path: Path) -> None:
+    network = OnnxModel(saved(tmp_path, small_network()), provider="cpu")
+    before = threading.active_count()
+    for _ in range(200):
+        network.run({"x": torch.ones(1, 1, 4, 4)})
+        assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("sizes", [[0], [2, 0, 3]])
