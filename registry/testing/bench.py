@@ -126,7 +126,7 @@ class Bench:
     def kinds(self) -> dict[str, Tensor]:
         """Every second point is measured, the others are guessed."""
         guessed = torch.arange(len(self.points())) % 2 == 1
-        return {"confirmed": ~guessed, "back_layer": guessed}
+        return {"confirmed": ~guessed, "hidden": guessed}
 
     def begun(self) -> Moment:
         """Before the render."""

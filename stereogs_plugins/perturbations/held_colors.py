@@ -1,11 +1,10 @@
 """`held_colors`: Gaussians that descend from guessed points keep the colours that they were guessed with.
 
 What lies behind the edge of something near is guessed by the initializer in the colour of what is seen
-beside it (`consistency_dense`'s kind `back_layer`). In training it shines through what is before it, above
-all with dropout, and learns the colour of that: a blur of the foreground's colour stands beside it in the
-next camera. Held, it leaves the foreground only one way to be right: to cover it. Around objects nothing
-should be held: behind the edge of something solid comes its own side (kind `far_side`), of about the colour
-that it learns.
+beside it. In training it shines through what is before it, above all with dropout, and learns the colour of
+that: a blur of the foreground's colour stands beside it in the next camera. Where no photograph shows it (the
+kind `hidden` of `consistency_dense`), nothing true can be learned. Held, it leaves the foreground only one
+way to be right: to cover it.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class HeldColorsSettings(Settings):
-    kinds: tuple[str, ...] = Field(("back_layer",), min_length=1)
+    kinds: tuple[str, ...] = Field(("hidden",), min_length=1)
     """Of initial points (`PointCloud.kinds`). A kind that the initializer does not have holds nothing."""
 
 

@@ -207,9 +207,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         layers = surfaces(views, bounds, stride=settings.stride, merge=settings.merge)
         coarse = {}
         if settings.back_layer:
-            # Behind the edge of a solid object comes the object's own side, not what was seen beside it.
-            behind = "far_side" if shown.kind == "object" else "back_layer"
-            coarse[behind] = back_layers(views, bounds)
+            coarse["back_layer"] = back_layers(views, bounds)
         if settings.margin:
             coarse["margin"] = margins(views, bounds)
         for kind, layer in coarse.items():
@@ -237,13 +235,19 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from registry.photos import in_parallel
 
         from .layers import joined
+        from .other_views import in_sight
         from .view_depth import PICTURE_COLUMNS, ViewDepth
 
         settings, points = self.settings, joined(list(layers.values()))
         chosen = self._chosen(len(points))
         sizes = torch.tensor([len(layer) for layer in layers.values()])
-        kinds = torch.arange(len(layers)).repeat_interleave(sizes)
-        counts = torch.bincount(kinds[chosen], minlength=len(layers)).tolist()
+        layer_of = torch.arange(len(layers)).repeat_interleave(sizes)[chosen]
+        counts = torch.bincount(layer_of, minlength=len(layers)).tolist()
+        kinds = {kind: layer_of == number for number, kind in enumerate(layers)}
+        if "back_layer" in layers and shown.kind != "object":
+            cameras, depths = [view.camera for view in views], [view.completed for view in views]
+            seen = torch.from_numpy(in_sight(points.positions, cameras, depths))[chosen]
+            kinds["hidden"] = kinds["back_layer"] & ~seen
         scales = None
         if settings.sigma is not None:
             scales = (settings.sigma * torch.from_numpy(points.spacings)[chosen]).float()
@@ -270,7 +274,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 )
             ),
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
-            kinds={kind: kinds[chosen] == number for number, kind in enumerate(layers)},
+            kinds=kinds,
         )
 
 

@@ -44,6 +44,18 @@ def overlooked(points: Floats, cameras: Sequence[Camera], depths: Sequence[Depth
     return _any(points, (seen > 0 for _, seen in _looks(points, cameras, depths)))
 
 
+def in_sight(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+    """Which points lie within a view's image and behind no surface that it sees."""
+
+    def looked_at(camera: Camera, depth: DepthImage) -> Mask:
+        u, v, z = project(camera, points)
+        inside: Mask = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        seen = look_up(depth, u, v)
+        return inside & ((seen == 0) | (seen >= z))
+
+    return _any(points, map(looked_at, cameras, depths))
+
+
 def _looks(
     points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]
 ) -> Iterator[tuple[Floats, Floats]]:

@@ -49,8 +49,8 @@ class ConsistencyDenseSettings(Settings):
     """8-bit levels: a colour whose channels all differ by less from the scene's background counts as it, and
     no point is guessed there. Photographs of objects before black are rarely black to the last level."""
     back_layer: bool = False
-    """Put coarse points of the background's colour behind the edges of the foreground: the kind
-    `back_layer`, around an object `far_side`."""
+    """Put coarse points of the background's colour behind the edges of the foreground. Those that no view can
+    see are of the kind `hidden` too, but not around an object: what its edges hide is its own side."""
     margin: bool = False
     """Put a ring of coarse points around each image."""
     hand_on_depth: bool = False

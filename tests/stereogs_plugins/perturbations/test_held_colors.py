@@ -43,15 +43,15 @@ def test_is_offered_as_held_colors_and_keeps_the_contract() -> None:
 
 
 def test_only_descendants_of_the_kinds_go_back() -> None:
-    gaussians, component = model(), build(HeldColors, kinds=["back_layer", "margin"])
+    gaussians, component = model(), build(HeldColors, kinds=["hidden", "margin"])
     nothing = torch.zeros(gaussians.count, dtype=torch.bool)
-    kinds = {"back_layer": held(gaussians.count), "margin": nothing.clone(), "confirmed": ~nothing}
+    kinds = {"hidden": held(gaussians.count), "margin": nothing.clone(), "confirmed": ~nothing}
     kinds["margin"][0] = True
     first = gaussians.read("sh").clone()
     assert not component.offsets(step_at(gaussians, kinds))["sh"].any()
     later = disturbed(gaussians)
     after = later + component.offsets(step_at(gaussians, kinds))["sh"]
-    back = kinds["back_layer"] | kinds["margin"]
+    back = kinds["hidden"] | kinds["margin"]
     torch.testing.assert_close(after[back], first[back])
     assert torch.equal(after[~back], later[~back])
 
@@ -67,13 +67,13 @@ def test_parts_of_a_split_gaussian_take_its_first_colours() -> None:
     gaussians, component = model(), build(HeldColors)
     count = gaussians.count
     first = gaussians.read("sh").clone()
-    component.offsets(step_at(gaussians, {"back_layer": held(count)}))
+    component.offsets(step_at(gaussians, {"hidden": held(count)}))
     disturbed(gaussians)
     edit = Edit(split=held(count))
     carried = apply_edit(gaussians, Adam(gaussians), edit, torch.Generator().manual_seed(0))
     component.carry(carried.source, carried.fresh)
-    kinds = {"back_layer": held(count)[carried.source]}
+    kinds = {"hidden": held(count)[carried.source]}
     after = gaussians.read("sh") + component.offsets(step_at(gaussians, kinds))["sh"]
-    descendants = kinds["back_layer"]
+    descendants = kinds["hidden"]
     assert gaussians.count > count
     torch.testing.assert_close(after[descendants], first[carried.source][descendants])

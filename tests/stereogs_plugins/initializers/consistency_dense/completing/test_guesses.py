@@ -175,7 +175,7 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
     assert "taken as object" in caplog.text
     assert points.facts["scene_kind"] == "object"
     assert points.facts["plain_background"] == pytest.approx(0.7, abs=0.05)
-    assert list(points.kinds) == ["confirmed", "filled", "far_side", "margin"]
+    assert list(points.kinds) == ["confirmed", "filled", "back_layer", "margin"]
     guessed = points.positions[points.facts["points_by_kind"]["confirmed"] :]
     assert len(guessed) > 100
     for view in scene.train:
@@ -185,7 +185,10 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
         assert not beside.any()
     room = dense(scene, stride=4, **COMPLETE)
     assert room.facts["scene_kind"] == "forward-facing"
-    assert list(room.kinds) == ["confirmed", "filled", "back_layer", "margin"]
+    assert list(room.kinds) == ["confirmed", "filled", "back_layer", "margin", "hidden"]
+    behind = room.kinds["back_layer"]
+    assert not (room.kinds["hidden"] & ~behind).any()
+    assert 0.5 < float(room.kinds["hidden"].sum() / behind.sum()) < 1
 
 
 @pytest.mark.parametrize("plain_background", [True, False])
