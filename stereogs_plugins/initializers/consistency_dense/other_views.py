@@ -49,9 +49,10 @@ def in_sight(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthIm
 
     def looked_at(camera: Camera, depth: DepthImage) -> Mask:
         u, v, z = project(camera, points)
-        inside: Mask = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
         seen = look_up(depth, u, v)
-        return inside & ((seen == 0) | (seen >= z))
+        inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        sees: Mask = inside & ((seen == 0) | (seen >= z))
+        return sees
 
     return _any(points, map(looked_at, cameras, depths))
 
