@@ -108,7 +108,7 @@ curve: $(VENV)/.dev ## error against seconds, the README's picture; alone on the
 	$(BIN)/stereogs bench benchmarks/curve.yaml --out benchmarks/out/curve
 	$(BIN)/python -m benchmarks.curve
 
-results: $(VENV)/.dev ## three pipelines on every data set, three seeds, hours; rewrites its page in docs; resumable
+results: $(VENV)/.dev ## four pipelines on every data set, three seeds, hours; rewrites its page in docs; resumable
 	$(BIN)/python -m benchmarks.results --write-docs
 
 browser: $(VENV)/.dev ## every page in Chromium, which must be on PATH; screenshots in tests/browser/screenshots

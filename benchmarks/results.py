@@ -1,4 +1,4 @@
-"""Three pipelines on every data set: `python -m benchmarks.results`, which `make results` runs.
+"""Four pipelines on every data set: `python -m benchmarks.results`, which `make results` runs.
 
 Resumable, a record a training (`benchmarks.campaign`). A picture of the first test view of each row lies
 in `benchmarks/out/results` afterwards.

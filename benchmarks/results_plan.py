@@ -1,4 +1,4 @@
-"""What `benchmarks.results` trains: three pipelines on every data set, each by its protocol."""
+"""What `benchmarks.results` trains: four pipelines on every data set, each by its protocol."""
 
 from __future__ import annotations
 
@@ -98,6 +98,7 @@ METHODS = (
     Method("plain", PIPELINES / "3dgs_fast.yaml", baseline=True),
     Method("fast", PIPELINES / "weightfree_fast.yaml"),
     Method("long", PIPELINES / "weightfree.yaml"),
+    Method("networks", PIPELINES / "with_networks.yaml"),
 )
 
 

@@ -45,6 +45,7 @@ training: {{iterations: 4, sh_degree: 0}}
 
 def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_DATA", "data")
+    monkeypatch.setenv("STEREOGS_MODELS", "models")
     planned = make_measurements(CASES, METHODS, SEEDS, Plugins())
     assert [m.seed for m in planned] == sorted(m.seed for m in planned)
     views = {"llff_fern": (3, 6, 9), "llff_flower": (3, 6, 9), "blender_lego": (8,)}
