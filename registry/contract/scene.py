@@ -54,8 +54,9 @@ class PointCloud:
         maps: what is known of each training view's depth, by the view's name, for components that
             train on it (`Step.maps`); empty if the initializer knows nothing.
         kinds: which points are measured and which are guessed, `[P]` bool by the kind's name, for
-            example "confirmed" and "margin". Gaussians that descend from a point stay of its kind, so
-            that a kind can be left out of what is looked at. Empty: nothing is told apart.
+            example "confirmed" and "margin"; a point may be of several. Gaussians that descend from a
+            point stay of its kinds, so that a kind can be left out of what is looked at, and components
+            can tell them apart (`Step.kinds`). Empty: nothing is told apart.
     """
 
     positions: Tensor

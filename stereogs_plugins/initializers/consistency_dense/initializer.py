@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from .confirming.several_priors import Choice
     from .layers import Layer
-    from .projection import DepthImage
+    from .projection import DepthImage, Floats
     from .understanding.plain_background import PlainAreas
     from .understanding.understanding import Understanding
     from .view_depth import ViewDepth
@@ -235,7 +235,6 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from registry.photos import in_parallel
 
         from .layers import joined
-        from .other_views import in_sight
         from .view_depth import PICTURE_COLUMNS, ViewDepth
 
         settings, points = self.settings, joined(list(layers.values()))
@@ -245,9 +244,9 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         counts = torch.bincount(layer_of, minlength=len(layers)).tolist()
         kinds = {kind: layer_of == number for number, kind in enumerate(layers)}
         if "back_layer" in layers and shown.kind != "object":
-            cameras, depths = [view.camera for view in views], [view.completed for view in views]
-            seen = torch.from_numpy(in_sight(points.positions, cameras, depths))[chosen]
-            kinds["hidden"] = kinds["back_layer"] & ~seen
+            behind = kinds["back_layer"]
+            kinds["hidden"] = behind.clone()
+            kinds["hidden"][behind] = _hidden(points.positions[chosen[behind].numpy()], views)
         scales = None
         if settings.sigma is not None:
             scales = (settings.sigma * torch.from_numpy(points.spacings)[chosen]).float()
@@ -276,6 +275,16 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
             kinds=kinds,
         )
+
+
+def _hidden(points: Floats, views: Sequence[ViewDepth]) -> Tensor:
+    """Which world points `[P, 3]` no view can see, `[P]` bool."""
+    import torch
+
+    from .other_views import in_sight
+
+    cameras, depths = [view.camera for view in views], [view.completed for view in views]
+    return torch.from_numpy(~in_sight(points, cameras, depths))
 
 
 def _nothing(depths: Sequence[DepthImage]) -> list[DepthImage]:
