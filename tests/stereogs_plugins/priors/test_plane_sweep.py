@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.priors_depth import point_errors
+from benchmarks.priors_depth import point_errors, reconstructed
 from registry import DepthMap, PluginError, Scene, View
 from registry.testing import tiny_scene
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_priors
@@ -166,6 +166,7 @@ def test_real_photographs(name: str, least: tuple[float, float, float]) -> None:
     """Against points of the reconstruction from all photographs; see benchmarks/priors_depth.py."""
     scene = build(LLFFScene, path=data_folder(name), train_views=3).load()
     maps = build(PlaneSweep).depths(scene.train, scene.bounds)
-    errors = point_errors(data_folder(name), scene, [answer.depth.numpy() for answer in maps])
+    seen = reconstructed(data_folder(name) / "points3d.npz", scene)
+    errors = point_errors(scene, seen, [answer.depth.numpy() for answer in maps])
     for relative, share in zip((0.01, 0.03, 0.1), least, strict=True):
         assert (errors < relative).mean() > share
