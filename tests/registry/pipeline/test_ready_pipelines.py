@@ -1,4 +1,4 @@
-"""The ready StereoGS pipelines say what the paper says."""
+"""The ready pipelines say what they claim: those of StereoGS the paper's numbers, the others one another's."""
 
 from __future__ import annotations
 
@@ -84,3 +84,15 @@ def test_the_short_ones_have_the_same_parts_at_the_same_shares(name: str) -> Non
     assert [item.name for item in short.items["priors"]] == [
         item.name for item in paper.items["priors"]
     ]
+
+
+def test_with_networks_differs_from_weightfree_by_the_networks_alone() -> None:
+    without, beside = load("weightfree"), load("with_networks")
+    assert without.training == beside.training
+    differing = {s for s in without.items if without.items[s] != beside.items[s]}
+    assert differing == {"priors", "initializer", "regularizers"}
+    assert [item.name for item in beside.items["priors"]][:2] == ["plane_sweep", "patch_match"]
+    first, second = (p.one("initializer").settings.model_dump() for p in (without, beside))
+    assert [name for name in first if first[name] != second[name]] == ["prior"]
+    assert without.items["regularizers"] == ()
+    assert [item.name for item in beside.items["regularizers"]] == ["stereo_depth"]
