@@ -9,16 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from benchmarks.results_plan import CASES, DATA
+from benchmarks.results_plan import CASES, temple
 from registry import Scene, View
 
-OVERRIDES = {f"{case.data}-{case.views}": case.overrides for case in CASES} | {
-    f"mview_temple-{views}": (
-        f"scene={{use: nerfstudio, path: '${{{DATA}}}/mview_temple', train_views: {views}}}",
-        "metrics=[psnr, ssim]",
-    )
-    for views in (9, 12, 20)
-}
+OVERRIDES = {f"{case.data}-{case.views}": case.overrides for case in (*CASES, temple(views=12))}
 """What `--set` would say for a scene, by data set and number of training views."""
 TURN = 0.7
 """Pixels, root mean square, by which `turned` moves the middle of a photograph."""

@@ -177,11 +177,11 @@ def by_case(records: Iterable[Record]) -> list[list[Record]]:
 
 
 def by_protocol(records: Iterable[Record]) -> dict[str, list[Record]]:
-    """Records by the name of their protocol, or of their data set where they follow none."""
+    """Records by the name of their protocol; those that follow none by data set and number of views."""
 
     def name(record: Record) -> str:
-        applied = record.run.pipeline.protocol
-        return record.run.case.data if applied is None else applied.protocol.name
+        case = record.run.case
+        return case.protocol or f"{case.data}-{case.views}"
 
     return grouped(records, name)
 

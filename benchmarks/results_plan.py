@@ -32,7 +32,7 @@ class Case:
     Args:
         data: the data set's name, which is its folder's too.
         views: how many photographs train.
-        protocol: its name, as in papers' tables.
+        protocol: its name, as in papers' tables; empty: the scene is in none of them.
         overrides: what `--set` would say to both pipelines: the protocol and the scene.
         baseline_overrides: the same for the baseline alone.
     """
@@ -126,6 +126,17 @@ def _bonsai(views: int) -> Case:
     )
 
 
+def temple(views: int) -> Case:
+    """Middlebury's temple on a turntable before black; every eighth photograph tests."""
+    return _without_protocol("nerfstudio", "mview_temple", views, test_every=8)
+
+
+def _without_protocol(loader: str, data: str, views: int, test_every: int) -> Case:
+    place = f"use: {loader}, path: '${{{DATA}}}/{data}'"
+    scene = f"scene={{{place}, train_views: {views}, test_every: {test_every}}}"
+    return Case(data, views, "", (scene, f"metrics=[psnr, ssim, {LPIPS}]"))
+
+
 CASES = (
     *(
         _standard("llff", "llff", data, n)
@@ -136,6 +147,9 @@ CASES = (
     _standard("blender", "blender", "blender_lego", 8),
     _bonsai(12),
     _bonsai(24),
+    temple(views=9),
+    temple(views=20),
+    _without_protocol("colmap", "colmap_lightfield9", 4, test_every=2),
 )
 
 

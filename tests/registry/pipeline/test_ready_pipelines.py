@@ -1,4 +1,4 @@
-"""The ready pipelines say what they claim: those of StereoGS the paper's numbers, the others one another's."""
+"""The ready pipelines say what they claim: StereoGS's the paper's numbers, others what they share."""
 
 from __future__ import annotations
 
