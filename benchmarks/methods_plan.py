@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +18,8 @@ Points = Literal["own", "same"]
 """Whether a method starts from the points that it asks for, or from those that all are given."""
 
 POINTS: tuple[Points, ...] = ("own", "same")
-SAME_POINTS = PIPELINES / "weightfree.yaml"
-"""The pipeline whose initializer and prior the methods get in the column *same*."""
+SAME_POINTS = Path(__file__).with_name("same_points.yaml")
+"""The initializer that the methods get in the column *same*."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ NETWORKED = (
 METHODS = (
     BASELINE,
     _short("DropGaussian", "dropgaussian", "dropgaussian"),
-    Method("weightfree.yaml", SAME_POINTS, points=("same",)),
+    Method("weightfree.yaml", PIPELINES / "weightfree.yaml", points=("same",)),
     _short("Binocular3DGS", "binocular3dgs", "binocular3dgs"),
     _short("Co-Adaptation", "co-adaptation"),
     _short("D²GS", "d2gs", "d2gs"),
@@ -175,13 +174,7 @@ def planned_run(
 def _start_from_the_same(tree: Node) -> None:
     """Put the initializer of `SAME_POINTS` in, asking the plane sweep that is there or one added."""
     place = Place(SAME_POINTS.name)
-    given = deepcopy(read(SAME_POINTS))
-    initializer, own = _parts(given, "initializer"), _parts(tree, "initializer")
-    for younger in (
-        "fill_shown",
-        "background_range",
-    ):  # than the first records, which had their defaults
-        initializer.pop(younger)
+    initializer, own = _parts(read(SAME_POINTS), "initializer"), _parts(tree, "initializer")
     if "hand_on_depth" in own:  # a loss of the method needs it, the points do not change
         initializer["hand_on_depth"] = own["hand_on_depth"]
     initializer["prior"] = Node(_plane_sweep(tree, place), place)
