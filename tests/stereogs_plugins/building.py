@@ -37,6 +37,20 @@ def some_gaussians(scales: list[float], opacities: list[float]) -> Gaussians:
     )
 
 
+def at_depths(*depths: float, scale: float = 0.1, opacity: float = 0.5) -> Gaussians:
+    """Grey round Gaussians on the axis of `step_with`'s camera."""
+    count = len(depths)
+    positions = torch.zeros(count, 3)
+    positions[:, 2] = torch.tensor(depths)
+    return Gaussians.from_points(
+        positions,
+        torch.full((count, 3), 0.5),
+        torch.full((count,), scale),
+        torch.full((count,), opacity),
+        0,
+    )
+
+
 def moment_with(
     gaussians: Gaussians, *, iteration: int = 500, extent: float = 1.0, absolute: bool = False
 ) -> tuple[Step, GaussianModel]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from registry import DepthMap, PluginError, Scene
+from registry import DepthMap, Scene
 from registry.testing import tiny_scene
 from stereogs_plugins.priors.patch_match import PatchMatchPrior, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
@@ -67,21 +67,3 @@ def test_what_matches_nothing_is_not_valid() -> None:
     views = [replace(view, image=torch.full_like(view.image, 0.4)) for view in scene.train]
     assert not any(a.valid.any() for a in build(PatchMatchPrior).depths(views, scene.bounds))
     assert all(a.valid.any() for a in build(PatchMatchPrior).depths(scene.train, scene.bounds))
-
-
-def test_cameras_in_one_place_are_refused() -> None:
-    scene = tiny_scene()
-    views = (scene.train[0], replace(scene.train[0], name="twin"))
-    with pytest.raises(PluginError, match="2 cameras stand in one place"):
-        build(PatchMatchPrior).depths(views, scene.bounds)
-
-
-def test_views_that_do_not_overlap_have_no_valid_depth() -> None:
-    scene = tiny_scene()
-    here = scene.train[0].camera
-    backwards = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
-    away = replace(here, world_to_camera=backwards @ here.shifted_right(1).world_to_camera)
-    views = (scene.train[0], replace(scene.train[1], camera=away))
-    for answer in build(PatchMatchPrior).depths(views, scene.bounds):
-        assert not answer.valid.any()
-        assert not answer.depth.any()

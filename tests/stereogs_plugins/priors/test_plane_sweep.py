@@ -13,7 +13,6 @@ from torch import Tensor
 
 from benchmarks.priors_depth import point_errors, reconstructed
 from registry import DepthMap, PluginError, Scene, View
-from registry.testing import tiny_scene
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_priors
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
@@ -113,23 +112,6 @@ def test_only_other_places_and_the_nearest_views_are_compared(room: Scene) -> No
     assert torch.equal(first_depth(twin), alone)
     assert torch.equal(first_depth(far, max_sources=1), alone)
     assert not torch.equal(first_depth(room.train[2]), alone)
-
-
-def test_cameras_in_one_place_are_refused(room: Scene) -> None:
-    views = (room.train[0], replace(room.train[0], name="twin"))
-    with pytest.raises(PluginError, match="2 cameras stand in one place"):
-        build(PlaneSweep).depths(views, room.bounds)
-
-
-def test_views_that_do_not_overlap_have_no_valid_depth() -> None:
-    scene = tiny_scene()
-    here = scene.train[0].camera
-    backwards = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
-    away = replace(here, world_to_camera=backwards @ here.shifted_right(1).world_to_camera)
-    views = (scene.train[0], replace(scene.train[1], camera=away))
-    for answer in build(PlaneSweep, planes=PLANES).depths(views, scene.bounds):
-        assert not answer.valid.any()
-        assert not answer.depth.any()
 
 
 def test_one_view_is_refused(room: Scene) -> None:

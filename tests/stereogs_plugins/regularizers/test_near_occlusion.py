@@ -1,28 +1,17 @@
 from __future__ import annotations
 
-import pytest
-import torch
+from functools import partial
 
-from core_rasterizer import Gaussians
+import pytest
+
 from registry.testing import check
 from stereogs_plugins.regularizers.near_occlusion import (
     NearOcclusion,
     stereogs_register_regularizers,
 )
-from tests.stereogs_plugins.building import build, moment_with, offered
+from tests.stereogs_plugins.building import at_depths, build, moment_with, offered
 
-
-def at_depths(*depths: float) -> Gaussians:
-    count = len(depths)
-    positions = torch.zeros(count, 3)
-    positions[:, 2] = torch.tensor(depths)
-    return Gaussians.from_points(
-        positions,
-        torch.full((count, 3), 0.5),
-        torch.full((count,), 0.2),
-        torch.full((count,), 0.6),
-        0,
-    )
+haze = partial(at_depths, scale=0.2, opacity=0.6)
 
 
 def test_it_is_registered_and_keeps_the_contract() -> None:
@@ -33,11 +22,11 @@ def test_it_is_registered_and_keeps_the_contract() -> None:
 
 def test_only_what_is_nearer_than_freenerfs_sample_counts() -> None:
     # The scene reaches from 1 to 10: sample 20 of 128 is at 1 + 9 * 20 / 128 = 2.41.
-    step, model = moment_with(at_depths(2.3, 2.5, 6.0))
+    step, model = moment_with(haze(2.3, 2.5, 6.0))
     model.zero_gradients()
     loss = build(NearOcclusion).loss(step)
     loss.backward()
-    alone, _ = moment_with(at_depths(2.3))
+    alone, _ = moment_with(haze(2.3))
     assert float(loss.detach()) == pytest.approx(
         float(alone.rendering.alpha.detach().mean()), rel=1e-5
     )
@@ -47,5 +36,5 @@ def test_only_what_is_nearer_than_freenerfs_sample_counts() -> None:
 
 
 def test_with_nothing_near_it_is_zero() -> None:
-    step, _ = moment_with(at_depths(5.0, 6.0))
+    step, _ = moment_with(haze(5.0, 6.0))
     assert float(build(NearOcclusion, share=10 / 128).loss(step)) == 0
