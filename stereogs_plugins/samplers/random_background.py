@@ -16,10 +16,15 @@ class RandomBackground(Sampler[Settings]):
     def sample(self, step: Step, sample: Sample) -> Sample:
         """Return the sample before a random background."""
         import torch
+        from torch.nn.functional import interpolate
 
         color = torch.rand(3, generator=self.generator)
         target, alpha = sample.target, sample.view.alpha
         if alpha is not None:
+            if (
+                alpha.shape != target.shape[:2]
+            ):  # a sampler has shrunk the photograph, by means of its pixels
+                alpha = interpolate(alpha[None, None], size=target.shape[:2], mode="area")[0, 0]
             behind = torch.tensor(sample.background)
             target = (target + (1 - alpha)[..., None] * (color - behind)).clamp(0, 1)
         red, green, blue = color.tolist()

@@ -164,7 +164,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         self, scene: TrainingScene, confirmed: list[DepthImage], shown: Understanding
     ) -> list[DepthImage] | None:
         """Depths for the holes of each view, none if none are wanted; None: too little is confirmed."""
-        from .completing.guesses import LEAST_CONFIRMED, confirmed_share, guesses
+        from .completing.guesses import guesses
 
         if not self.settings.fill:
             return _nothing(confirmed)
@@ -175,14 +175,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             background_range=self.settings.background_range,
             also_shown=self.settings.fill_shown,
         )
-        share = confirmed_share(confirmed, found)
-        if share >= LEAST_CONFIRMED:
-            return found
+        if found.worthwhile:
+            return found.depths
         _log.warning(
             "%s: other views confirm %.0f %% of the surface, too little to guess the rest from; more "
             "photographs, or some nearer to each other, would help",
             scene.name,
-            100 * share,
+            100 * found.confirmed_share,
         )
         return None
 

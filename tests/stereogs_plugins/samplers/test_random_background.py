@@ -3,13 +3,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
-from registry import Step
+from registry import Sample, Step
 from registry.testing import check
 from stereogs_plugins.samplers.random_background import (
     RandomBackground,
     stereogs_register_samplers,
 )
+from stereogs_plugins.samplers.resolution_schedule import ResolutionSchedule
 from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
 
 
@@ -31,14 +33,29 @@ def test_colours_differ_and_photographs_without_alpha_stay() -> None:
     assert all(torch.equal(sample.target, step.sample.target) for sample in samples)
 
 
-def test_a_photograph_with_alpha_is_put_on_the_same_colour() -> None:
-    step = some_step()
+def with_alpha(step: Step) -> tuple[Sample, Tensor, Tensor]:
+    """A photograph before yellow, its alpha `[48, 64, 1]` and the colour of what stands there."""
     rows = torch.linspace(0, 1, 48)[:, None].expand(48, 64)
     behind, front = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([0.2, 0.4, 0.6])
     image = rows[..., None] * front + (1 - rows[..., None]) * behind
     view = replace(step.view, image=image, alpha=rows)
     sample = replace(step.sample, view=view, target=image, background=(1.0, 1.0, 0.0))
+    return sample, rows[..., None], front
+
+
+def test_a_photograph_with_alpha_is_put_on_the_same_colour() -> None:
+    step = some_step()
+    sample, alpha, front = with_alpha(step)
     answer = build(RandomBackground).sample(step, sample)
-    color = torch.tensor(answer.background)
-    wanted = rows[..., None] * front + (1 - rows[..., None]) * color
+    wanted = alpha * front + (1 - alpha) * torch.tensor(answer.background)
     torch.testing.assert_close(answer.target, wanted)
+
+
+def test_it_works_on_photographs_that_were_made_smaller_and_before_they_are() -> None:
+    step = some_step()
+    sample, _, _ = with_alpha(step)
+    smaller = build(ResolutionSchedule, shrink=5)
+    after = build(RandomBackground).sample(step, smaller.sample(step, sample))
+    before = smaller.sample(step, build(RandomBackground).sample(step, sample))
+    assert after.background == before.background
+    torch.testing.assert_close(after.target, before.target)

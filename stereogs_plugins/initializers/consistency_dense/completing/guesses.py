@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from registry.photos import in_parallel
@@ -29,6 +30,25 @@ Chosen on training views left out: of a temple on a turntable 14 % is confirmed,
 a toy before white it is 33 %, and they gain 0.4 dB (docs/engine_notes.md)."""
 
 
+@dataclass(frozen=True, eq=False)
+class Guesses:
+    """What can be guessed.
+
+    Args:
+        depths: `[H, W]` of each view where none is confirmed, 0 where nothing is to be guessed.
+        confirmed_share: how much is confirmed of what would be known with all guesses, over all views; also
+            with those that are not wanted because another view shows the same.
+    """
+
+    depths: list[DepthImage]
+    confirmed_share: float
+
+    @property
+    def worthwhile(self) -> bool:
+        """Whether enough is confirmed to guess the rest from."""
+        return self.confirmed_share >= LEAST_CONFIRMED
+
+
 def guesses(
     scene: TrainingScene,
     confirmed: Sequence[DepthImage],
@@ -36,8 +56,8 @@ def guesses(
     *,
     background_range: int,
     also_shown: bool = True,
-) -> list[DepthImage]:
-    """Depths `[H, W]` of each view where none is confirmed, 0 where nothing is to be guessed.
+) -> Guesses:
+    """Guess what no other view confirms.
 
     Args:
         confirmed: of each view, 0 in holes.
@@ -53,10 +73,10 @@ def guesses(
             lambda index: Evidence.of(scene.train[index], confirmed[index]), range(len(images))
         )
 
-    def filled(index: int) -> DepthImage:
+    def filled(index: int) -> tuple[DepthImage, int]:
         camera, image = cameras[index], images[index]
         if not confirmed[index].any():  # nothing to guess from
-            return confirmed[index].copy()
+            return confirmed[index].copy(), 0
         depth = fill_holes(image, confirmed[index])
         points = lift(camera, *pixel_centers(camera), depth)
         others = witnesses(cameras, index, scene.bounds)
@@ -64,16 +84,14 @@ def guesses(
         evidence = [asked[k] for k in others] if asked else []
         if shown.wide:
             depth[miscolored(points, image, camera, evidence)] = 0
-        if not also_shown:
-            depth[shown_elsewhere(asked[index], evidence, [images[k] for k in others])] = 0
         depth[is_background(image, scene.background, background_range)] = 0
         depth[shown.backgrounds[index]] = 0
-        return depth
+        count = int((depth > 0).sum())
+        if not also_shown:
+            depth[shown_elsewhere(asked[index], evidence, [images[k] for k in others])] = 0
+        return depth, count
 
-    return in_parallel(filled, range(len(scene.train)))
-
-
-def confirmed_share(confirmed: Sequence[DepthImage], filled: Sequence[DepthImage]) -> float:
-    """How much of what would be known with guesses is confirmed, over all views."""
-    sure, guessed = (sum(int((depth > 0).sum()) for depth in maps) for maps in (confirmed, filled))
-    return sure / max(1, sure + guessed)
+    found = in_parallel(filled, range(len(scene.train)))
+    sure = sum(int((depth > 0).sum()) for depth in confirmed)
+    guessed = sum(count for _, count in found)
+    return Guesses([depth for depth, _ in found], sure / max(1, sure + guessed))

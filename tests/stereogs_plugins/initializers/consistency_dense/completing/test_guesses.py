@@ -76,6 +76,16 @@ def test_where_little_is_confirmed_matched_features_are_the_points(
     assert len(few) == 50
 
 
+def test_how_much_is_confirmed_does_not_depend_on_which_guesses_are_wanted(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    for fill_shown in (True, False):
+        dense(scene, in_lowest(0.15), stride=3, fill_shown=fill_shown, **COMPLETE)
+    said = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(said) == 2
+    assert said[0] == said[1]
+
+
 def test_confirmed_points_stay_where_hardly_any_feature_is_matched(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
