@@ -20,6 +20,8 @@ Points = Literal["own", "same"]
 POINTS: tuple[Points, ...] = ("own", "same")
 SAME_POINTS = Path(__file__).with_name("same_points.yaml")
 """The initializer that the methods get in the column *same*."""
+AUTHORS_SETTINGS = Path(__file__).with_name("authors_settings.yaml")
+"""What authors set differently on other data sets than their pipelines here are for."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,7 @@ def planned_run(
         PipelineError: see `planned_runs`.
     """
     tree = read(method.file)
+    _as_authors_set_it(tree, method, case)
     if points == "same":
         _start_from_the_same(tree)
     metrics = "metrics=[psnr, ssim, lpips]"
@@ -169,6 +172,16 @@ def planned_run(
         apply_override(tree, override)
     pipeline = build_pipeline(tree, plugins)
     return MethodRun(method, points, case, seed, pipeline, written_digest(tree))
+
+
+def _as_authors_set_it(tree: Node, method: Method, case: Case) -> None:
+    """Put in what `AUTHORS_SETTINGS` has for the method on the case's data set."""
+    of_method = _parts(read(AUTHORS_SETTINGS), case.protocol.partition("-")[0]).get(
+        method.file.stem
+    )
+    if of_method is not None and isinstance(of_method.content, dict):
+        for path, value in of_method.content.items():
+            set_value(tree, path, value, value.place)
 
 
 def _start_from_the_same(tree: Node) -> None:
@@ -195,9 +208,9 @@ def _plane_sweep(tree: Node, place: Place) -> str:
 
 
 def _parts(tree: Node, section: str) -> dict[str, Node]:
-    """A component's settings; of one that is only named, none."""
-    node = tree.content[section] if isinstance(tree.content, dict) else tree
-    return node.content if isinstance(node.content, dict) else {}
+    """What a section holds by name; nothing, if it is missing or one text."""
+    node = tree.content.get(section) if isinstance(tree.content, dict) else None
+    return node.content if node is not None and isinstance(node.content, dict) else {}
 
 
 def _items(tree: Node, section: str) -> Iterator[Node]:

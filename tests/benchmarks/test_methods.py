@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from rich.console import Console
 
 from benchmarks import methods_page, training_process, training_records, trainings
 from benchmarks.methods_plan import (
+    AUTHORS_SETTINGS,
     BASELINE,
     GROUPS,
     METHODS,
@@ -27,6 +29,7 @@ from benchmarks.results_plan import Case
 from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry import RunError
+from registry.pipeline.pipeline import Pipeline
 from registry.plugins.discovery import Plugins
 from registry.session import build_pipeline
 
@@ -95,6 +98,29 @@ def test_objects_have_one_seed_and_come_before_the_second() -> None:
     for run in around:
         assert run.pipeline.protocol is not None
         assert run.pipeline.protocol.written == run.case.protocol
+
+
+def test_around_objects_a_method_has_what_its_authors_set_there() -> None:
+    written = yaml.safe_load(AUTHORS_SETTINGS.read_text(encoding="utf-8"))
+    by_name = {method.file.stem: method for method in METHODS}
+    facing, around = FERN, {case.protocol.partition("-")[0]: case for case in OBJECTS.cases}
+    assert set(written) <= set(around)
+    for data, of_methods in written.items():
+        for name, settings in of_methods.items():
+            there = planned_run(by_name[name], "same", around[data], 0, PLUGINS).pipeline
+            here = planned_run(by_name[name], "same", facing, 0, PLUGINS).pipeline
+            assert there.training.iterations == here.training.iterations
+            changed = {path.partition(".")[0] for path in settings}
+            unlike = {
+                section
+                for section in changed
+                if section_of(there, section) != section_of(here, section)
+            }
+            assert unlike == changed, (data, name)
+
+
+def section_of(pipeline: Pipeline, section: str) -> object:
+    return yaml.safe_load(pipeline.to_yaml())[section]
 
 
 def test_the_same_points_are_the_same_for_all() -> None:

@@ -166,6 +166,7 @@ ELSEWHERE = {
     "regularizers.depth_ranking": "regularizers/known_depth/test_depth_ranking.py",
     "regularizers.depth_smoothness": "regularizers/unseen_views/test_depth_smoothness.py",
     "regularizers.distant_l1": "regularizers/test_distant_l1.py",
+    "regularizers.empty_background": "regularizers/test_empty_background.py",
     "regularizers.field_agreement": "regularizers/unseen_views/test_field_agreement.py",
     "regularizers.forward_warping": "regularizers/unseen_views/test_forward_warping.py",
     "regularizers.gaussian_shape": "regularizers/test_gaussian_shape.py",
