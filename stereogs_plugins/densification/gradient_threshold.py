@@ -38,6 +38,9 @@ class GradientThresholdSettings(Settings):
     """Largest scale that is kept, as a part of the scene's extent."""
     min_gaussians: int = Field(1, ge=1)
     """Nothing is removed if fewer Gaussians than this would be left."""
+    most_per_pixel: float | None = Field(None, gt=0)
+    """Nothing is done where there are so many Gaussians already for each pixel of the training
+    photographs; null: it is always done."""
 
 
 class GradientThreshold(Densification[GradientThresholdSettings]):
@@ -48,11 +51,15 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
         """Whether splits go by absolute gradients."""
         return self.settings.absolute_threshold is not None
 
-    def refine(self, step: Step) -> Edit:
-        """Return the edit, empty masks included, so that statistics start anew each time."""
+    def refine(self, step: Step) -> Edit | None:
+        """Return the edit, empty masks included, so that statistics start anew; None where all are there."""
         from core_rasterizer import Edit
 
         settings, model = self.settings, step.model
+        if settings.most_per_pixel is not None:
+            pixels = sum(view.camera.width * view.camera.height for view in step.scene.train)
+            if model.count >= settings.most_per_pixel * pixels:
+                return None
         size = model.scales().amax(dim=1)
         pulled = model.screen_gradient() >= settings.gradient_threshold
         large = size > settings.percent_dense * step.extent
