@@ -10,16 +10,24 @@ from dataclasses import replace
 from registry import Register, Sample, Sampler, Settings, Step, hookimpl
 
 
-class RandomBackground(Sampler[Settings]):
+class RandomBackgroundSettings(Settings):
+    opaque: bool = True
+    """Whether photographs that are opaque get one too, so that Gaussians must cover all of them."""
+
+
+class RandomBackground(Sampler[RandomBackgroundSettings]):
     """A colour uniform in [0, 1]^3; photographs with an alpha are put on it too."""
 
     def sample(self, step: Step, sample: Sample) -> Sample:
-        """Return the sample before a random background."""
+        """Return the sample before a random background; as it is, if it is to have none."""
         import torch
         from torch.nn.functional import interpolate
 
-        color = torch.rand(3, generator=self.generator)
         target, alpha = sample.target, sample.view.alpha
+        covered = alpha is None or bool((alpha == 1).all())
+        if covered and not self.settings.opaque:
+            return sample
+        color = torch.rand(3, generator=self.generator)
         if alpha is not None:
             if (
                 alpha.shape != target.shape[:2]

@@ -99,7 +99,9 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         if self._baseline is None:
             self._baseline = choose_baseline(self.settings.baseline, step, prior.max_disparity)
         camera = step.view.camera.shifted_right(self._baseline)
-        right = step.render(camera, gradient=False).rgb.clamp(0, 1)
+        # Before the background that the photograph has, whatever this iteration puts behind the Gaussians.
+        behind = step.scene.background
+        right = step.render(camera, gradient=False, background=behind).rgb.clamp(0, 1)
         disparity = self._refresh.find(step.view.name, right)
         seconds = 0.0
         if disparity is None:

@@ -33,6 +33,17 @@ def test_colours_differ_and_photographs_without_alpha_stay() -> None:
     assert all(torch.equal(sample.target, step.sample.target) for sample in samples)
 
 
+def test_only_photographs_with_alpha_need_have_one() -> None:
+    step, sampler = some_step(), build(RandomBackground, opaque=False)
+    opaque = replace(step.sample, view=replace(step.view, alpha=torch.ones(48, 64)))
+    for covered in (step.sample, opaque):
+        assert sampler.sample(step, covered) is covered
+    sample, _, _ = with_alpha(step)
+    first = build(RandomBackground).sample(step, sample)
+    assert sampler.sample(step, sample).background == first.background  # nothing was drawn before
+    check(RandomBackground, opaque=False)
+
+
 def with_alpha(step: Step) -> tuple[Sample, Tensor, Tensor]:
     """A photograph before yellow, its alpha `[48, 64, 1]` and the colour of what stands there."""
     rows = torch.linspace(0, 1, 48)[:, None].expand(48, 64)

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from core_rasterizer import Camera, Rendering
 from registry import PluginError, Settings, StereoPrior
 from stereogs_plugins.regularizers.stereo_depth import StereoDepth, stereogs_register_regularizers
 from tests.stereogs_plugins.building import build, offered
@@ -48,6 +50,21 @@ def everywhere(disparity: float) -> Tensor:
 
 def test_is_offered_as_stereo_depth() -> None:
     assert offered(stereogs_register_regularizers) == {"stereo_depth": StereoDepth}
+
+
+def test_the_right_view_has_the_photographs_background() -> None:
+    step = Wall().step(m=told(everywhere(TRUE_DISPARITY)))
+    backgrounds = []
+
+    def render(camera: Camera, **how: Any) -> Rendering:
+        backgrounds.append(how.get("background"))
+        return step.render(camera, **how)
+
+    sample = replace(
+        step.sample, background=(1.0, 0.0, 1.0)
+    )  # as `random_background` puts it there
+    stereo_depth().loss(replace(step, sample=sample, render=render))
+    assert backgrounds[-1] == step.scene.background
 
 
 def test_true_geometry_costs_a_fraction_of_a_pixel() -> None:
