@@ -24,8 +24,7 @@ class RandomBackground(Sampler[RandomBackgroundSettings]):
         from torch.nn.functional import interpolate
 
         target, alpha = sample.target, sample.view.alpha
-        covered = alpha is None or bool((alpha == 1).all())
-        if covered and not self.settings.opaque:
+        if not self.settings.opaque and (alpha is None or bool((alpha == 1).all())):
             return sample
         color = torch.rand(3, generator=self.generator)
         if alpha is not None:

@@ -60,9 +60,8 @@ def test_the_right_view_has_the_photographs_background() -> None:
         backgrounds.append(how.get("background"))
         return step.render(camera, **how)
 
-    sample = replace(
-        step.sample, background=(1.0, 0.0, 1.0)
-    )  # as `random_background` puts it there
+    # As `random_background` puts it there.
+    sample = replace(step.sample, background=(1.0, 0.0, 1.0))
     stereo_depth().loss(replace(step, sample=sample, render=render))
     assert backgrounds[-1] == step.scene.background
 
