@@ -15,7 +15,6 @@ from pydantic import Field
 from registry import (
     Context,
     Disparity,
-    PluginError,
     Register,
     Regularizer,
     Settings,
@@ -51,9 +50,9 @@ class StereoDepthSettings(Settings):
     """Pixels by which the disparities of the two images may differ."""
     validity_mask: bool = True
     """False trusts every pixel that has a disparity at all (the paper's ablation)."""
-    background: Literal["none", "intensity", "alpha"] = "none"
-    """Pixels to leave out: dark ones with a dark run to their left (DTU), or those that the photograph's
-    alpha leaves empty (Blender)."""
+    background: Literal["alpha", "intensity", "none"] = "alpha"
+    """Pixels to leave out: those that the photograph's alpha leaves empty, if it has one (Blender); dark ones
+    with a dark run to their left (DTU); or none. Matched, a backdrop would be filled with fog."""
     background_level: int = Field(30, ge=0, le=255)
     """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
     depth: Literal["accumulated", "expected"] = "accumulated"
@@ -93,7 +92,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         """The term for this iteration's view; 0 if no pixel can be trusted.
 
         Raises:
-            PluginError: no such prior, a baseline without overlap, or an alpha that the view lacks.
+            PluginError: no such prior, or a baseline without overlap.
         """
         prior = StereoPrior.choose(step.priors, self.settings.prior)
         if self._baseline is None:
@@ -136,13 +135,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
         if self.settings.background == "intensity":
             return dark_background(view.image, self.settings.background_level)
-        if self.settings.background == "alpha":
-            if view.alpha is None:
-                raise PluginError(
-                    "the photograph has no alpha to tell its background by",
-                    where=f"view {view.name!r}",
-                    fix="set background to none or intensity",
-                )
+        if self.settings.background == "alpha" and view.alpha is not None:
             return view.alpha <= 0
         return torch.zeros(view.image.shape[:2], dtype=torch.bool)
 

@@ -24,7 +24,8 @@ def load(name: str) -> Pipeline:
 
 
 def only(pipeline: Pipeline, section: str) -> Item:
-    (item,) = pipeline.items[section]
+    """The section's component; of StereoGS's terms the paper's, not that on the background."""
+    (item,) = (item for item in pipeline.items[section] if item.name != "empty_background")
     return item
 
 

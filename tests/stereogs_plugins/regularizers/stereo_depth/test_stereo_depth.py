@@ -195,17 +195,13 @@ def test_backgrounds_are_left_out() -> None:
     alpha = torch.ones(HEIGHT, WIDTH)
     alpha[:, 48:] = 0
     around, prior = Wall(alpha=alpha), told(everywhere(TRUE_DISPARITY))
-    stereo_depth(background="alpha").loss(around.step(m=prior))
+    stereo_depth().loss(around.step(m=prior))
     assert around.logged["under test_valid"] == pytest.approx((48 - TRUE_DISPARITY) / WIDTH)
+    stereo_depth(background="none").loss(around.step(m=prior))
+    assert around.logged["under test_valid"] == pytest.approx((WIDTH - TRUE_DISPARITY) / WIDTH)
     around.view.image[:, :60] = 0
     stereo_depth(background="intensity").loss(around.step(m=prior))
     assert around.logged["under test_valid"] == pytest.approx((WIDTH - 60) / WIDTH)
-
-
-def test_an_alpha_background_needs_an_alpha() -> None:
-    with pytest.raises(PluginError, match="no alpha") as caught:
-        stereo_depth(background="alpha").loss(Wall().step(m=told(everywhere(10.0))))
-    assert caught.value.where == "view 'wall'"
 
 
 def test_the_prior_is_asked_again_only_after_a_change() -> None:
