@@ -23,7 +23,7 @@ COUNTS = {
     "decay_function": 5,
     "multi_view_models": 4,
     "parts": 8,
-    "small_multi_view_models": 6,
+    "small_multi_view_models": 7,
     "small_stereo_models": 3,
     "stereo_models": 5,
     "stereo_term": 6,
