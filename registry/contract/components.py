@@ -126,7 +126,8 @@ class Densification(Component[SettingsType], ABC):
     def refine(self, step: Step) -> Edit | None:
         """Return the edit that is due, or None. Called after the backward pass, when scheduled.
 
-        Any edit, an empty one too, starts the densification statistics anew; None leaves them.
+        Any edit, an empty one too, starts the densification statistics anew; None leaves them. In the
+        last iteration the host leaves out what an edit adds: nothing would train it.
         """
 
 

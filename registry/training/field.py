@@ -38,7 +38,7 @@ from ..pipeline.schedule import active_sh_degree
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .component_parameters import ComponentParameters
-from .growth_limit import limited
+from .growth_limit import limited, without_growth
 from .guard import Recolored, Term, backward
 from .learning_rates import learning_rates
 from .losses import photometric_term, regularizing_terms, term_alone
@@ -315,7 +315,8 @@ class Field:
                 wanted = check_edit(part.component.refine(self._step), self.model.count)
             if wanted is None:
                 continue
-            edit = self._within_limit(wanted)
+            last = iteration == self._settings.iterations
+            edit = self._within_limit(without_growth(wanted) if last else wanted)
             if edit.empty:
                 self.model.reset_statistics()
                 continue

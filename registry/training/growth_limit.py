@@ -1,4 +1,4 @@
-"""The limit that the host sets to the number of Gaussians."""
+"""The limits that the host sets to growth: the number of Gaussians, and the end of training."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
     fits[order] = grown[order].cumsum(0) <= room - kept_added
     kept = replace(_with_added(edit, kept_added), clone=clone & fits, split=split & fits)
     return kept, int(grown[~fits].sum()) + added - kept_added
+
+
+def without_growth(edit: Edit) -> Edit:
+    """The edit without clones, splits and added Gaussians: what it removes and relocates is left.
+
+    For the last iteration. Nothing would train what it adds: a child of a split may lie in front of a
+    camera, and stay there.
+    """
+    return replace(edit, clone=None, split=None, add=None, parents=None)
 
 
 def _with_added(edit: Edit, number: int) -> Edit:

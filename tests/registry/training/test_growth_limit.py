@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from core_rasterizer import Edit, Gaussians, Relocation
-from registry.training.growth_limit import limited
+from registry.training.growth_limit import limited, without_growth
 
 RANK = torch.tensor([1.0, 5.0, 5.0, 3.0, 9.0])
 ALL = torch.ones(5, dtype=torch.bool)
@@ -83,3 +85,15 @@ def test_what_is_pruned_makes_room() -> None:
     prune = torch.tensor([True, True, False, False, False])
     edit = Edit(prune=prune, add=gaussians(2), parents=torch.tensor([0, 0]))
     assert limited(edit, 5, RANK) == (edit, 0)
+
+
+def test_without_growth_the_rest_of_an_edit_stays() -> None:
+    parents = torch.tensor([4, 3])
+    relocate = Relocation(parents[:1], parents[1:])
+    prune = torch.tensor([True, False, False, False, False])
+    edit = Edit(clone=ALL, split=ALL, prune=prune, add=gaussians(2), parents=parents)
+    kept = without_growth(replace(edit, relocate=relocate))
+    kept.check(5)
+    assert kept.relocate is relocate
+    assert kept.prune is prune
+    assert without_growth(replace(edit, prune=None)).empty

@@ -124,6 +124,13 @@ def test_no_step_is_taken_with_gradients_from_before_an_edit(make: Any) -> None:
     assert trainer.optimizer.steps == 11
 
 
+def test_the_last_iteration_adds_nothing(make: Any) -> None:
+    text = "densification: {use: toy_growth, prune: false, every: 6}\n"
+    counts = [done.gaussians for done in train(make(text))]
+    assert counts[4] < counts[5] == counts[-1]
+    assert train(make(text.replace("false", "true")))[-1].gaussians < counts[-1]
+
+
 def test_an_empty_edit_costs_no_step(make: Any) -> None:
     trainer = make("densification: {use: toy_growth, empty: true, every: 12}\n")
     train(trainer)
