@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	stress kills fuzz lint types check docs site flight viewer-bundle methods results curve profile \
+	stress kills fuzz lint types check docs site flight viewer-bundle methods parts results curve profile \
 	bench-engine bench-peer bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
@@ -76,6 +76,9 @@ site: $(VENV)/.docs ## the documentation as a site in build/site; opens without 
 
 methods: $(VENV)/.dev ## every published method on two scenes; rewrites the table in docs/methods.md; resumable
 	$(BIN)/python -m benchmarks.methods --write-docs
+
+parts: $(VENV)/.dev ## StereoGS's parts with networks, three seeds, hours; rewrites tables in docs; resumable
+	$(BIN)/python -m benchmarks.parts --write-docs
 
 bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
 	$(BIN)/python -m benchmarks.engine

@@ -1,4 +1,4 @@
-"""Many trainings and the page of their records: what `benchmarks.methods` and `benchmarks.results` share.
+"""Many trainings and the page of their records: what `benchmarks.methods`, `.parts` and `.results` share.
 
 Each training leaves a record in `benchmarks/records`, in the repository; what has one of the same pipeline
 is not trained again, so that the same command goes on where it was stopped, on another day too. A change
@@ -32,6 +32,11 @@ DOCS = Path(__file__).parent.parent / "docs"
 INTERRUPTED = 130
 
 
+def one_by_one(waiting: Sequence[Planned]) -> list[tuple[Planned]]:
+    """Each training in a process of its own."""
+    return [(run,) for run in waiting]
+
+
 @dataclass(frozen=True)
 class Campaign(Generic[Planned]):
     """What is trained, and what becomes of it.
@@ -42,8 +47,9 @@ class Campaign(Generic[Planned]):
         plan: all trainings, in their order.
         page: its page's file in docs.
         marks: what stands around the measured part of the page.
-        text: that part, from the records that are there.
+        text: that part, from the records that are there and the number of those planned.
         look: done with these records in the end, pictures among it.
+        together: puts those that are to be trained into groups that share a beginning.
     """
 
     name: str
@@ -51,8 +57,9 @@ class Campaign(Generic[Planned]):
     plan: Callable[[Plugins], list[Planned]]
     page: str
     marks: tuple[str, str]
-    text: Callable[[Sequence[Record[Planned]]], str]
+    text: Callable[[Sequence[Record[Planned]], int], str]
     look: Callable[[Sequence[Record[Planned]], Path], None] | None = None
+    together: Callable[[Sequence[Planned]], Sequence[Sequence[Planned]]] = one_by_one
 
     def main(self, description: str | None) -> int:
         """Train what is missing as the command line says, and write the page; the exit status."""
@@ -80,7 +87,7 @@ class Campaign(Generic[Planned]):
         waiting = [run for run in runs if run.name not in done]
         console.print(f"{len(runs)} runs, {len(waiting)} to train")
         failures = train(
-            waiting,
+            self.together(waiting),
             jobs=arguments.jobs,
             seconds=arguments.seconds,
             device=arguments.device,
@@ -89,7 +96,7 @@ class Campaign(Generic[Planned]):
             console=console,
         )
         found = records.read(runs, kept)
-        text = self.text(found)
+        text = self.text(found, len(runs))
         console.print(text)
         if arguments.write_docs:
             rewrite(DOCS / self.page, *self.marks, text)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.results_plan import Case
 from benchmarks.spread import NONE, spread
-from benchmarks.training_records import Record
+from benchmarks.training_records import Record, processor
 from registry.ablation.showing.paired import difference
 from registry.comparing.paper_tables import PaperTables, paper_tables
 
@@ -27,7 +27,7 @@ process took until scoring. *paper* are averages over all scenes of a data set f
 """
 
 
-def page_text(records: Sequence[Record[MethodRun]]) -> str:
+def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
     """The measured part of the page, in Markdown."""
     paper = paper_tables(PAPER)
     parts = []
@@ -39,19 +39,8 @@ def page_text(records: Sequence[Record[MethodRun]]) -> str:
                 parts += [f"### {title}\n", _table(group, shown, paper)]
     parts.append(NOTES.format(source=paper.source, notes=" ".join(paper.notes)))
     devices = " and ".join(_devices(records)) or "no device yet"
-    parts.append(f"{len(records)} of {_planned()} runs, on {devices}.\n")
+    parts.append(f"{len(records)} of {planned} runs, on {devices}.\n")
     return "\n".join(parts)
-
-
-def _planned() -> int:
-    """How many runs there are in all."""
-    return sum(
-        len(group.cases) * len(group.seeds)
-        for group in GROUPS
-        for method in METHODS
-        for points in group.points
-        if points in method.points
-    )
 
 
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
@@ -81,7 +70,7 @@ def _cells(
     def mean(
         number: Callable[[Record[MethodRun]], float], form: str, device: str | None = None
     ) -> str:
-        scenes = [[r for r in records if device in (None, _device(r))] for records in by_scene]
+        scenes = [[r for r in records if device in (None, processor(r))] for records in by_scene]
         means = [statistics.mean(map(number, records)) for records in scenes if records]
         return format(statistics.mean(means), form) if means else NONE
 
@@ -99,20 +88,15 @@ def _cells(
     ]
 
 
-def _device(record: Record[MethodRun]) -> str:
-    """The name of the device that it was trained on."""
-    return str(record.measured["device"]["name"])
-
-
 def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:
-    return list(dict.fromkeys(map(_device, records)))
+    return list(dict.fromkeys(map(processor, records)))
 
 
 def _times(devices: Sequence[str]) -> list[str]:
     """A heading for each machine's times, which say nothing about another's."""
     if len(devices) == 1:
         return ["CPU s"]
-    return [f"CPU s, {name.removeprefix('pthread-')}" for name in devices]
+    return [f"CPU s, {name}" for name in devices]
 
 
 def _psnr(records: Sequence[Record[MethodRun]]) -> dict[tuple[str, int], float]:

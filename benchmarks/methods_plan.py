@@ -93,8 +93,9 @@ def _short(title: str, name: str, paper: str | None = None) -> Method:
 
 
 BASELINE = _short("3DGS", "3dgs", "3dgs")
+STEREOGS = Method("StereoGS", PIPELINES / "stereogs_short.yaml", "stereogs")
 NETWORKED = (
-    Method("StereoGS", PIPELINES / "stereogs_short.yaml", "stereogs"),
+    STEREOGS,
     Method("StereoGS, dropout", PIPELINES / "stereogs_dropout_short.yaml", "stereogs_drop"),
 )
 """Methods whose networks take most of the time."""
@@ -164,7 +165,7 @@ def planned_run(
         PipelineError: see `planned_runs`.
     """
     tree = read(method.file)
-    _as_authors_set_it(tree, method, case)
+    as_authors_set_it(tree, method, case)
     if points == "same":
         _start_from_the_same(tree)
     metrics = "metrics=[psnr, ssim, lpips]"
@@ -174,7 +175,7 @@ def planned_run(
     return MethodRun(method, points, case, seed, pipeline, written_digest(tree))
 
 
-def _as_authors_set_it(tree: Node, method: Method, case: Case) -> None:
+def as_authors_set_it(tree: Node, method: Method, case: Case) -> None:
     """Put in what `AUTHORS_SETTINGS` has for the method on the case's data set."""
     of_method = _parts(read(AUTHORS_SETTINGS), case.protocol.partition("-")[0]).get(
         method.file.stem

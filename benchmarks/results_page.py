@@ -6,9 +6,10 @@ import statistics
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TypeVar
 
-from benchmarks.results_plan import CASES, METHODS, SEEDS, Measurement, Method
+from benchmarks.results_plan import Measurement, Method
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
+from benchmarks.training_records import processor
 from registry.ablation.showing.paired import difference
 
 Record = AnyRecord[Measurement]
@@ -38,13 +39,12 @@ and masks.
 """
 
 
-def page_text(records: Records) -> str:
+def page_text(records: Records, planned: int) -> str:
     """The measured part of the page, in Markdown; whatever is there of it."""
     titles = [method.title for method in _methods(records)]
     facts = [_method_fact(records, method) for method in _methods(records)]
     facts += [_protocol_fact(name, group) for name, group in by_protocol(records).items()]
-    devices = dict.fromkeys(record.measured["device"]["name"] for record in records)
-    planned = len(CASES) * len(METHODS) * len(SEEDS)
+    devices = dict.fromkeys(processor(record) for record in records)
     facts.append(
         f"{len(records)} of {planned} runs, on {' and '.join(devices) or 'no device yet'}."
     )

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.results_page import Record, Records, by_case
 from benchmarks.results_plan import Method
-from benchmarks.trainings import RENDERS
+from benchmarks.training_process import RENDERS
 from registry.drawing.pictures import ViewPictures
 from registry.system.files import replacing
 

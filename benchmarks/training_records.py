@@ -28,6 +28,16 @@ class Record(Generic[Planned]):
         return dict(self.measured["scores"])
 
 
+def processor(record: Record[Any]) -> str:
+    """What it was trained on: the device, and the processor's family and model where they are known.
+
+    A driver may call processors of several generations by one name.
+    """
+    name = str(record.measured["device"]["name"]).removeprefix("pthread-")
+    model = record.measured.get("processor_model")
+    return f"{name} ({model})" if model else name
+
+
 def save(run: Planned, measured: dict[str, Any], folder: Path) -> None:
     """Write a record."""
     folder.mkdir(parents=True, exist_ok=True)

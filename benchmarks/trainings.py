@@ -1,4 +1,4 @@
-"""Trainings that are measured, each in a process of its own, several at a time where one asks for it."""
+"""Trainings that are measured, in processes of their own, several at a time where one asks for it."""
 
 from __future__ import annotations
 
@@ -15,44 +15,45 @@ from rich.console import Console
 
 from benchmarks import training_records as records
 from benchmarks.planned_training import PlannedTraining
-from benchmarks.training_process import FAILED
+from benchmarks.training_process import ANSWER, FAILED, PIPELINE
 from registry.cache import FOLDER_VARIABLE
 from registry.runs.interrupt import stop_on_interrupt
 from registry.system.files import write_text
 
 THREADS = "POCL_MAX_PTHREAD_COUNT"
-RENDERS = "renders"
+Group = Sequence[PlannedTraining]
+"""Trainings of one process: a single one, or some that begin alike (`benchmarks.branches`)."""
 _SECONDS_BETWEEN_LOOKS = 0.2
 _TAIL = 1000
 """Characters of a log that are shown of an error that nobody explained."""
 
 
 class Training:
-    """A training at work.
+    """A process at work.
 
     Args:
-        run: what is trained.
-        folder: where its pipeline, pictures, log and answer lie.
+        group: what it trains.
+        out: where pipelines, pictures and answers lie, a folder for each training; the log is in the first.
         device: part of the device's name, or None.
         threads: of an OpenCL device that is a processor; None: as many as there are cores.
     """
 
-    def __init__(
-        self, run: PlannedTraining, folder: Path, device: str | None, threads: int | None
-    ) -> None:
-        self.run, self.began = run, monotonic()
-        folder.mkdir(parents=True, exist_ok=True)
-        pipeline = folder / "pipeline.yaml"
-        self._log, self._answer = folder / "log.txt", folder / "answer.json"
-        self._answer.unlink(missing_ok=True)
-        write_text(pipeline, run.pipeline.to_yaml())
-        command = [sys.executable, "-m", "benchmarks.training_process"]
-        command += [str(pipeline), str(folder / RENDERS), str(self._answer)]
-        command += ["--without", *run.without]
+    def __init__(self, group: Group, out: Path, device: str | None, threads: int | None) -> None:
+        self.waiting, self.began = list(group), monotonic()
+        self._out = out
+        folders = [out / run.name for run in group]
+        for run, folder in zip(group, folders, strict=True):
+            folder.mkdir(parents=True, exist_ok=True)
+            write_text(folder / PIPELINE, run.pipeline.to_yaml())
+            (folder / ANSWER).unlink(missing_ok=True)
+        command = [sys.executable, "-m", "benchmarks.training_process", *map(str, folders)]
+        without = dict.fromkeys(name for run in group for name in run.without)
+        command += ["--without", *without]
         # Answers from an earlier run would make this one look fast.
         environment = {**os.environ, FOLDER_VARIABLE: ""}
         if threads is not None:
             environment[THREADS] = str(threads)
+        self._log = folders[0] / "log.txt"
         with self._log.open("wb") as log:
             self.process = subprocess.Popen(
                 command + ([] if device is None else ["--device", device]),
@@ -63,11 +64,18 @@ class Training:
                 start_new_session=True,  # Ctrl-C is for the parent: it stops between runs
             )
 
-    def outcome(self) -> dict[str, object] | str:
-        """What an ended training measured, or what a failed one said."""
-        if self._answer.is_file():
-            measured: dict[str, object] = json.loads(self._answer.read_text("utf-8"))
-            return measured
+    def answered(self) -> list[tuple[PlannedTraining, dict[str, object]]]:
+        """What has been measured since this was asked last; it no longer waits."""
+        found = []
+        for run in list(self.waiting):
+            answer = self._out / run.name / ANSWER
+            if answer.is_file():
+                found.append((run, json.loads(answer.read_text("utf-8"))))
+                self.waiting.remove(run)
+        return found
+
+    def failure(self) -> str:
+        """What an ended process said that owes an answer."""
         log = self._log.read_text("utf-8", errors="replace")
         return failure(log) or f"exit status {self.process.returncode}"
 
@@ -79,7 +87,7 @@ def failure(log: str) -> str:
 
 
 def train(
-    waiting: Sequence[PlannedTraining],
+    waiting: Sequence[Group],
     *,
     jobs: int,
     seconds: float | None,
@@ -88,13 +96,13 @@ def train(
     kept: Path,
     console: Console,
 ) -> dict[str, str]:
-    """Train in order, `jobs` at a time, and save a record of each as it ends.
+    """Train in order, `jobs` groups at a time, and save a record of each training as it ends.
 
-    After `seconds`, or the first Ctrl-C, no other is begun and those at work are waited for; a second
+    After `seconds`, or the first Ctrl-C, no other group is begun and those at work are waited for; a second
     Ctrl-C ends them.
 
     Returns:
-        What each run that failed said, by name; a failure keeps no other from being trained.
+        What each run that failed said, by name; a failure keeps no other group from being trained.
     """
     queue, working = deque(waiting), list[Training]()
     failures: dict[str, str] = {}
@@ -106,11 +114,13 @@ def train(
                 if stop.requested or (seconds is not None and monotonic() - begin > seconds):
                     queue.clear()
                 while queue and len(working) < jobs:
-                    run = queue.popleft()
-                    working.append(Training(run, out / run.name, device, threads))
-                for ended in [one for one in working if one.process.poll() is not None]:
-                    working.remove(ended)
-                    failures |= _finish(ended, kept, console)
+                    working.append(Training(queue.popleft(), out, device, threads))
+                for one in list(working):
+                    ended = one.process.poll() is not None  # before its answers are looked for
+                    _save(one, kept, console)
+                    if ended:
+                        working.remove(one)
+                        failures |= _failures(one, console)
                 sleep(_SECONDS_BETWEEN_LOOKS)
         finally:
             for one in working:
@@ -119,12 +129,15 @@ def train(
     return failures
 
 
-def _finish(ended: Training, kept: Path, console: Console) -> dict[str, str]:
-    """Save the record; what a training that failed said, by name."""
-    name, outcome = ended.run.name, ended.outcome()
-    if isinstance(outcome, str):
-        console.print(f"{name} failed: {outcome}")
-        return {name: outcome}
-    records.save(ended.run, outcome, kept)
-    console.print(f"{name}: {monotonic() - ended.began:.0f} s")
-    return {}
+def _save(working: Training, kept: Path, console: Console) -> None:
+    for run, measured in working.answered():
+        records.save(run, measured, kept)
+        console.print(f"{run.name}: {monotonic() - working.began:.0f} s")
+
+
+def _failures(ended: Training, console: Console) -> dict[str, str]:
+    """What the process said, by the name of each run that it left without an answer."""
+    failures = {run.name: ended.failure() for run in ended.waiting}
+    for name, said in failures.items():
+        console.print(f"{name} failed: {said}")
+    return failures

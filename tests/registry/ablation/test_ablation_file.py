@@ -26,7 +26,7 @@ COUNTS = {
     "small_multi_view_models": 7,
     "small_stereo_models": 3,
     "stereo_models": 5,
-    "stereo_term": 6,
+    "stereo_term": 10,
     "validity_mask": 2,
     "weightfree": 13,
 }

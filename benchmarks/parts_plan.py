@@ -1,0 +1,232 @@
+"""What `benchmarks.parts` trains: StereoGS in its short form, and what ablation files make of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+from pydantic import BaseModel
+
+from benchmarks.methods_plan import STEREOGS, as_authors_set_it
+from benchmarks.results_plan import CASES, DATA, PIPELINES, SEEDS, Case
+from registry.ablation.planning.description import read_description
+from registry.ablation.planning.making import make_plan
+from registry.ablation.planning.plan import Combination, Plan
+from registry.pipeline.edits import apply_override
+from registry.pipeline.pipeline import Pipeline
+from registry.plugins.discovery import Plugins
+
+MODELS = "STEREOGS_MODELS"
+TERM = "regularizers.stereo_depth"
+LATE = (TERM, "priors.stereo")
+"""What plays no part until the term is due."""
+NOTHING = "nothing"
+"""The row with every toggle off."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that stand together.
+
+    Args:
+        title: its heading.
+        files: of the ablation files, with the rows that are taken from each; none: all.
+        cases: its columns.
+        baseline: the row that the others are compared with.
+        paper: the StereoGS paper's table of the same, or None.
+    """
+
+    title: str
+    files: tuple[tuple[str, tuple[str, ...]], ...]
+    cases: tuple[Case, ...]
+    baseline: str
+    paper: str | None = None
+
+
+def _cases(*names: str) -> tuple[Case, ...]:
+    return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
+
+
+_LEAVES = _cases("llff_fern-3", "llff_flower-3")
+EIGHT = Table("The eight rows", (("parts", ()),), _LEAVES, NOTHING, "components")
+OBJECTS = Table(
+    "Around objects",
+    (
+        (
+            "parts",
+            (NOTHING, "initializer", "initializer, opacity", "initializer, stereo_depth, opacity"),
+        ),
+    ),
+    _cases("dtu_scan24-3", "dtu_scan65-3"),
+    NOTHING,
+    "components",
+)
+TERM_TABLE = Table(
+    "The stereo term",
+    (("small_stereo_models", ("none", "sgm")), ("stereo_term", ())),
+    _LEAVES,
+    "none",
+)
+TABLES = (
+    EIGHT,
+    TERM_TABLE,
+    Table(
+        "The decay functions",
+        (("decay_function", ()), ("decay_base", ("0.98",))),
+        _LEAVES,
+        "exp_beta",
+        "decay_strategy",
+    ),
+    Table("The first points", (("small_multi_view_models", ()),), _LEAVES, "itermvs"),
+    OBJECTS,
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table.
+
+    Args:
+        table: its title.
+        place: the number of its file among the table's, and of the row in the file.
+        label: what is on, or which value something has.
+    """
+
+    table: str
+    place: tuple[int, int]
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class PartsRun:
+    """One training.
+
+    Args:
+        rows: the lines that it stands in.
+        digest: of what the pipeline sets, the same wherever the data lie.
+        trunk: the same without what plays no part at first; runs that share it begin alike.
+        parts_at: the iteration in which the stereo term is first due; None: never.
+    """
+
+    rows: tuple[Row, ...]
+    case: Case
+    seed: int
+    pipeline: Pipeline
+    digest: str
+    trunk: str
+    parts_at: int | None
+    without: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.case.data}_{self.seed}_{self.digest}"
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a record says of it."""
+        first = self.rows[0]
+        return {"row": f"{first.table}: {first.label}", "data": self.case.data, "seed": self.seed}
+
+
+def planned_runs(
+    tables: Sequence[Table], plugins: Plugins, seeds: Sequence[int] = SEEDS
+) -> list[PartsRun]:
+    """All runs of some tables; in a table the first seed of everything before the second.
+
+    A pipeline that stands in several rows is one run.
+
+    Raises:
+        PipelineError: a file cannot be read or contradicts the protocol.
+    """
+    runs: dict[tuple[str, int, str], PartsRun] = {}
+    for table in tables:
+        found = [
+            run
+            for case, number in product(table.cases, range(len(table.files)))
+            for run in _runs(table, number, case, len(seeds), plugins)
+        ]
+        for run in sorted(found, key=lambda run: run.seed):
+            known = runs.setdefault((run.case.data, run.seed, run.digest), run)
+            if known is not run:
+                runs[run.case.data, run.seed, run.digest] = replace(
+                    known, rows=(*known.rows, *run.rows)
+                )
+    return list(runs.values())
+
+
+def together(waiting: Sequence[PartsRun]) -> list[list[PartsRun]]:
+    """Runs of one process: those that share a trunk until the stereo term is due.
+
+    A run without the term goes with the first that have it.
+    """
+    due = {_trunk(run): run.parts_at for run in reversed(waiting) if run.parts_at is not None}
+    groups: dict[tuple[Any, ...], list[PartsRun]] = {}
+    for run in waiting:
+        parts_at = due.get(_trunk(run)) if run.parts_at is None else run.parts_at
+        groups.setdefault((*_trunk(run), parts_at), []).append(run)
+    return list(groups.values())
+
+
+def _trunk(run: PartsRun) -> tuple[str, int, str]:
+    return run.case.data, run.seed, run.trunk
+
+
+def _runs(
+    table: Table, number: int, case: Case, seeds: int, plugins: Plugins
+) -> Iterator[PartsRun]:
+    """Those of the rows of one of the table's files."""
+    file, only = table.files[number]
+    path = PIPELINES / "ablations" / f"{file}.yaml"
+    description = replace(read_description(path, STEREOGS.file), scenes=(), seeds=seeds)
+    tree = description.pipeline
+    as_authors_set_it(tree, STEREOGS, case)
+    for override in (*case.overrides, "training.seed=0"):
+        apply_override(tree, override)
+    plan = make_plan(description, plugins)
+    for run in plan.runs:
+        label = label_of(plan, run.combination)
+        if only and label not in only:
+            continue
+        terms = (item for item in run.pipeline if item.qualified_name == TERM)
+        yield PartsRun(
+            (Row(table.title, (number, plan.combinations.index(run.combination)), label),),
+            case,
+            run.seed,
+            run.pipeline,
+            _digest(run.pipeline),
+            _digest(run.pipeline, LATE),
+            next((term.schedule.start for term in terms), None),
+        )
+
+
+def label_of(plan: Plan, combination: Combination) -> str:
+    """What is on, or the value of what is varied."""
+    chosen = [choice.label for choice in combination.choices if choice is not None]
+    on = [name for name, is_on in zip(plan.toggles, combination.on, strict=True) if is_on]
+    return ", ".join([*on, *chosen]) or NOTHING
+
+
+def _digest(pipeline: Pipeline, without: Collection[str] = ()) -> str:
+    """Ten hexadecimal digits of all that a pipeline sets, wherever data and models lie."""
+    said: list[Any] = [_set(pipeline.training)]
+    said += [pipeline.protocol.written if pipeline.protocol else None]
+    said += [
+        [item.qualified_name, _set(item.host), _set(item.settings)]
+        for item in pipeline
+        if item.qualified_name not in without
+    ]
+    text = json.dumps(said, sort_keys=True)
+    for variable in (DATA, MODELS):
+        if place := os.environ.get(variable):
+            text = text.replace(json.dumps(place)[1:-1], f"${{{variable}}}")
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def _set(settings: BaseModel) -> Any:
+    return settings.model_dump(mode="json", exclude_defaults=True)
