@@ -25,11 +25,12 @@ PARTS = {
     "opacity": ("decay", "opacity_decay"),
 }
 """What ablation files toggle, with its name here and in the paper's table."""
+SCORES = {"ssim": "SSIM", "lpips": "LPIPS", "lpips_alex": "LPIPS, Alex", "avge": "AVGE"}
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several.
 *to ...* and *here* are mean differences in PSNR over pairs of the same scene and seed, with their 95 %
-interval (Student's t) from three pairs on. SSIM, LPIPS (VGG) and Gaussians are means over scenes. *asked*
-is how often the stereo network was asked, *of the time* what share of initialization and training it took.
+interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS
+is by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time* what share of initialization and training it took.
 *paper* are averages over all scenes of a data set, with the paper's networks and 30,000 iterations, from
 {source}.
 
@@ -73,7 +74,7 @@ def _table(table: Table, rows: dict[str, list[Record]]) -> str:
     toggled = table in (EIGHT, OBJECTS)
     scenes = [case.data for case in table.cases]
     headings = [*((name for name, _ in PARTS.values()) if toggled else ("form",)), "seeds", *scenes]
-    headings += [f"to {table.baseline}", "SSIM", "LPIPS", "Gaussians"]
+    headings += [f"to {table.baseline}", *SCORES.values(), "Gaussians"]
     headings += ["asked", "of the time"] if table is TERM_TABLE else []
     paper = _paper(table)
     headings += ["paper"] if paper else []
@@ -94,10 +95,13 @@ def _scores(table: Table, records: Records, baseline: Records, label: str) -> li
         " + ".join(str(len(of_scene)) for of_scene in by_scene),
         *(spread([record.scores["psnr"] for record in of_scene]) for of_scene in by_scene),
         NONE if compared is None else compared.text(),
-        _mean(by_scene, lambda record: record.scores["ssim"], ".3f"),
-        _mean(by_scene, lambda record: record.scores["lpips"], ".3f"),
+        *(_mean(by_scene, _score(name), ".3f") for name in SCORES),
         _mean(by_scene, lambda record: record.measured["gaussians"], ",.0f"),
     ]
+
+
+def _score(name: str) -> Callable[[Record], float]:
+    return lambda record: record.scores[name]
 
 
 def _questions(records: Records) -> list[str]:

@@ -23,6 +23,7 @@ from registry.plugins.discovery import Plugins
 
 MODELS = "STEREOGS_MODELS"
 TERM = "regularizers.stereo_depth"
+METRICS = "metrics=[psnr, ssim, lpips, {use: lpips, name: lpips_alex, network: alex}]"
 LATE = (TERM, "priors.stereo")
 """What plays no part until the term is due."""
 NOTHING = "nothing"
@@ -186,7 +187,7 @@ def _runs(
     description = replace(read_description(path, STEREOGS.file), scenes=(), seeds=seeds)
     tree = description.pipeline
     as_authors_set_it(tree, STEREOGS, case)
-    for override in (*case.overrides, "training.seed=0"):
+    for override in (*case.overrides, METRICS, "training.seed=0"):
         apply_override(tree, override)
     plan = make_plan(description, plugins)
     for run in plan.runs:

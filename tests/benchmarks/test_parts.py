@@ -125,7 +125,13 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
     for run in planned_runs([EIGHT, TERM_TABLE, OBJECTS], PLUGINS):
         label = labels(run).get(EIGHT.title)
         if label in psnr:
-            scores = {"psnr": psnr[label] + run.seed, "ssim": 0.5, "lpips": 0.25}
+            scores = {
+                "psnr": psnr[label] + run.seed,
+                "ssim": 0.5,
+                "lpips": 0.25,
+                "lpips_alex": 0.125,
+                "avge": 0.0625,
+            }
             logged = asked if "stereo_depth" in label else quiet
             found.append(Record(run, measured | {"scores": scores, "logged": logged}))
     return found
@@ -142,7 +148,7 @@ def test_tables_show_means_differences_and_the_papers_numbers() -> None:
     nothing, both, whole = rows_of(text, EIGHT.title)
     assert nothing[:7] == ["✗", "✗", "✗", "3 + 3", "19.00 ± 1.00", "19.00 ± 1.00", NONE]
     assert both[:3] == ["✓", "✗", "✓"]
-    assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "12,345", "21.91"]
+    assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.125", "0.062", "12,345", "21.91"]
     parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "What each part adds")}
     assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", "+0.73"]
     assert parts["decay", NOTHING] == [NONE, "+2.16"]
