@@ -46,7 +46,7 @@ def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     devices = _devices(records)
-    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS", "Gaussians"]
+    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS", "AVGE", "Gaussians"]
     headings += [*_times(devices), "MB", *_papers_columns(group, paper)]
     baseline = [record for record in records if record.run.method is BASELINE]
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
@@ -82,6 +82,7 @@ def _cells(
         NONE if compared is None else compared.text(),
         mean(lambda record: record.scores["ssim"], ".3f"),
         mean(lambda record: record.scores["lpips"], ".3f"),
+        mean(lambda record: record.scores["avge"], ".3f"),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
         *(mean(lambda record: record.measured["cpu_seconds"], ",.0f", d) for d in devices),
         mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),

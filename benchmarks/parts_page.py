@@ -29,9 +29,10 @@ SCORES = {"ssim": "SSIM", "lpips": "LPIPS", "lpips_alex": "LPIPS, Alex", "avge":
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several.
 *to ...* and *here* are mean differences in PSNR over pairs of the same scene and seed, with their 95 %
-interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS
-is by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time* what share of initialization and training it took.
-*paper* are averages over all scenes of a data set, with the paper's networks and 30,000 iterations, from
+interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS is
+by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time*
+what share of initialization and training it took. *paper* are averages over all scenes of a data set, with
+the paper's networks and 30,000 iterations, from
 {source}.
 
 {done} of {planned} runs, on {devices}. Those that differ in the stereo term alone went on from one moment

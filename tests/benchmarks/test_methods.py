@@ -67,7 +67,7 @@ def record(
 ) -> Record[MethodRun]:
     run = MethodRun(method, points, case, seed, None, "")  # type: ignore[arg-type]
     measured: dict[str, Any] = {
-        "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25},
+        "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25, "avge": 0.125},
         "gaussians": 12_345,
         "cpu_seconds": 67.8,
         "peak_memory_mb": 910,
@@ -215,11 +215,11 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", NONE, "0.500", "0.250"]
-    assert base[8:11] == ["12,345", "68", "910"]
-    assert base[11:] == ["16.02", "0.465", "0.378"]
+    assert base[8:12] == ["0.125", "12,345", "68", "910"]
+    assert base[12:] == ["16.02", "0.465", "0.378"]
     assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", NONE, NONE, "+4.00"]
-    assert ours[6:11] == ["0.500", "0.250", "12,345", "68", "910"]
-    assert ours[11:] == ["20.76", "0.713", "0.200"]
+    assert ours[6:12] == ["0.500", "0.250", "0.125", "12,345", "68", "910"]
+    assert ours[12:] == ["20.76", "0.713", "0.200"]
     assert "### Own points" in text
     assert "### Same points" not in text
     assert "5 of 279" in text
@@ -248,8 +248,8 @@ def test_times_of_several_machines_stand_in_columns_of_their_own() -> None:
     text = methods_page.page_text(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
-    assert heads[8:12] == ["Gaussians", "CPU s, a processor", "CPU s, another", "MB"]
+    assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU s, another", "MB"]
     (both,) = [row for row in rows if row and row[0] == BASELINE.title]
     (one,) = [row for row in rows if row and row[0] == METHODS[1].title]
-    assert both[9:11] == ["68", "27"]
-    assert one[9:11] == ["68", NONE]
+    assert both[10:12] == ["68", "27"]
+    assert one[10:12] == ["68", NONE]

@@ -130,7 +130,7 @@ def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Pa
     ssim = [f"{record.scores['ssim']:.3f}" for record in records]
     assert row_of(colours, "room")[1:] == ["3", "1", *psnr, gain, *ssim]
     costs = [f"{record.measured[name]:,.0f}" for name in _COSTS for record in records]
-    assert row_of(rest, "room")[1:] == ["3", "1", "\u2013", "\u2013", *costs]
+    assert row_of(rest, "room")[1:] == ["3", "1", *["\u2013"] * 4, *costs]
     assert "initial points by `random`" in text
     assert "initial points by `sfm`" in text
     assert "at 48x36, 2 test views" in text
