@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
-from benchmarks.parts_plan import EIGHT, NOTHING, OBJECTS, TABLES, TERM_TABLE, PartsRun, Row, Table
+from benchmarks.parts_plan import (
+    CLASSICAL,
+    EIGHT,
+    NOTHING,
+    TABLES,
+    TERM_TABLE,
+    PartsRun,
+    Row,
+    Table,
+)
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
@@ -28,9 +37,9 @@ PARTS = {
 SCORES = {"ssim": "SSIM", "lpips": "LPIPS", "lpips_alex": "LPIPS, Alex", "avge": "AVGE"}
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several.
-*to ...* and *here* are mean differences in PSNR over pairs of the same scene and seed, with their 95 %
-interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS is
-by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time*
+*to ...* and what parts add are mean differences in PSNR over pairs of the same scene and seed, with their
+95 % interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS
+is by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time*
 what share of initialization and training it took. *paper* are averages over all scenes of a data set, with
 the paper's networks and 30,000 iterations, from
 {source}.
@@ -43,12 +52,13 @@ of one training, that before the term begins, to the bits of whole runs.
 def page_text(records: Records, planned: int) -> str:
     """The measured part of the page, in Markdown."""
     parts = []
+    eight, classical = _rows(EIGHT, records), _rows(CLASSICAL, records)
+    if eight or classical:
+        parts += ["### What each part adds\n", _each_part(eight, classical)]
     for table in TABLES:
         rows = _rows(table, records)
         if rows:
             parts += [f"### {table.title}\n", _table(table, rows)]
-        if rows and table is EIGHT:
-            parts += ["### What each part adds\n", _each_part(rows)]
     devices = dict.fromkeys(processor(record) for record in records)
     parts.append(
         NOTES.format(
@@ -72,17 +82,20 @@ def _rows(table: Table, records: Records) -> dict[str, list[Record]]:
 
 
 def _table(table: Table, rows: dict[str, list[Record]]) -> str:
-    toggled = table in (EIGHT, OBJECTS)
     scenes = [case.data for case in table.cases]
-    headings = [*((name for name, _ in PARTS.values()) if toggled else ("form",)), "seeds", *scenes]
+    headings = [
+        *((name for name, _ in PARTS.values()) if table.toggles else ("form",)),
+        "seeds",
+        *scenes,
+    ]
     headings += [f"to {table.baseline}", *SCORES.values(), "Gaussians"]
     headings += ["asked", "of the time"] if table is TERM_TABLE else []
     paper = _paper(table)
     headings += ["paper"] if paper else []
-    left = len(PARTS) if toggled else 1
+    left = len(PARTS) if table.toggles else 1
     lines = [headings, ["---"] * left + ["---:"] * (len(headings) - left)]
     for label, records in rows.items():
-        first = _ticks(label) if toggled else [label]
+        first = _ticks(label) if table.toggles else [label]
         cells = _scores(table, records, rows.get(table.baseline, []), label)
         cells += _questions(records) if table is TERM_TABLE else []
         lines.append([*first, *cells, *([_published(paper, label, table)] if paper else [])])
@@ -91,11 +104,10 @@ def _table(table: Table, rows: dict[str, list[Record]]) -> str:
 
 def _scores(table: Table, records: Records, baseline: Records, label: str) -> list[str]:
     by_scene = [[r for r in records if r.run.case is case] for case in table.cases]
-    compared = None if label == table.baseline else difference(_psnr(records), _psnr(baseline))
     return [
         " + ".join(str(len(of_scene)) for of_scene in by_scene),
         *(spread([record.scores["psnr"] for record in of_scene]) for of_scene in by_scene),
-        NONE if compared is None else compared.text(),
+        NONE if label == table.baseline else _gain(records, baseline),
         *(_mean(by_scene, _score(name), ".3f") for name in SCORES),
         _mean(by_scene, lambda record: record.measured["gaussians"], ",.0f"),
     ]
@@ -122,25 +134,31 @@ def _mean(by_scene: Sequence[Records], number: Callable[[Record], float], form: 
     return format(statistics.mean(means), form)
 
 
-def _each_part(rows: dict[str, list[Record]]) -> str:
+def _each_part(*of_tables: Mapping[str, Records]) -> str:
     """What a part gains beside each choice of the others, over pairs of the same scene and seed."""
     paper = _paper(EIGHT)
-    lines = [["part", "beside", "here", "paper"], ["---", "---", "---:", "---:"]]
+    headings = ["part", "beside", "with networks", "without", "paper"]
+    lines = [headings, ["---", "---", "---:", "---:", "---:"]]
     for part in PARTS:
         others = [other for other in PARTS if other != part]
         for on in product((False, True), repeat=len(others)):
             beside = [other for other, is_on in zip(others, on, strict=True) if is_on]
             without, with_it = _label(beside), _label([*beside, part])
-            gained = difference(_psnr(rows.get(with_it, [])), _psnr(rows.get(without, [])))
             lines.append(
                 [
                     PARTS[part][0],
                     " and ".join(PARTS[other][0] for other in beside) or NOTHING,
-                    NONE if gained is None else gained.text(),
+                    *(_gain(rows.get(with_it, []), rows.get(without, [])) for rows in of_tables),
                     _papers_gain(paper, with_it, without),
                 ]
             )
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _gain(records: Records, baseline: Records) -> str:
+    """The mean difference in PSNR over pairs of the same scene and seed, with its interval."""
+    found = difference(_psnr(records), _psnr(baseline))
+    return NONE if found is None else found.text()
 
 
 def _label(on: Sequence[str]) -> str:

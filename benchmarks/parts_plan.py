@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from benchmarks.methods_plan import STEREOGS, as_authors_set_it
+from benchmarks.methods_plan import STEREOGS, Method, as_authors_set_it
 from benchmarks.results_plan import CASES, DATA, PIPELINES, SEEDS, Case
 from registry.ablation.planning.description import read_description
 from registry.ablation.planning.making import make_plan
@@ -40,6 +40,8 @@ class Table:
         cases: its columns.
         baseline: the row that the others are compared with.
         paper: the StereoGS paper's table of the same, or None.
+        method: whose pipeline is changed.
+        changes: made to it first, as for `--set`.
     """
 
     title: str
@@ -47,6 +49,13 @@ class Table:
     cases: tuple[Case, ...]
     baseline: str
     paper: str | None = None
+    method: Method = STEREOGS
+    changes: tuple[str, ...] = ()
+
+    @property
+    def toggles(self) -> bool:
+        """Whether its rows are parts that are on or off."""
+        return self.paper == "components"
 
 
 def _cases(*names: str) -> tuple[Case, ...]:
@@ -67,6 +76,11 @@ OBJECTS = Table(
     NOTHING,
     "components",
 )
+WEIGHT_FREE = Method("StereoGS without networks", PIPELINES / "stereogs_weightfree.yaml")
+SHORTER = ("training.iterations=600",)
+CLASSICAL = Table(
+    "Without networks", (("parts", ()),), _LEAVES, NOTHING, "components", WEIGHT_FREE, SHORTER
+)
 TERM_TABLE = Table(
     "The stereo term",
     (("small_stereo_models", ("none", "sgm")), ("stereo_term", ())),
@@ -85,6 +99,16 @@ TABLES = (
     ),
     Table("The first points", (("small_multi_view_models", ()),), _LEAVES, "itermvs"),
     OBJECTS,
+    CLASSICAL,
+    Table(
+        "The decay functions without networks",
+        (("decay_function", ()),),
+        _LEAVES,
+        "exp_beta",
+        "decay_strategy",
+        WEIGHT_FREE,
+        SHORTER,
+    ),
 )
 
 
@@ -184,10 +208,10 @@ def _runs(
     """Those of the rows of one of the table's files."""
     file, only = table.files[number]
     path = PIPELINES / "ablations" / f"{file}.yaml"
-    description = replace(read_description(path, STEREOGS.file), scenes=(), seeds=seeds)
+    description = replace(read_description(path, table.method.file), scenes=(), seeds=seeds)
     tree = description.pipeline
-    as_authors_set_it(tree, STEREOGS, case)
-    for override in (*case.overrides, METRICS, "training.seed=0"):
+    as_authors_set_it(tree, table.method, case)
+    for override in (*case.overrides, *table.changes, METRICS, "training.seed=0"):
         apply_override(tree, override)
     plan = make_plan(description, plugins)
     for run in plan.runs:

@@ -77,7 +77,8 @@ def test_runs_of_one_process_begin_alike() -> None:
     for group in groups:
         assert len({(run.case.data, run.seed) for run in group}) == 1
         if len(group) > 1:
-            assert shared_iterations([run.pipeline for run in group]) >= 1000
+            whole = group[0].pipeline.training.iterations
+            assert shared_iterations([run.pipeline for run in group]) > 0.6 * whole
     largest = max(groups, key=len)
     assert {labels(run).get(EIGHT.title) for run in largest} >= {"initializer, opacity", ALL}
     alone = [
@@ -150,8 +151,8 @@ def test_tables_show_means_differences_and_the_papers_numbers() -> None:
     assert both[:3] == ["✓", "✗", "✓"]
     assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.125", "0.062", "12,345", "21.91"]
     parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "What each part adds")}
-    assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", "+0.73"]
-    assert parts["decay", NOTHING] == [NONE, "+2.16"]
+    assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", NONE, "+0.73"]
+    assert parts["decay", NOTHING] == [NONE, NONE, "+2.16"]
     none, paper = rows_of(text, TERM_TABLE.title)
     assert none[0] == "none"
     assert none[-2:] == [NONE, NONE]
