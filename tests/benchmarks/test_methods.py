@@ -169,6 +169,7 @@ def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> No
     assert found["iterations"] == 4
     assert found["cpu_seconds"] > 0
     assert len(found["hash"]) == 64
+    assert "processor_model" in found
     assert {"torch", "stereogs-plugins"} <= set(found["packages"])
     assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
 
@@ -242,13 +243,19 @@ def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
 
 def test_times_of_several_machines_stand_in_columns_of_their_own() -> None:
     records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
-    elsewhere = {"device": {"name": "pthread-another"}, "cpu_seconds": 27.1}
+    elsewhere = {"device": {"name": "pthread-a processor"}, "cpu_seconds": 27.1}
+    elsewhere["processor_model"] = "family 26"
     records[1] = replace(records[1], measured=records[1].measured | elsewhere)
     records.append(record(METHODS[1], FERN, 0, 20.0))
     text = methods_page.page_text(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
-    assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU s, another", "MB"]
+    assert heads[9:13] == [
+        "Gaussians",
+        "CPU s, a processor",
+        "CPU s, a processor (family 26)",
+        "MB",
+    ]
     (both,) = [row for row in rows if row and row[0] == BASELINE.title]
     (one,) = [row for row in rows if row and row[0] == METHODS[1].title]
     assert both[10:12] == ["68", "27"]
