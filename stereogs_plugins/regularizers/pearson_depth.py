@@ -27,6 +27,8 @@ from registry.image_fitting import at_size
 if TYPE_CHECKING:
     from torch import Tensor
 
+SOLID = 0.5
+"""Rendered alpha from which a virtual view of an object before nothing has a depth."""
 CONSTANT = 1e-6
 """Maps whose relative deviation from their mean is below this are constant but for rounding."""
 
@@ -49,7 +51,10 @@ class PearsonDepthSettings(Settings):
 class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """1 - Pearson's correlation of rendered depth z and the prior's depth, of all pixels of a view.
 
-    z is as blended, not divided by alpha. Where one of the two is constant the term is 0.
+    z is as blended, not divided by alpha. Where one of the two is constant the term is 0. Photographs with
+    an alpha show something before nothing, which has no depth: of them, only the pixels that are not empty
+    count, and in virtual views those that the render covers by half. Nothing would be rendered at depth 0
+    and taken for far, and the term would fill it with fog.
     """
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
@@ -62,24 +67,29 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         Raises:
             PluginError: no such prior; or inverse depth that `offset` does not make positive.
         """
-        depth, inverse = self._maps(step)
+        depth, inverse, shown = self._maps(step)
+        if shown is not None:
+            depth, inverse = depth[shown], inverse[shown]
         loss = 1 - correlation(-inverse, depth)
-        if self.settings.offset is not None:
+        if self.settings.offset is not None and inverse.numel():
             loss = loss.minimum(1 - correlation(reciprocal(inverse, self.settings.offset), depth))
         return self._ramp(step.iteration) * loss
 
-    def _maps(self, step: Step) -> tuple[Tensor, Tensor]:
-        """Rendered depth and the prior's inverse depth, `[H, W]` each."""
+    def _maps(self, step: Step) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Rendered depth and the prior's inverse depth, `[H, W]`; the pixels that count, None: all."""
         prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
         kind = self.settings.views
         if kind != "training":
             rendering = step.render(virtual_views.draw(kind, step.scene, self.generator))
-            return rendering.depth, prior.inverse_depth(rendering.rgb.clamp(0, 1))
+            inverse = prior.inverse_depth(rendering.rgb.clamp(0, 1))
+            empty = any(view.alpha is not None for view in step.scene.train)
+            return rendering.depth, inverse, rendering.alpha.detach() >= SOLID if empty else None
         name = step.view.name
         if name not in self._known:
             self._known[name] = prior.inverse_depth_of(step.view)
-        depth = step.rendering.depth
-        return depth, at_size(self._known[name], *depth.shape)
+        depth, alpha = step.rendering.depth, step.view.alpha
+        shown = None if alpha is None else at_size(alpha > 0, *depth.shape)
+        return depth, at_size(self._known[name], *depth.shape), shown
 
     def _ramp(self, iteration: int) -> float:
         done, length = iteration - self.settings.ramp_start, self.settings.ramp_length

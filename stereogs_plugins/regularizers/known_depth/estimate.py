@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from registry import Prior, Step
+    from registry import Prior, Step, TrainingView
 
 
 class Farness:
@@ -33,7 +33,8 @@ class Farness:
 
         Returns:
             `[H, W]` float32 that grows with depth: the depth itself, world units, or minus a monocular
-            prior's inverse depth; and `[H, W]` bool, where it is known.
+            prior's inverse depth; and `[H, W]` bool, where it is known. What the photograph's alpha leaves
+            empty has no depth, whatever the prior takes it for.
 
         Raises:
             PluginError: no such prior, or several.
@@ -52,14 +53,19 @@ class Farness:
         if self._monocular(step.priors):
             prior = MonocularDepthPrior.choose(step.priors, self._prior)
             farness = -prior.inverse_depth_of(view)
-            return {view.name: (farness, torch.ones_like(farness, dtype=torch.bool))}
+            return {view.name: (farness, _shown(view, torch.ones_like(farness, dtype=torch.bool)))}
         several = MultiViewDepthPrior.choose(step.priors, self._prior)
         maps: list[DepthMap] = several.depths(step.scene.train, step.scene.bounds)
         return {
-            one.name: (known.depth, known.valid)
+            one.name: (known.depth, _shown(one, known.valid))
             for one, known in zip(step.scene.train, maps, strict=True)
         }
 
     def _monocular(self, priors: Mapping[str, Prior[Any]]) -> bool:
         able = [name for name, one in priors.items() if isinstance(one, MonocularDepthPrior)]
         return self._prior in able if self._prior is not None else bool(able)
+
+
+def _shown(view: TrainingView, known: Tensor) -> Tensor:
+    """Where something is known of what the photograph shows, `[H, W]` bool."""
+    return known if view.alpha is None else known & (view.alpha > 0)

@@ -8,11 +8,12 @@ import torch
 
 from core_rasterizer import GaussianModel, open_device
 from core_rasterizer.layout import PARAMETERS
-from registry import PluginError, Step
+from registry import PluginError, Step, virtual_views
 from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
 from stereogs_plugins.regularizers.pearson_depth import (
+    SOLID,
     PearsonDepth,
     correlation,
     stereogs_register_regularizers,
@@ -60,7 +61,11 @@ def test_what_is_constant_agrees_with_everything_and_pulls_at_nothing() -> None:
 
 
 def fitted(
-    offset: float | None, inverse: torch.Tensor = INVERSE, iteration: int = 10, **s: int
+    offset: float | None,
+    inverse: torch.Tensor = INVERSE,
+    iteration: int = 10,
+    alpha: torch.Tensor | None = None,
+    **s: int,
 ) -> float:
     """The term for the depth and inverse depth above."""
 
@@ -69,7 +74,7 @@ def fitted(
             return inverse
 
     step, model = moment(build(Known))
-    view = replace(step.view, image=torch.rand(2, 3, 3))
+    view = replace(step.view, image=torch.rand(2, 3, 3), alpha=alpha)
     step = replace(step, sample=replace(step.sample, view=view))
     step = replace(step, iteration=iteration)
     rendering = replace(model.render(step.view.camera), depth=DEPTH)
@@ -86,6 +91,32 @@ def test_the_better_of_two_forms_counts() -> None:
         assert reciprocal < plain
         assert fitted(offset) == pytest.approx(reciprocal, rel=1e-4)
     assert fitted(None) == pytest.approx(plain, rel=1e-4)
+
+
+def test_of_an_object_before_nothing_only_the_object_counts() -> None:
+    alpha = torch.tensor([[0.0, 1.0, 0.5], [1.0, 0.0, 1.0]])
+    z, m = DEPTH[alpha > 0].numpy(), INVERSE[alpha > 0].numpy()
+    assert fitted(None, alpha=alpha) == pytest.approx(1 - np.corrcoef(-m, z)[0, 1], rel=1e-4)
+    best = 1 - max(np.corrcoef(answer, z)[0, 1] for answer in (-m, 1 / (m + 1)))
+    assert fitted(1.0, alpha=alpha) == pytest.approx(best, rel=1e-4)
+    assert fitted(1.0, INVERSE - 4, alpha=(INVERSE > 4).float()) > 0  # the offset suits what counts
+    assert fitted(1.0, alpha=torch.zeros(2, 3)) == 0
+
+
+def test_in_virtual_views_of_an_object_what_is_rendered_solid_counts() -> None:
+    step, model = moment(build(Brightness))
+    scene = step.scene
+    views = tuple(replace(view, alpha=torch.ones(view.image.shape[:2])) for view in scene.train)
+    around = replace(step, scene=replace(scene, train=views))
+    drawn = virtual_views.draw("sphere", scene, build(PearsonDepth, views="sphere").generator)
+    rendered = model.render(drawn)
+    solid = rendered.alpha >= SOLID
+    assert solid.any()
+    assert not solid.all()
+    inverse = build(Brightness).inverse_depth(rendered.rgb.clamp(0, 1))
+    expected = 1 - correlation(-inverse[solid], rendered.depth[solid])
+    found = build(PearsonDepth, views="sphere").loss(around)
+    assert float(found.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
 
 
 def test_an_offset_that_is_too_small_is_refused() -> None:

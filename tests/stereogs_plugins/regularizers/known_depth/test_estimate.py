@@ -44,6 +44,18 @@ def test_a_multi_view_prior_answers_with_its_depth_where_it_knows_it() -> None:
     assert known.tolist() == [[True, False], [True, True]]
 
 
+def test_what_a_photograph_leaves_empty_has_no_depth() -> None:
+    step = step_with_depth(torch.ones(2, 2), inverse_depth=torch.ones(2, 2))
+    alpha = torch.tensor([[0.0, 0.25], [1.0, 0.0]])
+    view = replace(step.view, alpha=alpha)
+    step = replace(step, sample=replace(step.sample, view=view))
+    step = replace(step, scene=replace(step.scene, train=(view, replace(view, name="other"))))
+    assert Farness(None).of(step)[1].tolist() == [[False, True], [True, False]]
+    depth = torch.tensor([[2.0, 0.0], [3.0, 4.0]])
+    step = replace(step, priors={"depth": prior_of(lambda view: depth)})
+    assert Farness("depth").of(step)[1].tolist() == [[False, False], [True, False]]
+
+
 def test_without_a_prior_the_error_says_what_is_missing() -> None:
     step = step_with_depth(torch.ones(2, 2))
     with pytest.raises(PluginError, match="multi_view_depth"):
