@@ -56,9 +56,9 @@ def page_text(records: Records, planned: int) -> str:
     if eight or classical:
         parts += ["### What each part adds\n", _each_part(eight, classical)]
     for table in TABLES:
-        rows = _rows(table, records)
-        if rows:
-            parts += [f"### {table.title}\n", _table(table, rows)]
+        # One that has only rows of the tables before it says nothing yet.
+        if any(record.run.rows[0].table == table.title for record in records):
+            parts += [f"### {table.title}\n", _table(table, _rows(table, records))]
     devices = dict.fromkeys(processor(record) for record in records)
     parts.append(
         NOTES.format(
