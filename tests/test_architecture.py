@@ -115,6 +115,8 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
     folders = [*MAY_IMPORT, "docs", "tests", "pipelines", "benchmarks"]
     files = [f for folder in folders for f in (ROOT / folder).rglob("*") if f.suffix in kinds]
     files += [file for file in ROOT.iterdir() if file.suffix in kinds]
+    made_here = ROOT / "benchmarks" / "out"
+    files = [file for file in files if made_here not in file.parents]
     guilty = [
         label(file)
         for file in files
