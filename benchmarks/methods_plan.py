@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.planned_training import written_digest
-from benchmarks.results_plan import CASES, PIPELINES, Case
+from benchmarks.results_plan import PIPELINES, Case, cases
 from registry.pipeline.edits import apply_override, set_value
 from registry.pipeline.pipeline import Pipeline, build_pipeline
 from registry.pipeline.yaml_source import Node, Place, read
@@ -122,14 +122,10 @@ METHODS = (
 """In the order in which they train: what the others are compared with first, the dearest last."""
 
 
-def _cases(*names: str) -> tuple[Case, ...]:
-    return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
-
-
 GROUPS = (
-    Group("", _cases("llff_fern-3", "llff_flower-3"), POINTS, (0, 1, 2)),
+    Group("", cases("llff_fern-3", "llff_flower-3"), POINTS, (0, 1, 2)),
     Group(
-        "around objects", _cases("dtu_scan24-3", "dtu_scan65-3", "blender_lego-8"), ("same",), (0,)
+        "around objects", cases("dtu_scan24-3", "dtu_scan65-3", "blender_lego-8"), ("same",), (0,)
     ),
 )
 

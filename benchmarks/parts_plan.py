@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from benchmarks.methods_plan import STEREOGS, Method, as_authors_set_it
-from benchmarks.results_plan import CASES, DATA, PIPELINES, SEEDS, Case
+from benchmarks.results_plan import DATA, PIPELINES, SEEDS, Case, cases
 from registry.ablation.planning.description import read_description
 from registry.ablation.planning.making import make_plan
 from registry.ablation.planning.plan import Combination, Plan
@@ -58,11 +58,7 @@ class Table:
         return self.paper == "components"
 
 
-def _cases(*names: str) -> tuple[Case, ...]:
-    return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
-
-
-_LEAVES = _cases("llff_fern-3", "llff_flower-3")
+_LEAVES = cases("llff_fern-3", "llff_flower-3")
 EIGHT = Table("The eight rows", (("parts", ()),), _LEAVES, NOTHING, "components")
 OBJECTS = Table(
     "Around objects",
@@ -72,7 +68,7 @@ OBJECTS = Table(
             (NOTHING, "initializer", "initializer, opacity", "initializer, stereo_depth, opacity"),
         ),
     ),
-    _cases("dtu_scan24-3", "dtu_scan65-3"),
+    cases("dtu_scan24-3", "dtu_scan65-3"),
     NOTHING,
     "components",
 )

@@ -153,6 +153,11 @@ CASES = (
 )
 
 
+def cases(*names: str) -> tuple[Case, ...]:
+    """Some of `CASES`, such as "llff_fern-3"."""
+    return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
+
+
 def check_data(wanted: Iterable[str]) -> None:
     """Refuse to begin without the data sets.
 
