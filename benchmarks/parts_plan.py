@@ -158,7 +158,7 @@ class PartsRun:
 def planned_runs(
     tables: Sequence[Table], plugins: Plugins, seeds: Sequence[int] = SEEDS
 ) -> list[PartsRun]:
-    """All runs of some tables; in a table the first seed of everything before the second.
+    """All runs of some tables; the first seed of everything before the second.
 
     A pipeline that stands in several rows is one run.
 
@@ -172,13 +172,13 @@ def planned_runs(
             for case, number in product(table.cases, range(len(table.files)))
             for run in _runs(table, number, case, len(seeds), plugins)
         ]
-        for run in sorted(found, key=lambda run: run.seed):
+        for run in found:
             known = runs.setdefault((run.case.data, run.seed, run.digest), run)
             if known is not run:
                 runs[run.case.data, run.seed, run.digest] = replace(
                     known, rows=(*known.rows, *run.rows)
                 )
-    return list(runs.values())
+    return sorted(runs.values(), key=lambda run: run.seed)
 
 
 def together(waiting: Sequence[PartsRun]) -> list[list[PartsRun]]:
