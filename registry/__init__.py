@@ -49,7 +49,15 @@ if TYPE_CHECKING:
     from .contract.hooks import Register, hookimpl
     from .contract.maps import DepthMap, Disparity, Flow, Matches
     from .contract.prior import Prior
-    from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View, validate
+    from .contract.scene import (
+        SOLID,
+        PointCloud,
+        Scene,
+        TrainingScene,
+        TrainingView,
+        View,
+        validate,
+    )
     from .contract.step import OtherField, Render, Sample, Step
     from .drawing.camera_path import smooth_path
     from .drawing.logged_pictures import LoggerSettings
@@ -93,6 +101,7 @@ else:
 __all__ = [
     "API_VERSION",
     "RAMP",
+    "SOLID",
     "Appearance",
     "AverageErrorRole",
     "Component",

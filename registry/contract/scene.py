@@ -72,6 +72,10 @@ class PointCloud:
         return int(self.positions.shape[0])
 
 
+SOLID = 0.99
+"""Of a photograph or a render: a pixel of more alpha shows no background (253 and up of 255)."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingView:
     """One photograph and the camera that took it, as components see it while they train.
@@ -90,6 +94,15 @@ class TrainingView:
     image: Tensor
     mask: Tensor | None = None
     alpha: Tensor | None = None
+
+    @property
+    def solid(self) -> Tensor | None:
+        """`[H, W]` bool, pixels that the object covers wholly; None where the photograph does not say.
+
+        Depth is to be compared there alone. Where the background shines through, blended depth is too small,
+        and a loss that wants more of it pulls Gaussians of the background's colour over the rim.
+        """
+        return None if self.alpha is None else self.alpha > SOLID
 
     @property
     def depth(self) -> Tensor | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from registry import (
+    SOLID,
     Context,
     MonocularDepthPrior,
     PluginError,
@@ -27,8 +28,6 @@ from registry.image_fitting import at_size
 if TYPE_CHECKING:
     from torch import Tensor
 
-SOLID = 0.5
-"""Rendered alpha from which a virtual view of an object before nothing has a depth."""
 CONSTANT = 1e-6
 """Maps whose relative deviation from their mean is below this are constant but for rounding."""
 
@@ -52,9 +51,9 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """1 - Pearson's correlation of rendered depth z and the prior's depth, of all pixels of a view.
 
     z is as blended, not divided by alpha. Where one of the two is constant the term is 0. Photographs with
-    an alpha show something before nothing, which has no depth: of them, only the pixels that are not empty
-    count, and in virtual views those that the render covers by half. Nothing would be rendered at depth 0
-    and taken for far, and the term would fill it with fog.
+    an alpha show something before nothing, which has no depth: of them, only the pixels that are `solid`
+    count, and in virtual views those that the render covers wholly. Nothing would be rendered at depth 0, the
+    half-transparent rim too near, and the term would fill both with fog.
     """
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
@@ -83,12 +82,12 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
             rendering = step.render(virtual_views.draw(kind, step.scene, self.generator))
             inverse = prior.inverse_depth(rendering.rgb.clamp(0, 1))
             empty = any(view.alpha is not None for view in step.scene.train)
-            return rendering.depth, inverse, rendering.alpha.detach() >= SOLID if empty else None
+            return rendering.depth, inverse, rendering.alpha.detach() > SOLID if empty else None
         name = step.view.name
         if name not in self._known:
             self._known[name] = prior.inverse_depth_of(step.view)
-        depth, alpha = step.rendering.depth, step.view.alpha
-        shown = None if alpha is None else at_size(alpha > 0, *depth.shape)
+        depth, solid = step.rendering.depth, step.view.solid
+        shown = None if solid is None else at_size(solid, *depth.shape)
         return depth, at_size(self._known[name], *depth.shape), shown
 
     def _ramp(self, iteration: int) -> float:

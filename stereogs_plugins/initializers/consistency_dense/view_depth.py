@@ -55,8 +55,10 @@ class ViewDepth:
         return np.where(self.confirmed > 0, self.confirmed, self.filled)
 
     def confirmed_map(self) -> DepthMap:
-        """The confirmed depths for other components, all equally sure."""
+        """The confirmed depths of `solid` pixels for other components, all equally sure."""
         depth = torch.from_numpy(self.confirmed)
+        if self.view.solid is not None:
+            depth = depth.where(self.view.solid, 0.0)
         return DepthMap(depth, depth > 0, (depth > 0).float())
 
     def facts(self) -> dict[str, Any]:

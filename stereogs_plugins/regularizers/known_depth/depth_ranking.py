@@ -40,8 +40,8 @@ class DepthRankingSettings(Settings):
 
 class DepthRanking(Regularizer[DepthRankingSettings]):
     """mean max(0, D_near - D_far + margin) + continuity times, for both pixels of the pair,
-    mean max(0, |D - D_neighbour| - margin); D is depth as blended over sqrt(near far). What a photograph's
-    alpha leaves empty has no place in the order.
+    mean max(0, |D - D_neighbour| - margin); D is depth as blended over sqrt(near far). What is not `solid` in
+    a photograph with an alpha has no place in the order.
     """
 
     def __init__(self, settings: DepthRankingSettings, context: Context) -> None:

@@ -34,7 +34,7 @@ class Farness:
         Returns:
             `[H, W]` float32 that grows with depth: the depth itself, world units, or minus a monocular
             prior's inverse depth; and `[H, W]` bool, where it is known. What the photograph's alpha leaves
-            empty has no depth, whatever the prior takes it for.
+            empty, or half so, has no depth, whatever the prior takes it for.
 
         Raises:
             PluginError: no such prior, or several.
@@ -68,4 +68,4 @@ class Farness:
 
 def _shown(view: TrainingView, known: Tensor) -> Tensor:
     """Where something is known of what the photograph shows, `[H, W]` bool."""
-    return known if view.alpha is None else known & (view.alpha > 0)
+    return known if view.solid is None else known & view.solid

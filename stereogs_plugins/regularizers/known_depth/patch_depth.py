@@ -45,8 +45,8 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
     """The mean squared difference of normalized depths over the pixels that differ by more than a tolerance.
 
     With the mean m and standard deviation s of a patch and S of the image, local normalization is
-    (x - m) / (s + 0.01 S), global (x - m) / S with no gradient through S. What a photograph's alpha leaves
-    empty is in no patch.
+    (x - m) / (s + 0.01 S), global (x - m) / S with no gradient through S. What is not `solid` in a
+    photograph with an alpha is in no patch.
 
     Raises:
         PluginError: the smallest side is larger than the largest.

@@ -51,7 +51,7 @@ class StereoDepthSettings(Settings):
     validity_mask: bool = True
     """False trusts every pixel that has a disparity at all (the paper's ablation)."""
     background: Literal["alpha", "intensity", "none"] = "alpha"
-    """Pixels to leave out: those that the photograph's alpha leaves empty, if it has one (Blender); dark ones
+    """Pixels to leave out: what is not `solid` in a photograph with an alpha (Blender); dark ones
     with a dark run to their left (DTU); or none. Matched, a backdrop would be filled with fog."""
     background_level: int = Field(30, ge=0, le=255)
     """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
@@ -135,8 +135,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
         if self.settings.background == "intensity":
             return dark_background(view.image, self.settings.background_level)
-        if self.settings.background == "alpha" and view.alpha is not None:
-            return view.alpha <= 0
+        if self.settings.background == "alpha" and view.solid is not None:
+            return ~view.solid
         return torch.zeros(view.image.shape[:2], dtype=torch.bool)
 
     def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:

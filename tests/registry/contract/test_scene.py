@@ -113,6 +113,15 @@ def test_of_one_pose_among_many_the_first_view_stays(caplog: pytest.LogCaptureFi
     assert validate(checked) is checked
 
 
+def test_solid_is_what_no_background_shines_through() -> None:
+    view = tiny_scene().train[0]
+    assert view.solid is None
+    levels = torch.tensor([[0, 1, 128], [252, 253, 255]])
+    solid = replace(view, alpha=levels / 255).solid
+    assert solid is not None
+    assert solid.tolist() == [[False, False, False], [False, True, True]]
+
+
 def test_a_test_view_may_share_a_pose() -> None:
     scene = tiny_scene()
     test = View("again", scene.train[0].camera, scene.train[0].image)

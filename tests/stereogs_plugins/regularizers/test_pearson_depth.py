@@ -94,8 +94,8 @@ def test_the_better_of_two_forms_counts() -> None:
 
 
 def test_of_an_object_before_nothing_only_the_object_counts() -> None:
-    alpha = torch.tensor([[0.0, 1.0, 0.5], [1.0, 0.0, 1.0]])
-    z, m = DEPTH[alpha > 0].numpy(), INVERSE[alpha > 0].numpy()
+    alpha = torch.tensor([[0.0, 1.0, 1.0], [1.0, 0.5, 1.0]])
+    z, m = DEPTH[alpha == 1].numpy(), INVERSE[alpha == 1].numpy()
     assert fitted(None, alpha=alpha) == pytest.approx(1 - np.corrcoef(-m, z)[0, 1], rel=1e-4)
     best = 1 - max(np.corrcoef(answer, z)[0, 1] for answer in (-m, 1 / (m + 1)))
     assert fitted(1.0, alpha=alpha) == pytest.approx(best, rel=1e-4)
@@ -106,11 +106,12 @@ def test_of_an_object_before_nothing_only_the_object_counts() -> None:
 def test_in_virtual_views_of_an_object_what_is_rendered_solid_counts() -> None:
     step, model = moment(build(Brightness))
     scene = step.scene
+    model.write("opacity_logits", torch.full_like(model.read("opacity_logits"), 7.0))
     views = tuple(replace(view, alpha=torch.ones(view.image.shape[:2])) for view in scene.train)
     around = replace(step, scene=replace(scene, train=views))
     drawn = virtual_views.draw("sphere", scene, build(PearsonDepth, views="sphere").generator)
     rendered = model.render(drawn)
-    solid = rendered.alpha >= SOLID
+    solid = rendered.alpha > SOLID
     assert solid.any()
     assert not solid.all()
     inverse = build(Brightness).inverse_depth(rendered.rgb.clamp(0, 1))

@@ -200,6 +200,17 @@ def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
         assert (known.depth[~known.valid] == 0).all()
 
 
+def test_no_depth_is_handed_on_of_what_a_photograph_leaves_empty_or_half_so(scene: Scene) -> None:
+    alpha = torch.ones_like(scene.train[0].image[..., 0])
+    alpha[:, :20], alpha[:, 20] = 0, 0.5
+    views = tuple(replace(view, alpha=alpha) for view in scene.train)
+    points = dense(replace(scene, train=views), stride=4, hand_on_depth=True)
+    for known in points.maps.values():
+        assert not known.valid[:, :21].any()
+        assert (known.depth[:, :21] == 0).all()
+        assert known.valid[:, 21:].float().mean() > 0.5
+
+
 def fan_of_views(widest: float) -> Scene:
     """Four grey views that look at the origin, those at the ends so many degrees apart."""
     turns = (-0.5 * widest, -widest / 6, widest / 6, 0.5 * widest)

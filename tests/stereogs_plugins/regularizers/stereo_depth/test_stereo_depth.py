@@ -193,7 +193,8 @@ def test_tau_is_in_pixels() -> None:
 
 def test_backgrounds_are_left_out() -> None:
     alpha = torch.ones(HEIGHT, WIDTH)
-    alpha[:, 48:] = 0
+    alpha[:, 48] = 0.5  # the rim
+    alpha[:, 49:] = 0
     around, prior = Wall(alpha=alpha), told(everywhere(TRUE_DISPARITY))
     stereo_depth().loss(around.step(m=prior))
     assert around.logged["under test_valid"] == pytest.approx((48 - TRUE_DISPARITY) / WIDTH)
