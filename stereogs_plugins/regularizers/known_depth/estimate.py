@@ -34,7 +34,7 @@ class Farness:
         Returns:
             `[H, W]` float32 that grows with depth: the depth itself, world units, or minus a monocular
             prior's inverse depth; and `[H, W]` bool, where it is known. What the photograph's alpha leaves
-            empty, or half so, has no depth, whatever the prior takes it for.
+            empty, or partly so, has no depth, whatever the prior takes it for.
 
         Raises:
             PluginError: no such prior, or several.

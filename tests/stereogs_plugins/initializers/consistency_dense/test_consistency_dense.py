@@ -200,7 +200,7 @@ def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
         assert (known.depth[~known.valid] == 0).all()
 
 
-def test_no_depth_is_handed_on_of_what_a_photograph_leaves_empty_or_half_so(scene: Scene) -> None:
+def test_no_depth_is_handed_on_of_what_a_photograph_leaves_empty_or_partly_so(scene: Scene) -> None:
     alpha = torch.ones_like(scene.train[0].image[..., 0])
     alpha[:, :20], alpha[:, 20] = 0, 0.5
     views = tuple(replace(view, alpha=alpha) for view in scene.train)

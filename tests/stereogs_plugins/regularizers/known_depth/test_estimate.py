@@ -44,7 +44,7 @@ def test_a_multi_view_prior_answers_with_its_depth_where_it_knows_it() -> None:
     assert known.tolist() == [[True, False], [True, True]]
 
 
-def test_what_a_photograph_leaves_empty_or_half_so_has_no_depth() -> None:
+def test_what_a_photograph_leaves_empty_or_partly_so_has_no_depth() -> None:
     step = step_with_depth(torch.ones(2, 2), inverse_depth=torch.ones(2, 2))
     alpha = torch.tensor([[0.5, 1.0], [1.0, 0.0]])
     view = replace(step.view, alpha=alpha)
