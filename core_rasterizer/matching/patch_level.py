@@ -17,6 +17,11 @@ from .sweep_geometry import plane_transfer
 GREY_LEVELS = 8191
 """Grey values are kept as whole numbers up to this, and so are the steps between neighbours."""
 
+_KERNELS = tuple(
+    f"matching/{name}"
+    for name in ("pixel_pairs", "patch_window", "patch_plane", "patch_costs", "patch_match")
+)
+
 
 class PatchLevel:
     """Views at one scale, each with a plane a pixel.
@@ -159,4 +164,4 @@ class PatchLevel:
         return np.uint32(mixed % 2**32)
 
     def _program(self) -> Program:
-        return self._device.program("matching/patch_match", dtype=torch.float32, **self._defines)
+        return self._device.program(*_KERNELS, dtype=torch.float32, **self._defines)

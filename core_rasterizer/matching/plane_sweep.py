@@ -125,6 +125,8 @@ class ZnccSweep:
 
     def _program(self, sources: int) -> Program:
         return self._device.program(
+            "matching/no_contraction",
+            "matching/pixel_pairs",
             "matching/plane_sweep",
             dtype=torch.float32,
             SOURCES=sources,

@@ -15,8 +15,6 @@
  * windows come from sweep_images.cl.
  */
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define WINDOW (2 * RADIUS + 1)
 #define COLUMNS (TILE_WIDTH + 2 * RADIUS)
 #define SOURCE_NUMBERS 12
@@ -55,38 +53,12 @@ static inline lane_int is_inside(ray_points p, real width, real height)
         & (p.y <= height * p.z);
 }
 
-static inline lane_int gather(__global const int *table, lane_int at)
-{
-#if LANES == 1
-    return table[at];
-#elif LANES == 8
-    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
-                      table[at.s4], table[at.s5], table[at.s6], table[at.s7]);
-#else
-    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
-                      table[at.s4], table[at.s5], table[at.s6], table[at.s7],
-                      table[at.s8], table[at.s9], table[at.sa], table[at.sb],
-                      table[at.sc], table[at.sd], table[at.se], table[at.sf]);
-#endif
-}
-
-/* The grey value there, between the four nearest pixel centres, rounded to a whole number; positions
- * outside take the nearest pixel of the border. Comparisons are so that NaN becomes 0. */
+/* The grey value there, rounded to a whole number. */
 static inline lane sample(__global const int *pairs, int width, int height, ray_points p)
 {
     const lane inverse = 1 / p.z;
-    lane u = p.x * inverse - 0.5f, v = p.y * inverse - 0.5f;
-    u = LANE_MAX(u, (lane)0);
-    v = LANE_MAX(v, (lane)0);
-    u = LANE_MIN(u, (lane)(width - 1));
-    v = LANE_MIN(v, (lane)(height - 1));
-    const lane_int left = TO_INT(u), top = TO_INT(v);
-    const lane_int at = top * width + left;
-    const lane_int above = gather(pairs, at), below = gather(pairs + width, at);
-    const lane part = u - FROM_INT(left);
-    const lane upper = FROM_INT((above << 16) >> 16) + part * FROM_INT(above >> 16);
-    const lane lower = FROM_INT((below << 16) >> 16) + part * FROM_INT(below >> 16);
-    return (upper + (v - FROM_INT(top)) * (lower - upper) + ROUNDER) - ROUNDER;
+    const lane value = between_pixels(pairs, width, height, p.x * inverse - 0.5f, p.y * inverse - 0.5f);
+    return (value + ROUNDER) - ROUNDER;
 }
 
 /* 127.5 (1 - ZNCC); `noise` is added to both variances, so that even patches match nothing well. */
