@@ -29,13 +29,17 @@ class Record(Generic[Planned]):
 
 
 def processor(record: Record[Any]) -> str:
-    """What it was trained on: the device, and the processor's family and model where they are known.
+    """What it was trained on: the device, the processor's family and model, and what its kernels were
+    built for, as far as these are known.
 
     A driver may call processors of several generations by one name.
     """
-    name = str(record.measured["device"]["name"]).removeprefix("pthread-")
-    model = record.measured.get("processor_model")
-    return f"{name} ({model})" if model else name
+    device = record.measured["device"]
+    name = str(device["name"]).removeprefix("pthread-")
+    told = device.get("built_for")
+    known = [record.measured.get("processor_model"), f"kernels for {told}" if told else None]
+    details = ", ".join(text for text in known if text)
+    return f"{name} ({details})" if details else name
 
 
 def save(run: Planned, measured: dict[str, Any], folder: Path) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from ..errors import DeviceError, MemoryBudgetError
 from .program import Program
 from .retired import Retired
-from .unknown_cpu import correct_cpu_name
+from .unknown_cpu import correct_cpu_name, told_cpu_name
 from .uploads import Uploads
 
 CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
@@ -107,6 +107,18 @@ class Device:
                 where=self.platform,
                 fix="choose another device; `stereogs doctor` lists them",
             ) from error
+
+    @property
+    def built_for(self) -> str | None:
+        """The processor that an old PoCL was told to build kernels for ("skx": AVX-512), None where
+        the driver chose for itself. It is told at the latest when it refuses a build, so that something
+        is built here to find out.
+
+        Raises:
+            DeviceError: the device cannot be opened, or nothing can be built for it.
+        """
+        self.program(dtype=torch.float32)
+        return told_cpu_name(self._handle)
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""

@@ -27,6 +27,8 @@ _WITHOUT_AVX512 = b"znver3\0"
 _MEMORY = Path("/proc/self/mem")
 _HANDLE_BYTES = 4096
 """How much of the driver's device structure is searched for a pointer to the name."""
+_told: dict[int, str] = {}
+"""What stands in the driver's memory since we wrote it, by the device's handle."""
 _AVX512 = frozenset(("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "clwb", "adx"))
 _AVX2 = frozenset(("avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"))
 
@@ -56,7 +58,13 @@ def correct_cpu_name(device: cl.Device, *, only_unknown: bool = False) -> bool:
             memory.write(better)
     except OSError:  # the system does not allow it; building will say what is wrong
         return False
+    _told[device.int_ptr] = better.rstrip(b"\0").decode()
     return True
+
+
+def told_cpu_name(device: cl.Device) -> str | None:
+    """The processor that `correct_cpu_name` wrote down for this device, None where it never did."""
+    return _told.get(device.int_ptr)
 
 
 def better_name(name: bytes, flags: frozenset[str]) -> bytes | None:

@@ -41,9 +41,10 @@ def run(arguments: argparse.Namespace) -> int:
         passed, verdict = _judge(device)
         failed |= not passed
         mark = "  <- chosen" if device is chosen else ""
+        told = f", kernels for {device.built_for}" if passed and device.built_for else ""
         output.print(
             f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
-            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
+            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB{told}\n"
             f"  self-test: {verdict}"
         )
     return FAULT if failed else 0

@@ -56,12 +56,14 @@ def _packages() -> list[str]:
 
 
 def describe_device(device: Device) -> dict[str, str]:
-    """The OpenCL device as plain JSON values."""
+    """The OpenCL device as plain JSON values; with `built_for` where `Device.built_for` says something."""
+    told = device.built_for
     return {
         "name": device.name,
         "platform": device.platform,
         "kind": device.kind,
         "driver": device.driver,
+        **({"built_for": told} if told else {}),
     }
 
 
