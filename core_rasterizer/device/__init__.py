@@ -2,11 +2,12 @@
 
 from .array import DeviceArray
 from .choice import list_devices, open_device
-from .device import Device, Kind, Variant
+from .device import CORRECT_CPU_NAME, Device, Kind, Variant
 from .program import Program
 from .scratch import Scratch
 
 __all__ = [
+    "CORRECT_CPU_NAME",
     "Device",
     "DeviceArray",
     "Kind",

@@ -13,7 +13,7 @@ from torch import Tensor
 from ..errors import DeviceError, MemoryBudgetError
 from .program import Program
 from .retired import Retired
-from .unknown_cpu import correct_cpu_name, told_cpu_name
+from .unknown_cpu import better_cpu_name, correct_cpu_name, told_cpu_name
 from .uploads import Uploads
 
 CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
@@ -119,6 +119,12 @@ class Device:
         """
         self.program(dtype=torch.float32)
         return told_cpu_name(self._handle)
+
+    @property
+    def could_be_built_for(self) -> str | None:
+        """The processor that an old PoCL would be told with STEREOGS_CORRECT_CPU_NAME=1, None where it
+        knows as much or was told."""
+        return better_cpu_name(self._handle)
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with the other raster kernels; the GPU's run on a CPU too, only slower."""

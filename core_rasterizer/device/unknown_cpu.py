@@ -18,6 +18,7 @@ from __future__ import annotations
 import struct
 from io import FileIO
 from pathlib import Path
+from typing import NamedTuple
 
 import pyopencl as cl
 
@@ -43,28 +44,60 @@ def correct_cpu_name(device: cl.Device, *, only_unknown: bool = False) -> bool:
         Whether a name was replaced. False on other drivers, on processors that PoCL knows, and
         wherever the string is not found beyond doubt.
     """
-    if "Portable Computing Language" not in device.platform.name or not _MEMORY.exists():
-        return False
-    flags = _processor_flags()
     try:
+        found = _name_to_replace(device)
+        if found is None or (only_unknown and found.name != _UNKNOWN):
+            return False
         with FileIO(_MEMORY, "r+b") as memory:
-            found = names_reachable_from(memory, device.int_ptr)
-            if len(found) != 1 or (only_unknown and found[0][1] != _UNKNOWN):
-                return False
-            better = better_name(found[0][1], flags)
-            if better is None:
-                return False
-            memory.seek(found[0][0])
-            memory.write(better)
+            memory.seek(found.address)
+            memory.write(found.better)
     except OSError:  # the system does not allow it; building will say what is wrong
         return False
-    _told[device.int_ptr] = better.rstrip(b"\0").decode()
+    _told[device.int_ptr] = _text(found.better)
     return True
+
+
+def better_cpu_name(device: cl.Device) -> str | None:
+    """The processor that `correct_cpu_name` would write down; None where it would leave the name alone."""
+    try:
+        found = _name_to_replace(device)
+    except OSError:
+        return None
+    return None if found is None else _text(found.better)
 
 
 def told_cpu_name(device: cl.Device) -> str | None:
     """The processor that `correct_cpu_name` wrote down for this device, None where it never did."""
     return _told.get(device.int_ptr)
+
+
+class _Found(NamedTuple):
+    """Where the driver keeps a name, and the one that should stand there; both names are C strings."""
+
+    address: int
+    name: bytes
+    better: bytes
+
+
+def _name_to_replace(device: cl.Device) -> _Found | None:
+    """The driver's name of the processor, if it is found beyond doubt and another one says more.
+
+    Raises:
+        OSError: the system does not let us look.
+    """
+    if "Portable Computing Language" not in device.platform.name or not _MEMORY.exists():
+        return None
+    with FileIO(_MEMORY, "rb") as memory:
+        found = names_reachable_from(memory, device.int_ptr)
+    if len(found) != 1:
+        return None
+    address, name = found[0]
+    better = better_name(name, _processor_flags())
+    return None if better is None else _Found(address, name, better)
+
+
+def _text(name: bytes) -> str:
+    return name.rstrip(b"\0").decode()
 
 
 def better_name(name: bytes, flags: frozenset[str]) -> bytes | None:

@@ -41,13 +41,25 @@ def run(arguments: argparse.Namespace) -> int:
         passed, verdict = _judge(device)
         failed |= not passed
         mark = "  <- chosen" if device is chosen else ""
-        told = f", kernels for {device.built_for}" if passed and device.built_for else ""
         output.print(
             f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
-            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB{told}\n"
-            f"  self-test: {verdict}"
+            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
+            f"  self-test: {verdict}" + (_kernels(device) if passed else "")
         )
     return FAULT if failed else 0
+
+
+def _kernels(device: Device) -> str:
+    """A line on the processor that kernels are built for, where an old driver does not know it."""
+    from core_rasterizer.device import CORRECT_CPU_NAME
+
+    if device.built_for:
+        return f"\n  kernels are built for {device.built_for}, which the driver was told"
+    if better := device.could_be_built_for:
+        return (
+            f"\n  kernels are faster if {CORRECT_CPU_NAME}=1 tells the driver that this is {better}"
+        )
+    return ""
 
 
 def _judge(device: Device) -> tuple[bool, str]:

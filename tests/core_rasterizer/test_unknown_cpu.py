@@ -16,6 +16,7 @@ import pytest
 
 from core_rasterizer.device import unknown_cpu
 from core_rasterizer.device.unknown_cpu import (
+    better_cpu_name,
     better_name,
     correct_cpu_name,
     names_reachable_from,
@@ -127,7 +128,9 @@ def test_a_name_that_says_too_little_is_replaced_only_when_asked(
     handle = structure(ctypes.addressof(name))
     platform = SimpleNamespace(name="Portable Computing Language")
     device = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
+    assert better_cpu_name(device) == "skx"
     assert not correct_cpu_name(device, only_unknown=True)
     assert (name.value, told_cpu_name(device)) == (b"znver3", None)
     assert correct_cpu_name(device)
     assert (name.value, told_cpu_name(device)) == (b"skx", "skx")
+    assert better_cpu_name(device) is None

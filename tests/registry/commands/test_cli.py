@@ -289,6 +289,28 @@ def test_doctor(capsys: Capture) -> None:
     assert "self-test: passed" in output
 
 
+@pytest.mark.parametrize(
+    ("told", "better", "line"),
+    [
+        ("skx", None, "kernels are built for skx, which the driver was told"),
+        (None, "skx", "STEREOGS_CORRECT_CPU_NAME=1 tells the driver that this is skx"),
+        (None, None, None),
+    ],
+)
+def test_doctor_tells_of_a_driver_that_does_not_know_the_processor(
+    told: str | None,
+    better: str | None,
+    line: str | None,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Device, "built_for", told)
+    monkeypatch.setattr(Device, "could_be_built_for", better)
+    assert main(["doctor"]) == 0
+    output = capsys.readouterr().out
+    assert line in output if line else "kernels" not in output
+
+
 def test_doctor_tells_of_a_device_that_fails_and_goes_on(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
