@@ -175,7 +175,7 @@ ELSEWHERE = {
     "regularizers.patch_depth": "regularizers/known_depth/test_patch_depth.py",
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",
     "regularizers.virtual_stereo": "regularizers/test_virtual_stereo.py",
-    "scene.photos": "scenes/test_photos.py",
+    "scene.photos": "scenes/photos/test_loader.py",
     "samplers.camera_refinement": "samplers/test_camera_refinement.py",
     "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
     "samplers.independent_views": "samplers/test_independent_views.py",

@@ -1,0 +1,131 @@
+"""Scenes of photographs without poses."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from registry import Scene, SceneError
+from registry.testing import check
+from stereogs_plugins.scenes.llff import LLFFScene
+from stereogs_plugins.scenes.photos import (
+    PhotosScene,
+    stereogs_register_scenes,
+    structure_from_motion,
+)
+from stereogs_plugins.scenes.photos.unposed_photos import read_folder
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build, offered
+
+from .photographs import SIDEWAYS, load, pose_errors, reconstruction_of, write_pictures
+
+
+def test_is_offered_as_photos() -> None:
+    assert offered(stereogs_register_scenes) == {"photos": PhotosScene}
+
+
+def test_cameras_of_the_room_are_found(folder: Path, room: Scene, cached: Path) -> None:
+    scene = load(folder, test_every=0)
+    assert [view.name for view in scene.train] == [view.name for view in room.train]
+    found, truth = ([view.camera for view in s.train] for s in (scene, room))
+    rotations, directions = pose_errors(found, truth)
+    assert rotations.max() < 0.5
+    assert directions.max() < 2
+    assert found[0].fx == pytest.approx(truth[0].fx, rel=0.05)
+    assert scene.points is not None
+    assert len(scene.points) > 100
+    assert scene.test == ()
+
+
+def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, cached: Path) -> None:
+    scene = load(folder, test_every=0)
+    assert scene.fact("turned_upright") == 1
+    view = scene.train[SIDEWAYS]
+    assert view.camera.width > view.camera.height
+    # Undistorted pictures differ by a crop of a few pixels: compare coarse averages.
+    shrink = torch.nn.AdaptiveAvgPool2d((6, 8))
+    small = [shrink(v.image.permute(2, 0, 1)) for v in (view, room.train[SIDEWAYS])]
+    assert float((small[0] - small[1]).abs().mean()) < 0.03
+
+
+def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
+    scene = load(folder, test_every=3)
+    assert (scene.fact("train_photographs"), scene.fact("test_photographs")) == ((1, 2, 4), (0, 3))
+    fewer = load(folder, test_every=3, train_views=2)
+    assert fewer.fact("train_photographs") == (1, 4)
+    assert scene.points is not None
+    assert fewer.points is not None
+    assert 0 < len(fewer.points) < len(scene.points)
+    assert fewer.bounds[0] < fewer.bounds[1]
+    with pytest.raises(SceneError, match="only 3 are not test views"):
+        load(folder, test_every=3, train_views=4)
+
+
+def test_photographs_are_reduced(folder: Path, cached: Path) -> None:
+    view = load(folder, max_size=120).train[0]
+    assert max(view.image.shape[:2]) <= 130  # cropping by undistortion changes it a little
+    assert "resized from 360x270 to 120x90" in str(load(folder, max_size=120).fact("changed"))
+
+
+def test_transparent_pictures_are_laid_on_the_background(
+    folder: Path,
+    cached: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (whole,) = cached.glob("cameras/*")
+    monkeypatch.setenv("STEREOGS_CACHE", "")
+    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: reconstruction_of(whole))
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    for path, alpha in (("train_01", 0), ("train_03", 255)):
+        with Image.open(copy / f"{path}.jpg") as file:
+            picture = file.convert("RGBA")
+        picture.paste((255, 0, 0, alpha), (0, 0, 5, 5))
+        picture.save(copy / f"{path}.png")
+        (copy / f"{path}.jpg").unlink()
+    assert [photo.name for photo in read_folder(copy) if photo.transparent] == ["train_01.png"]
+    scene = load(copy, test_every=0)
+    assert "in 1 of 5 pictures, train_01.png first, are laid on" in caplog.text
+    assert "background (0 0 0)" in caplog.text
+    assert float(scene.train[1].image[:3, :3].max()) < 0.2
+    assert scene.background == (0, 0, 0)
+
+
+def test_the_contract(folder: Path, cached: Path) -> None:
+    check(PhotosScene, path=folder)
+
+
+def test_folders_that_are_recognized(tmp_path: Path) -> None:
+    assert not PhotosScene.recognizes(tmp_path)
+    write_pictures(tmp_path, 1)
+    (tmp_path / ".hidden").touch()
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "Thumbs.db").touch()
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "cameras.txt").touch()
+    assert not PhotosScene.recognizes(tmp_path)
+    (tmp_path / "cameras.txt").unlink()
+    (tmp_path / "sparse").symlink_to(tmp_path.parent)
+    assert not PhotosScene.recognizes(tmp_path)
+
+
+@pytest.mark.proof
+def test_the_published_cameras_of_the_fern(tmp_path: Path) -> None:
+    """Eight of the twenty pictures; with all of them rotations are off by 0.33 degrees at most."""
+    data = data_folder("llff_fern")
+    published = build(LLFFScene, path=data, train_views=None).load()
+    cameras = {view.name: view.camera for view in (*published.train, *published.test)}
+    for path in sorted((data / "images_8").iterdir())[:8]:
+        shutil.copy(path, tmp_path)
+    scene = load(tmp_path, test_every=0)
+    rotations, directions = pose_errors(
+        [view.camera for view in scene.train], [cameras[view.name] for view in scene.train]
+    )
+    assert len(rotations) == 8
+    assert rotations.max() < 0.75
+    assert directions.max() < 2
