@@ -57,7 +57,8 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
     assert facts["command"] == sys.argv
     assert facts["source"] == checkout()
-    assert facts["packages"]["torch"] == torch.__version__
+    # PyPI's file for Linux says 2.13.0, the library in it 2.13.0+cu130.
+    assert torch.__version__.startswith(facts["packages"]["torch"])
     lines = [json.loads(x) for x in (folder.path / "metrics.jsonl").read_text().splitlines()]
     assert [line["iteration"] for line in lines] == [20, 30]
     assert "psnr" in lines[0]["test"]
