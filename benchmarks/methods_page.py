@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Sequence
 
+from benchmarks.both_networks import ALEXNET, VGG
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.results_plan import Case
 from benchmarks.spread import NONE, spread
@@ -20,10 +21,11 @@ NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several;
 *mean* is over the scenes, and what follows over those that a row has. *to 3DGS* is the mean
 difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
-(Student's t) from three pairs on. *CPU s* is the processor time of loading, initialization and training, over
-all threads, without scoring, over the scenes that were trained on the machine, if there are several; nothing
-came from the cache of prior answers. *MB* is the most memory that the
-process took until scoring. *paper* are averages over all scenes of a data set from {source}. {notes}
+(Student's t) from three pairs on. LPIPS is by VGG, and AVGE with it; by AlexNet over the runs that
+measured it. *CPU s* is the processor time of loading, initialization and training, over all threads,
+without scoring, over the scenes that were trained on the machine, if there are several; nothing came from
+the cache of prior answers. *MB* is the most memory that the process took until scoring.
+*paper* are averages over all scenes of a data set from {source}. {notes}
 """
 
 
@@ -43,17 +45,25 @@ def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
     return "\n".join(parts)
 
 
+_SCORES = {"ssim": "SSIM", VGG: "LPIPS", ALEXNET: "LPIPS, Alex", "avge": "AVGE"}
+
+
+def _measured(records: Sequence[Record[MethodRun]], score: str) -> bool:
+    return any(record.scores.get(score) is not None for record in records)
+
+
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     devices = _devices(records)
-    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", "SSIM", "LPIPS", "AVGE", "Gaussians"]
+    scores = {name: text for name, text in _SCORES.items() if _measured(records, name)}
+    headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
     headings += [*_times(devices), "MB", *_papers_columns(group, paper)]
     baseline = [record for record in records if record.run.method is BASELINE]
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
     for method in METHODS:
         own = [record for record in records if record.run.method is method]
         if own:
-            cells = _cells(group.cases, own, baseline, devices)
+            cells = _cells(group.cases, own, baseline, list(scores), devices)
             lines.append([method.title, *cells, *_published(group, method, paper)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
@@ -62,31 +72,35 @@ def _cells(
     cases: Sequence[Case],
     own: Sequence[Record[MethodRun]],
     baseline: Sequence[Record[MethodRun]],
+    scores: Sequence[str],
     devices: Sequence[str],
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
     compared = None if own[0].run.method is BASELINE else difference(_psnr(own), _psnr(baseline))
 
     def mean(
-        number: Callable[[Record[MethodRun]], float], form: str, device: str | None = None
+        number: Callable[[Record[MethodRun]], float | None], form: str, device: str | None = None
     ) -> str:
         scenes = [[r for r in records if device in (None, processor(r))] for records in by_scene]
-        means = [statistics.mean(map(number, records)) for records in scenes if records]
+        known = [[n for n in map(number, records) if n is not None] for records in scenes]
+        means = [statistics.mean(numbers) for numbers in known if numbers]
         return format(statistics.mean(means), form) if means else NONE
 
-    psnr = mean(lambda record: record.scores["psnr"], ".2f")
+    psnr = mean(_score("psnr"), ".2f")
     return [
         " + ".join(str(len(records)) for records in by_scene),
         *(spread([record.scores["psnr"] for record in records]) for records in by_scene),
         psnr if all(by_scene) else NONE,
         NONE if compared is None else compared.text(),
-        mean(lambda record: record.scores["ssim"], ".3f"),
-        mean(lambda record: record.scores["lpips"], ".3f"),
-        mean(lambda record: record.scores["avge"], ".3f"),
+        *(mean(_score(name), ".3f") for name in scores),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
         *(mean(lambda record: record.measured["cpu_seconds"], ",.0f", d) for d in devices),
         mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),
     ]
+
+
+def _score(name: str) -> Callable[[Record[MethodRun]], float | None]:
+    return lambda record: record.scores.get(name)
 
 
 def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:

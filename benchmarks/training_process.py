@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.both_networks import VGG, with_alexnet
 from benchmarks.branches import Trained, train_branches
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
@@ -34,7 +35,8 @@ def measure(
 
     Args:
         folders: each with a pipeline; pictures of the test views are written there.
-        without: names of metrics that are left out; a protocol asks for all of its own.
+        without: names of metrics that are left out; a protocol asks for all of its own. LPIPS is measured by
+            both networks or by none.
 
     Yields:
         A folder and plain JSON values. Seconds are those of initialization and training, CPU seconds those of
@@ -45,6 +47,8 @@ def measure(
         ExplainedError: whatever goes wrong.
     """
     pipelines = [build_pipeline(folder / PIPELINE) for folder in folders]
+    if VGG not in without:
+        pipelines = [with_alexnet(pipeline) for pipeline in pipelines]
     for folder, trained in zip(folders, train_branches(pipelines, device), strict=True):
         yield folder, _measured(trained, folder, without)
 
