@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import yaml
 
+from benchmarks.scores import ALEXNET, VGG
 from registry.pipeline.pipeline import Pipeline
 from registry.session import build_pipeline
-
-VGG, ALEXNET = "lpips", "lpips_alex"
-"""The scores' names."""
 
 
 def with_alexnet(pipeline: Pipeline) -> Pipeline:

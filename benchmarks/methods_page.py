@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Sequence
 
-from benchmarks.both_networks import ALEXNET, VGG
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.results_plan import Case
+from benchmarks.scores import mean_over_scenes, score_of, scores_shown
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record, processor
 from registry.ablation.showing.paired import difference
@@ -45,17 +44,10 @@ def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
     return "\n".join(parts)
 
 
-_SCORES = {"ssim": "SSIM", VGG: "LPIPS", ALEXNET: "LPIPS, Alex", "avge": "AVGE"}
-
-
-def _measured(records: Sequence[Record[MethodRun]], score: str) -> bool:
-    return any(record.scores.get(score) is not None for record in records)
-
-
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     devices = _devices(records)
-    scores = {name: text for name, text in _SCORES.items() if _measured(records, name)}
+    scores = scores_shown(records)
     headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
     headings += [*_times(devices), "MB", *_papers_columns(group, paper)]
     baseline = [record for record in records if record.run.method is BASELINE]
@@ -82,25 +74,19 @@ def _cells(
         number: Callable[[Record[MethodRun]], float | None], form: str, device: str | None = None
     ) -> str:
         scenes = [[r for r in records if device in (None, processor(r))] for records in by_scene]
-        known = [[n for n in map(number, records) if n is not None] for records in scenes]
-        means = [statistics.mean(numbers) for numbers in known if numbers]
-        return format(statistics.mean(means), form) if means else NONE
+        return mean_over_scenes(scenes, number, form)
 
-    psnr = mean(_score("psnr"), ".2f")
+    psnr = mean(score_of("psnr"), ".2f")
     return [
         " + ".join(str(len(records)) for records in by_scene),
         *(spread([record.scores["psnr"] for record in records]) for records in by_scene),
         psnr if all(by_scene) else NONE,
         NONE if compared is None else compared.text(),
-        *(mean(_score(name), ".3f") for name in scores),
+        *(mean(score_of(name), ".3f") for name in scores),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
         *(mean(lambda record: record.measured["cpu_seconds"], ",.0f", d) for d in devices),
         mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),
     ]
-
-
-def _score(name: str) -> Callable[[Record[MethodRun]], float | None]:
-    return lambda record: record.scores.get(name)
 
 
 def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 from benchmarks.parts_plan import (
@@ -16,6 +16,7 @@ from benchmarks.parts_plan import (
     Row,
     Table,
 )
+from benchmarks.scores import HEADINGS, mean_over_scenes, score_of
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
@@ -34,7 +35,6 @@ PARTS = {
     "opacity": ("decay", "opacity_decay"),
 }
 """What ablation files toggle, with its name here and in the paper's table."""
-SCORES = {"ssim": "SSIM", "lpips": "LPIPS", "lpips_alex": "LPIPS, Alex", "avge": "AVGE"}
 NOTES = """\
 PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several.
 *to ...* and what parts add are mean differences in PSNR over pairs of the same scene and seed, with their
@@ -88,7 +88,7 @@ def _table(table: Table, rows: dict[str, list[Record]]) -> str:
         "seeds",
         *scenes,
     ]
-    headings += [f"to {table.baseline}", *SCORES.values(), "Gaussians"]
+    headings += [f"to {table.baseline}", *HEADINGS.values(), "Gaussians"]
     headings += ["asked", "of the time"] if table is TERM_TABLE else []
     paper = _paper(table)
     headings += ["paper"] if paper else []
@@ -108,13 +108,9 @@ def _scores(table: Table, records: Records, baseline: Records, label: str) -> li
         " + ".join(str(len(of_scene)) for of_scene in by_scene),
         *(spread([record.scores["psnr"] for record in of_scene]) for of_scene in by_scene),
         NONE if label == table.baseline else _gain(records, baseline),
-        *(_mean(by_scene, _score(name), ".3f") for name in SCORES),
-        _mean(by_scene, lambda record: record.measured["gaussians"], ",.0f"),
+        *(mean_over_scenes(by_scene, score_of(name), ".3f") for name in HEADINGS),
+        mean_over_scenes(by_scene, lambda record: record.measured["gaussians"], ",.0f"),
     ]
-
-
-def _score(name: str) -> Callable[[Record], float]:
-    return lambda record: record.scores[name]
 
 
 def _questions(records: Records) -> list[str]:
@@ -127,11 +123,6 @@ def _questions(records: Records) -> list[str]:
         return [NONE, NONE]
     shares = [said["stereo_depth_seconds"] / seconds for said, seconds in logged]
     return [f"{statistics.mean(asked):.0f}", f"{statistics.mean(shares):.0%}"]
-
-
-def _mean(by_scene: Sequence[Records], number: Callable[[Record], float], form: str) -> str:
-    means = [statistics.mean(map(number, records)) for records in by_scene if records]
-    return format(statistics.mean(means), form)
 
 
 def _each_part(*of_tables: Mapping[str, Records]) -> str:

@@ -6,8 +6,8 @@ import statistics
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TypeVar
 
-from benchmarks.both_networks import ALEXNET, VGG
 from benchmarks.results_plan import Measurement, Method
+from benchmarks.scores import scores_shown
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
@@ -50,28 +50,23 @@ def page_text(records: Records, planned: int) -> str:
     facts.append(
         f"{len(records)} of {planned} runs, on {' and '.join(devices) or 'no device yet'}."
     )
-    by_alexnet = any(ALEXNET in record.scores for record in records)
-    seen = _SEEN if by_alexnet else {k: v for k, v in _SEEN.items() if v[0] != ALEXNET}
+    seen = {name: heading for name, heading in scores_shown(records).items() if name != "ssim"}
     return "\n".join(
         (
             "### Colours\n",
             _table(records, ["PSNR", "to plain", "SSIM"], [_psnr, _to_plain, _mean_of("ssim")]),
             "### What people see, and what it costs\n",
-            _table(records, list(seen), [_mean_of(*column) for column in seen.values()]),
+            _table(
+                records,
+                [*seen.values(), "Gaussians", "CPU s", "MB"],
+                [*map(_mean_of, seen), *(_mean_of(*column) for column in _COSTS)],
+            ),
             NOTES.format(order=" and ".join(titles)) + "".join(f"- {fact}\n" for fact in facts),
         )
     )
 
 
-_SEEN = {
-    "LPIPS": (VGG, ".3f"),
-    "LPIPS, Alex": (ALEXNET, ".3f"),
-    "AVGE": ("avge", ".3f"),
-    "Gaussians": ("gaussians", ",.0f"),
-    "CPU s": ("cpu_seconds", ",.0f"),
-    "MB": ("peak_memory_mb", ",.0f"),
-}
-"""Columns of the second table: the number's name and how it is written."""
+_COSTS = (("gaussians", ",.0f"), ("cpu_seconds", ",.0f"), ("peak_memory_mb", ",.0f"))
 
 
 def _table(records: Records, names: Sequence[str], columns: Sequence[Cells]) -> str:

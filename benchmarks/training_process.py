@@ -12,8 +12,9 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.both_networks import VGG, with_alexnet
+from benchmarks.both_networks import with_alexnet
 from benchmarks.branches import Trained, train_branches
+from benchmarks.scores import VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.runs.evaluation import evaluate

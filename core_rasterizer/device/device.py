@@ -111,13 +111,14 @@ class Device:
     @property
     def built_for(self) -> str | None:
         """The processor that an old PoCL was told to build kernels for ("skx": AVX-512), None where
-        the driver chose for itself. It is told at the latest when it refuses a build, so that something
-        is built here to find out.
+        the driver chose for itself. Where it may yet be told, as it is at the latest when it refuses a
+        build, something is built to find out.
 
         Raises:
-            DeviceError: the device cannot be opened, or nothing can be built for it.
+            DeviceError: such a device cannot be opened, or nothing can be built for it.
         """
-        self.program(dtype=torch.float32)
+        if self.could_be_built_for:
+            self.program(dtype=torch.float32)
         return told_cpu_name(self._handle)
 
     @property

@@ -56,9 +56,7 @@ def _kernels(device: Device) -> str:
     if device.built_for:
         return f"\n  kernels are built for {device.built_for}, which the driver was told"
     if better := device.could_be_built_for:
-        return (
-            f"\n  kernels are faster if {CORRECT_CPU_NAME}=1 tells the driver that this is {better}"
-        )
+        return f"\n  {CORRECT_CPU_NAME}=1 has faster kernels built, for {better} (docs/limits.md)"
     return ""
 
 

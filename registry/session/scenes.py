@@ -1,20 +1,15 @@
-"""A scene from a folder, a pipeline, or arrays; and a pipeline for a scene that is given."""
+"""A scene from a folder, a pipeline, or arrays."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..contract.in_memory import IN_MEMORY
 from ..contract.scene import PointCloud, Scene, View, validate
 from ..errors import PipelineError, SceneError
-from ..pipeline.edits import SECTIONS
-from ..pipeline.pipeline import Item, Pipeline
-from ..pipeline.schedule import HostSettings
-from ..pipeline.yaml_source import Place
+from ..pipeline.pipeline import Pipeline
 from ..plugins.discovery import Plugins
 from .arguments import device_of
 from .pipelines import PipelineSource, build_pipeline, is_text
@@ -98,20 +93,6 @@ def scene_from_arrays(
     train = tuple(view for index, view in enumerate(views) if index not in test)
     tested = tuple(views[index] for index in test)
     return validate(Scene(name, train, tested, bounds, points, background))
-
-
-def for_given(pipeline: Pipeline, scene: Scene) -> Pipeline:
-    """The pipeline with a scene that is given in place of its own."""
-    if pipeline.protocol is not None:
-        raise SceneError(
-            f"the protocol {pipeline.protocol.protocol.name!r} says nothing about a scene that is given",
-            where=scene.name,
-            fix='do without it: build_pipeline(..., ["protocol=null"])',
-        )
-    offer = Plugins(()).find(SECTIONS["scene"], IN_MEMORY)
-    place = Place("the scene that is given")
-    item = Item(IN_MEMORY, offer.settings_type(), HostSettings(use=IN_MEMORY), offer, place)
-    return replace(pipeline, items={**pipeline.items, "scene": (item,)})
 
 
 def _loader(source: PipelineSource, changes: Sequence[str], format_name: str | None) -> FoundLoader:

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +16,13 @@ from ..calls.watchdog import WATCHDOG
 from ..contract.in_memory import IN_MEMORY
 from ..contract.scene import Scene, validate
 from ..errors import SceneError
-from ..pipeline.pipeline import Pipeline
+from ..pipeline.edits import SECTIONS
+from ..pipeline.pipeline import Item, Pipeline
+from ..pipeline.schedule import HostSettings
+from ..pipeline.yaml_source import Place
 from ..plugins.discovery import Plugins
 from .arguments import console_of, device_of, run_folder
 from .pipelines import PathLike, PipelineSource, build_pipeline
-from .scenes import for_given
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -69,7 +72,7 @@ def train(
     """
     checked = pipeline if isinstance(pipeline, Pipeline) else build_pipeline(pipeline)
     if scene is not None:
-        checked = for_given(checked, validate(scene))
+        checked = _for_given(checked, validate(scene))
     elif checked.one("scene").offer.name == IN_MEMORY:
         raise SceneError(
             "there is nothing to train on: the pipeline names no scene and none is given",
@@ -141,6 +144,20 @@ def resume(
             callback=callback,
             accept_changed_inputs=accept_changed_inputs,
         )
+
+
+def _for_given(pipeline: Pipeline, scene: Scene) -> Pipeline:
+    """The pipeline with a scene that is given in place of its own."""
+    if pipeline.protocol is not None:
+        raise SceneError(
+            f"the protocol {pipeline.protocol.protocol.name!r} says nothing about a scene that is given",
+            where=scene.name,
+            fix='do without it: build_pipeline(..., ["protocol=null"])',
+        )
+    offer = Plugins(()).find(SECTIONS["scene"], IN_MEMORY)
+    place = Place("the scene that is given")
+    item = Item(IN_MEMORY, offer.settings_type(), HostSettings(use=IN_MEMORY), offer, place)
+    return replace(pipeline, items={**pipeline.items, "scene": (item,)})
 
 
 @contextmanager

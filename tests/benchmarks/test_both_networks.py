@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.both_networks import ALEXNET, VGG, with_alexnet
+from benchmarks.both_networks import with_alexnet
+from benchmarks.scores import ALEXNET, VGG
 from registry.pipeline.pipeline import Pipeline
 from registry.session import build_pipeline
 

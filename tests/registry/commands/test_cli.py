@@ -293,7 +293,7 @@ def test_doctor(capsys: Capture) -> None:
     ("told", "better", "line"),
     [
         ("skx", None, "kernels are built for skx, which the driver was told"),
-        (None, "skx", "STEREOGS_CORRECT_CPU_NAME=1 tells the driver that this is skx"),
+        (None, "skx", "STEREOGS_CORRECT_CPU_NAME=1 has faster kernels built, for skx"),
         (None, None, None),
     ],
 )
