@@ -105,8 +105,8 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
     """Milliseconds of each kernel in an iteration, the device drained after each."""
     totals: dict[str, float] = {}
-    renderer = workload.model.renderer
-    programs = [renderer.program, renderer.raster_program, workload.optimizer.program]
+    kernels = workload.model.renderer.programs
+    programs = [kernels.base, kernels.raster(), workload.optimizer.program]
     originals = [program.run for program in programs]
 
     def timed(original: Callable[..., None]) -> Callable[..., None]:

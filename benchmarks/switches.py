@@ -113,7 +113,7 @@ def _degrees() -> Iterator[Setting]:
 
 
 def _tile_sizes(device: Device) -> Iterator[Setting]:
-    default = Renderer(device).tile
+    default = Renderer(device).programs.tile
     sizes = ((32, 16), (32, 32), (64, 32), (64, 64))
     for width, height in sizes if device.variant == "cpu" else ((8, 8), (16, 8), (16, 16)):
         overrides = {"TILE_WIDTH": width, "TILE_HEIGHT": height}

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, open_device
@@ -20,10 +18,8 @@ from ..raster import (
     DILATION,
     NEAR_PLANE,
     Block,
-    Coverage,
     Footprint,
     Frame,
-    Images,
     Renderer,
     RenderRequest,
     pack,
@@ -33,6 +29,8 @@ from ..rendering import Rendering
 from .gradients import Gradients
 from .model_reader import ModelReader
 from .parameter import ACTIVATED, stored_name, values_in_autograd
+from .render_function import RenderFunction
+from .screen_statistics import ScreenStatistics
 
 
 class GaussianModel:
@@ -94,7 +92,7 @@ class GaussianModel:
             array.write(parameters)
             parameters = array
         gradients = Gradients(self.device, parameters.shape, self.dtype)
-        self._statistics = DeviceArray(self.device, (2, parameters.shape[1]), self.dtype)
+        self._statistics = ScreenStatistics(self.device, count, parameters.shape[1], self.dtype)
         self._gradients = gradients
         self.parameters = parameters
         self.count = count
@@ -211,8 +209,7 @@ class GaussianModel:
         NDC gradients are pixel gradients times half the image width and height (3DGS), so published
         thresholds hold.
         """
-        statistics = self._statistics.read()[:, : self.count]
-        return statistics[0] / statistics[1].clamp(min=1)
+        return self._statistics.mean()
 
     def absolute_screen_gradient(self) -> Tensor:
         """`screen_gradient` without cancellation between pixels, `[N]` (AbsGS, Ye et al. 2024).
@@ -224,18 +221,11 @@ class GaussianModel:
         Raises:
             GaussianError: no render has collected it since the Gaussians were made or edited.
         """
-        statistics = self._statistics.read()[:, : self.count]
-        if len(statistics) < 3:
-            raise GaussianError(
-                "no render has collected absolute screen gradients",
-                field="means",
-                fix="render with collect_absolute=True; a policy says so with `absolute_gradients`",
-            )
-        return statistics[2] / statistics[1].clamp(min=1)
+        return self._statistics.absolute_mean()
 
     def reset_statistics(self) -> None:
         """Start counting screen gradients anew."""
-        self._statistics.fill(0)
+        self._statistics.reset()
 
     def statistics(self) -> Tensor:
         """What screen gradients are made of, for checkpoints.
@@ -244,14 +234,11 @@ class GaussianModel:
             `[2, N]`: summed norms, and times seen; where absolute gradients are collected `[3, N]`, their
             summed norms last.
         """
-        return self._statistics.read()[:, : self.count].clone()
+        return self._statistics.sums()
 
     def restore_statistics(self, statistics: Tensor) -> None:
         """Take back what `statistics` returned."""
-        full = torch.zeros(len(statistics), self.capacity, dtype=self.dtype)
-        full[:, : self.count] = statistics
-        self._statistics = DeviceArray(self.device, tuple(full.shape), self.dtype)
-        self._statistics.write(full)
+        self._statistics.restore(statistics)
 
     def gaussians(self) -> Gaussians:
         """A copy on the host."""
@@ -313,7 +300,7 @@ class GaussianModel:
             self._rows_of(name)
         request = RenderRequest(camera, tuple(background), degree, near, opacity_scale, smoothing)
         return Rendering.on_device(
-            *_Render.apply(
+            *RenderFunction.apply(
                 self._anchor,
                 camera.world_to_camera,
                 self,
@@ -339,27 +326,18 @@ class GaussianModel:
             The gradient of the camera's pose, `[4, 4]` float64, if it requires one.
         """
         degree = frame.request.bands
+        wanted, absolute = collect
         pose_gradient = self.renderer.backward(
             frame,
             self.block,
             image_gradients,
             self.gradients,
             accumulate=self._gradients.make_ready(degree),
-            statistics=self._collected(*collect),
+            statistics=self._statistics.rows(absolute) if wanted else None,
             detach=detach,
         )
         self._gradients.written(degree)
         return pose_gradient
-
-    def _collected(self, wanted: bool, absolute: bool) -> DeviceArray | None:
-        """Where a backward pass adds statistics; with a row for absolute gradients from the first on."""
-        if not wanted:
-            return None
-        rows = 3 if absolute else 2
-        if self._statistics.shape[0] != rows:
-            before = self.statistics()
-            self.restore_statistics(torch.cat([before, torch.zeros(1, self.count)])[:rows])
-        return self._statistics
 
     def check_unedited(self, parameters: DeviceArray) -> None:
         """Refuse a backward pass for Gaussians that are no more.
@@ -388,37 +366,3 @@ class GaussianModel:
 
     def _unpack(self, rows: Tensor, name: str) -> Tensor:
         return unpack(rows, name, self.count)
-
-
-class _Render(torch.autograd.Function):
-    """Joins the device's render to torch's graph; the anchor makes torch call `backward`."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        anchor: Tensor,
-        pose: Tensor,
-        model: GaussianModel,
-        request: RenderRequest,
-        collect: tuple[bool, bool],
-        detach: frozenset[str],
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Images, Coverage]:
-        images, lease = model.renderer.forward(model.block, request)
-        ctx.set_materialize_grads(False)
-        ctx.model, ctx.lease, ctx.images = model, lease, images
-        ctx.collect, ctx.detach = collect, detach
-        ctx.parameters = model.parameters
-        return *images.outputs(), images, lease.frame.coverage(model.count)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        ctx.model.check_unedited(ctx.parameters)
-        d_rgb, d_depth, d_alpha, d_loss, *_ = gradients
-        d_pose = ctx.model.add_gradients(
-            ctx.lease.frame,
-            ctx.images.gradients(d_rgb, d_depth, d_alpha, d_loss),
-            ctx.collect,
-            ctx.detach,
-        )
-        return None, d_pose, *(None,) * 4

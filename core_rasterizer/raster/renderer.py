@@ -7,13 +7,12 @@ Gaussians) and `rasterize.py` (plain torch tensors).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..device import Device, DeviceArray, Program, Scratch
+from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
 from ..finite import undefined_places
 from ..layout import PARAMETER_BITS, row_count
@@ -23,35 +22,12 @@ from .footprint import Footprint
 from .frame import Frame, Lease
 from .images import Images
 from .pose import PoseSums
+from .programs import RasterPrograms
 from .request import RenderRequest
 from .tile_lists import BUCKETS, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
 """Room for (tile, Gaussian) pairs before a render has shown how many there are."""
-
-_PROJECTION = (
-    "raster/scene",
-    "raster/harmonics",
-    "raster/projection",
-    "raster/cover",
-    "raster/project",
-)
-_BACKWARD = "raster/project_backward"
-_ABSOLUTE = "ABSOLUTE"
-"""Macro of kernels that also sum what pixels pull at means, without signs."""
-
-OVERRIDES = frozenset(
-    (
-        "ALPHA_CUT_INVERSE",
-        "EARLY_STOP",
-        "EXACT_TILE_TEST",
-        "EXP2_DEGREE",
-        "RASTER_LANES",
-        "TILE_HEIGHT",
-        "TILE_WIDTH",
-    )
-)
-"""Macros of the kernels that a `Renderer` may be built with instead of their defaults."""
 
 
 class Renderer:
@@ -63,7 +39,7 @@ class Renderer:
         memory_budget: bytes that one render and its backward pass may take; None is half of the device's
             memory.
         footprint: what is added to a Gaussian's ellipse on the image; None is a dilation of 0.3.
-        overrides: values of macros in `OVERRIDES`, for benchmarks and tests that measure what the
+        overrides: values of macros in `programs.OVERRIDES`, for benchmarks and tests that measure what the
             kernels' approximations cost and save.
 
     Raises:
@@ -79,23 +55,8 @@ class Renderer:
         footprint: Footprint | None = None,
         overrides: Mapping[str, float] | None = None,
     ) -> None:
-        overrides = overrides or {}
-        if unknown := sorted(set(overrides) - OVERRIDES):
-            raise ExplainedError(
-                f"no kernel has the setting {', '.join(unknown)}",
-                where="Renderer: overrides",
-                fix=f"use {', '.join(sorted(OVERRIDES))}",
-            )
         self.device = device
         self.dtype = dtype
-        self.on_cpu = device.variant == "cpu"
-        # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
-        few_cores = self.on_cpu and device.compute_units <= 4
-        width, height = ((64, 32) if few_cores else (32, 32)) if self.on_cpu else (16, 16)
-        # No number of lanes: as many as the processor has registers for.
-        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
-        self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
-        self.group = 16 if self.on_cpu else 64
         self.budget = Budget(
             memory_budget or device.memory_bytes // 2,
             dtype,
@@ -104,22 +65,9 @@ class Renderer:
             device.lanes,
         )
         self._lists = TileLists(device)
-        self._projection_macros = {
-            **macros,
-            **(footprint or Footprint()).macros,
-            "PROJECT_GROUP": self.group,
-        }
-        self.program = device.program(
-            *_PROJECTION,
-            _BACKWARD,
-            *self._lists.sources,
-            dtype=dtype,
-            **self._projection_macros,
-            **self._lists.macros,
+        self.programs = RasterPrograms(
+            device, dtype, self._lists, footprint or Footprint(), overrides or {}
         )
-        lanes = macros["RASTER_LANES"] if self.on_cpu else 1
-        self._raster_macros: dict[str, Any] = {**macros, "LANES": lanes}
-        self.raster_program = self._raster()
         self._wide = torch.float64 if device.supports_double else dtype
         self._poses = PoseSums(device, self._wide)
         self._scratch = Scratch(device)
@@ -146,7 +94,7 @@ class Renderer:
             self._project(frame, block, request)
             images = frame.new_images(self.dtype)
             while True:
-                self._lists.build(self.program, frame, block.count, self._capacity_of(frame))
+                self._lists.build(self.programs.base, frame, block.count, self._capacity_of(frame))
                 # Blending is enqueued before its input's size is known, so that the device need not wait
                 # for the host. Without room for all pairs it does nothing, and is run again.
                 counters = frame.arrays["counters"].begin_reading()
@@ -199,7 +147,7 @@ class Renderer:
             self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
             pose_gradient = None
             if wants_pose:
-                program = self._projection(frame.request)
+                program = self.programs.projection(frame.request)
                 pose_gradient = self._poses.gradient(program, block, frame.request.camera)
             return pose_gradient
 
@@ -228,10 +176,10 @@ class Renderer:
         """The sums that each pair of a tile and a Gaussian hands back."""
         arrays = frame.arrays
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
-        self._run_raster(
-            self._raster(_ABSOLUTE) if with_absolute else self.raster_program,
+        self.programs.run_on_tiles(
+            self.programs.raster(absolute=with_absolute),
             "raster_backward",
-            frame,
+            frame.tiles,
             arrays["records"],
             arrays["pairs"],
             arrays["tile_starts"],
@@ -257,8 +205,8 @@ class Renderer:
         detach: Collection[str],
     ) -> None:
         arrays, request = frame.arrays, frame.request
-        self._run_blocks(
-            self._projection(request),
+        self.programs.run_on_blocks(
+            self.programs.projection(request),
             "project_backward",
             block.capacity,
             block.parameters,
@@ -281,35 +229,11 @@ class Renderer:
             *((self._poses.parts(block),) if request.wants_pose_gradient else ()),
         )
 
-    def _raster(self, *features: str) -> Program:
-        """The kernels that blend, with what a backward pass asks for; built when it is asked for first."""
-        return self.device.program(
-            "raster/scene",
-            "raster/blend",
-            "raster/raster_cpu" if self.on_cpu else "raster/raster_gpu",
-            dtype=self.dtype,
-            **self._raster_macros,
-            **dict.fromkeys(features, 1),
-        )
-
-    def _projection(self, request: RenderRequest) -> Program:
-        """The projection kernels for what a render asks for; built when it is asked for first."""
-        if not request.features:
-            return self.program
-        return self.device.program(
-            *_PROJECTION,
-            *(("raster/pose",) if request.wants_pose_gradient else ()),
-            _BACKWARD,
-            dtype=self.dtype,
-            **self._projection_macros,
-            **dict.fromkeys(request.features, 1),
-        )
-
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         """Make room, and send the camera, the opacity factors and the smoothing."""
         camera = request.camera
         request.check(block.count)
-        width, height = self.tile
+        width, height = self.programs.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
@@ -337,8 +261,8 @@ class Renderer:
 
     def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         arrays = frame.arrays
-        self._run_blocks(
-            self._projection(request),
+        self.programs.run_on_blocks(
+            self.programs.projection(request),
             "project",
             block.capacity,
             block.parameters,
@@ -358,10 +282,10 @@ class Renderer:
 
     def _blend(self, frame: Frame, images: Images) -> None:
         arrays = frame.arrays
-        self._run_raster(
-            self.raster_program,
+        self.programs.run_on_tiles(
+            self.programs.raster(),
             "raster",
-            frame,
+            frame.tiles,
             arrays["records"],
             arrays["pairs"],
             arrays["tile_starts"],
@@ -392,16 +316,6 @@ class Renderer:
         array = self._scratch.reserve(f"d_{name}", self.dtype, size)
         array.write(gradient, 0, size)
         return array
-
-    def _run_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
-        blocks = capacity // self.device.lanes
-        size = -(-blocks // self.group) * self.group
-        program.run(kernel, (size,), (self.group,), *arguments)
-
-    def _run_raster(self, program: Program, kernel: str, frame: Frame, *arguments: Any) -> None:
-        tiles = frame.tiles[0] * frame.tiles[1]
-        local = 1 if self.on_cpu else self.tile[0] * self.tile[1]
-        program.run(kernel, (tiles * local,), (local,), *arguments)
 
 
 def _modifiers(frame: Frame, block: Block) -> DeviceArray:

@@ -128,7 +128,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
     """More pairs than there is room for at first; then a small render in the large buffers."""
     generator = torch.Generator().manual_seed(1)
     width, height = 300, 200
-    tile_width, tile_height = Renderer(device).tile
+    tile_width, tile_height = Renderer(device).programs.tile
     count = int(1.3 * PAIRS_AT_FIRST / (-(-width // tile_width) * -(-height // tile_height)))
     large, small = random_scene(generator, count, sh_degree=0), random_scene(generator, 5)
     large.scales[:] = 40.0

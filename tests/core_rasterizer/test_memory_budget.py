@@ -61,8 +61,8 @@ def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(devi
     """The larger image leaves room for fewer pairs than there is capacity for already."""
     renderer = Renderer(device, memory_budget=40 * 2**20)
     small, wide = view_of(300, 200), view_of(900, 800)
-    fills = block_of(device, 60 if renderer.on_cpu else 12, log_scale=6.0)
-    many = block_of(device, 4000 if renderer.on_cpu else 900, log_scale=6.0)
+    fills = block_of(device, 60 if device.variant == "cpu" else 12, log_scale=6.0)
+    many = block_of(device, 4000 if device.variant == "cpu" else 900, log_scale=6.0)
     _, lease = renderer.forward(many, small)
     capacity, limit = lease.frame.arrays["pairs"].shape[0] // 2, lease.frame.pair_limit
     del lease
@@ -75,7 +75,7 @@ def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(devi
 def test_more_than_four_thousand_million_pairs_are_refused_soon(device: Device) -> None:
     """Case 5: the count would not fit in 32 bits. Neither a wraparound nor minutes of counting."""
     renderer = Renderer(device)
-    width, height = renderer.tile
+    width, height = renderer.programs.tile
     tiles = 4096 // width * 4096 // height
     count = int(1.1 * 2**32 / tiles)
     block = block_of(device, count, log_scale=12.0)
@@ -96,8 +96,8 @@ def test_an_image_beyond_any_index_is_refused(device: Device) -> None:
 def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     """Case 23: on a GPU more than 65,536 tiles; a CPU's are larger, so there a very wide image."""
     renderer = Renderer(device)
-    tile_width, tile_height = renderer.tile
-    columns, rows = (900, 2) if renderer.on_cpu else (300, 220)
+    tile_width, tile_height = renderer.programs.tile
+    columns, rows = (900, 2) if device.variant == "cpu" else (300, 220)
     width, height = tile_width * columns + 1, tile_height * rows + 1
     camera = Camera(torch.eye(4), 1e5, 1e5, 0.0, 0.0, width, height)
     block = block_of(device, 1)

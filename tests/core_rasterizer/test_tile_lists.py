@@ -44,7 +44,7 @@ def lists_of(
         arrays["records"].reshape(-1, RECORD).copy(),
         arrays["pairs"][: 2 * frame.pairs].reshape(-1, 2).copy(),
         arrays["tile_starts"][: tiles + 1].copy(),
-        renderer.tile,
+        renderer.programs.tile,
         frame.tiles[0],
     )
 
