@@ -134,17 +134,25 @@ def _sphere(scale: _Array, where: str) -> tuple[_Array, float]:
 
 
 def _decompose(world: _Array, center: _Array, radius: float, where: str) -> DtuCamera:
-    """K, R and t of P = K [R | t] by the RQ decomposition (Hartley and Zisserman 2004, 6.2.4)."""
-    from scipy.linalg import rq
+    """K, R and t of P = K [R | t] by the RQ decomposition (Hartley and Zisserman 2004, 6.2.4).
 
+    OpenCV's, which ends in the same digits on every x86 processor. LAPACK's does not, and a training makes
+    much of a last digit.
+    """
+    import cv2
+
+    first, second, third = world[:3, :3]
     with np.errstate(all="ignore"):  # what overflows compares as false and is refused
-        volume, length = np.linalg.det(world[:3, :3]), np.linalg.norm(world[:3, :3])
+        adjugate = np.stack(
+            [np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1
+        )
+        volume, length = (first * adjugate[:, 0]).sum(), np.linalg.norm(world[:3, :3])
     if not abs(volume) > 1e-9 * length**3:
         raise SceneError("world_mat is not the matrix of a camera", where=where, fix=_FIX)
-    intrinsics, rotation = rq(world[:3, :3])
+    intrinsics, rotation = cv2.RQDecomp3x3(world[:3, :3])[1:3]
     signs = np.sign(np.diag(intrinsics))  # the decomposition leaves them open; K has positive ones
     intrinsics, rotation = intrinsics * signs, signs[:, None] * rotation
-    position = -np.linalg.solve(world[:3, :3], world[:3, 3])
+    position = -(adjugate * world[:3, 3]).sum(axis=1) / volume
     intrinsics = intrinsics / intrinsics[2, 2]
     if np.linalg.det(rotation) < 0 or abs(intrinsics[0, 1]) > _MAX_SKEW * intrinsics[0, 0]:
         raise SceneError("world_mat is mirrored or has skewed pixels", where=where, fix=_FIX)

@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -180,6 +184,32 @@ def test_bad_input_is_explained(
 def test_view_numbers() -> None:
     assert view_number("000025", "") == 25
     assert view_number("rect_026_3_r5000", "") == 25
+
+
+def test_cameras_are_the_same_bits_with_the_linear_algebra_of_another_processor(
+    folder: Path,
+) -> None:
+    """OpenBLAS takes this processor for a Haswell; without AVX-512 it takes Haswell's kernels anyway."""
+    script = (
+        "import sys, pathlib; from stereogs_plugins.scenes.dtu.cameras import calibrated\n"
+        "found = calibrated(pathlib.Path(sys.argv[1]), list(map(int, sys.argv[2:])))\n"
+        "print([(c.world_to_camera.tobytes().hex(), c.lens) for c in found.cameras.values()])"
+    )
+    command = [
+        sys.executable,
+        "-c",
+        script,
+        str(folder / "cameras_sphere.npz"),
+        *map(str, range(DTU_VIEWS)),
+    ]
+    said = [
+        subprocess.run(command, env=os.environ | env, capture_output=True, text=True, check=False)
+        for env in ({}, {"OPENBLAS_CORETYPE": "HASWELL"})
+    ]
+    if said[1].returncode == -signal.SIGILL:
+        pytest.skip("this processor has no AVX2")
+    assert [run.returncode for run in said] == [0, 0], said[1].stderr
+    assert said[0].stdout == said[1].stdout
 
 
 @pytest.mark.parametrize("name", ["dtu_scan24", "dtu_scan65"])
