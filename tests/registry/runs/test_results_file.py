@@ -16,7 +16,7 @@ from registry.runs.folder import RunFolder
 from stereogs_plugins.reports.html import HtmlReport
 
 from ...stereogs_plugins.building import build
-from ..comparing.test_compare import PIPELINE
+from ..comparing.conftest import PIPELINE
 
 RESULTS: dict[str, Any] = {
     "pipeline": "plain",

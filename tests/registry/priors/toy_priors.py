@@ -1,0 +1,104 @@
+"""A prior of each capability, small enough to see through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import open_device
+from registry import (
+    Context,
+    DepthMap,
+    Matches,
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    Prior,
+    Settings,
+    StereoPrior,
+    View,
+)
+
+
+class ShiftSettings(Settings):
+    limit: int = 8
+    """Largest shift tried, in pixels."""
+
+
+class BestShift(StereoPrior[ShiftSettings]):
+    """The one shift that explains the whole image best, at every pixel."""
+
+    def estimate(self, left: Tensor, right: Tensor) -> Tensor:
+        width = left.shape[1]
+        errors = [
+            (left[:, shift:] - right[:, : width - shift]).abs().mean()
+            for shift in range(self.settings.limit)
+        ]
+        best = int(torch.stack(errors).argmin())
+        answer = torch.full(left.shape[:2], float(best))
+        answer[:, :best] = torch.nan  # what the right image does not show
+        return answer
+
+
+class Middle(MultiViewDepthPrior[Settings]):
+    """The middle of the bounds everywhere, but not at the first pixel."""
+
+    asked = 0
+
+    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+        self.asked += 1
+        maps = []
+        for view in views:
+            depth = torch.full(view.image.shape[:2], sum(bounds) / 2)
+            depth[0, 0] = torch.inf
+            maps.append(DepthMap(depth, depth > 0, torch.full_like(depth, 2.0)))
+        return maps
+
+
+class Brightness(MonocularDepthPrior[Settings]):
+    """Bright is near."""
+
+    asked = 0
+
+    def estimate(self, image: Tensor) -> Tensor:
+        self.asked += 1
+        return image.mean(dim=2)
+
+
+PriorType = TypeVar("PriorType", bound=Prior[Any])
+
+
+def built(component: type[PriorType], name: str = "prior") -> PriorType:
+    return component(component.Settings(), Context(name, 0, open_device()))
+
+
+def textured(width: int = 40) -> Tensor:
+    return torch.rand(24, width, 3, generator=torch.Generator().manual_seed(3))
+
+
+class Sideways(OpticalFlowPrior[Settings]):
+    """Three pixels to the right; the first pixel is not known."""
+
+    asked = 0
+
+    def estimate(self, first: Tensor, second: Tensor) -> Tensor:
+        self.asked += 1
+        flow = torch.zeros(*first.shape[:2], 2)
+        flow[..., 0] = 3
+        flow[0, 0] = torch.nan
+        return flow
+
+
+class Corners(MatchingPrior[Settings]):
+    """The corners of the images; one of the matches lies outside, one score is too high."""
+
+    asked = 0
+
+    def estimate(self, first: Tensor, second: Tensor) -> Matches:
+        self.asked += 1
+        points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [1e4, 1.0]])
+        return Matches(points, points, torch.tensor([0.5, 7.0, 0.5]))
