@@ -8,6 +8,7 @@ from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, Me
 from benchmarks.results_plan import Case
 from benchmarks.scores import mean_over_scenes, score_of, scores_shown
 from benchmarks.spread import NONE, spread
+from benchmarks.times import commonest_processor, cpu_seconds, time_ratio
 from benchmarks.training_records import Record, processor
 from registry.ablation.showing.paired import difference
 from registry.comparing.paper_tables import PaperTables, paper_tables
@@ -22,8 +23,9 @@ PSNR is over a scene's test views, ± the sample standard deviation over seeds w
 difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
 (Student's t) from three pairs on. LPIPS is by VGG, and AVGE with it; by AlexNet over the runs that
 measured it. *CPU s* is the processor time of loading, initialization and training, over all threads,
-without scoring, over the scenes that were trained on the machine, if there are several; nothing came from
-the cache of prior answers. *MB* is the most memory that the process took until scoring.
+without scoring, over the runs on the machine that most runs of the table were made on; nothing came from
+the cache of prior answers. *CPU / 3DGS* is how many times 3DGS's that is, over the scenes and machines
+that both were trained on. *MB* is the most memory that the process took until scoring.
 *paper* are averages over all scenes of a data set from {source}. {notes}
 """
 
@@ -46,16 +48,18 @@ def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
 
 def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
-    devices = _devices(records)
+    machine = commonest_processor(records)
+    several = len(_devices(records)) > 1
     scores = scores_shown(records)
     headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
-    headings += [*_times(devices), "MB", *_papers_columns(group, paper)]
+    headings += [f"CPU s, {machine}" if several else "CPU s", f"CPU / {BASELINE.title}", "MB"]
+    headings += _papers_columns(group, paper)
     baseline = [record for record in records if record.run.method is BASELINE]
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
     for method in METHODS:
         own = [record for record in records if record.run.method is method]
         if own:
-            cells = _cells(group.cases, own, baseline, list(scores), devices)
+            cells = _cells(group.cases, own, baseline, list(scores), machine)
             lines.append([method.title, *cells, *_published(group, method, paper)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
@@ -65,16 +69,15 @@ def _cells(
     own: Sequence[Record[MethodRun]],
     baseline: Sequence[Record[MethodRun]],
     scores: Sequence[str],
-    devices: Sequence[str],
+    machine: str,
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
-    compared = None if own[0].run.method is BASELINE else difference(_psnr(own), _psnr(baseline))
+    on_machine = [[r for r in records if processor(r) == machine] for records in by_scene]
+    is_baseline = own[0].run.method is BASELINE
+    compared = None if is_baseline else difference(_psnr(own), _psnr(baseline))
 
-    def mean(
-        number: Callable[[Record[MethodRun]], float | None], form: str, device: str | None = None
-    ) -> str:
-        scenes = [[r for r in records if device in (None, processor(r))] for records in by_scene]
-        return mean_over_scenes(scenes, number, form)
+    def mean(number: Callable[[Record[MethodRun]], float | None], form: str) -> str:
+        return mean_over_scenes(by_scene, number, form)
 
     psnr = mean(score_of("psnr"), ".2f")
     return [
@@ -84,20 +87,14 @@ def _cells(
         NONE if compared is None else compared.text(),
         *(mean(score_of(name), ".3f") for name in scores),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
-        *(mean(lambda record: record.measured["cpu_seconds"], ",.0f", d) for d in devices),
+        mean_over_scenes(on_machine, cpu_seconds, ",.0f"),
+        NONE if is_baseline else time_ratio(own, baseline),
         mean(lambda record: record.measured["peak_memory_mb"], ",.0f"),
     ]
 
 
 def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:
     return list(dict.fromkeys(map(processor, records)))
-
-
-def _times(devices: Sequence[str]) -> list[str]:
-    """A heading for each machine's times, which say nothing about another's."""
-    if len(devices) == 1:
-        return ["CPU s"]
-    return [f"CPU s, {name}" for name in devices]
 
 
 def _psnr(records: Sequence[Record[MethodRun]]) -> dict[tuple[str, int], float]:

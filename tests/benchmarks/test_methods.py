@@ -216,11 +216,11 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", NONE, "0.500", "0.250"]
-    assert base[8:12] == ["0.125", "12,345", "68", "910"]
-    assert base[12:] == ["16.02", "0.465", "0.378"]
+    assert base[8:13] == ["0.125", "12,345", "68", NONE, "910"]
+    assert base[13:] == ["16.02", "0.465", "0.378"]
     assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", NONE, NONE, "+4.00"]
-    assert ours[6:12] == ["0.500", "0.250", "0.125", "12,345", "68", "910"]
-    assert ours[12:] == ["20.76", "0.713", "0.200"]
+    assert ours[6:13] == ["0.500", "0.250", "0.125", "12,345", "68", "1.0", "910"]
+    assert ours[13:] == ["20.76", "0.713", "0.200"]
     assert "### Own points" in text
     assert "### Same points" not in text
     assert "5 of 279" in text
@@ -241,22 +241,31 @@ def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
     assert ours[-2:] == [NONE, "24.42"]
 
 
-def test_times_of_several_machines_stand_in_columns_of_their_own() -> None:
-    records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
-    elsewhere = {"device": {"name": "pthread-a processor"}, "cpu_seconds": 27.1}
-    elsewhere["processor_model"] = "family 26"
-    records[1] = replace(records[1], measured=records[1].measured | elsewhere)
-    records.append(record(METHODS[1], FERN, 0, 20.0))
+def test_times_are_of_one_machine_and_compared_on_each() -> None:
+    """Two machines, of which one is three times as fast and trained the flower."""
+    fast = {"device": {"name": "pthread-a processor"}, "processor_model": "family 26"}
+
+    def timed(
+        method: Method, case: Case, seed: int, seconds: float, **machine: object
+    ) -> Record[MethodRun]:
+        one = record(method, case, seed, 20.0)
+        return replace(one, measured=one.measured | machine | {"cpu_seconds": seconds})
+
+    fern, flower = FACING.cases
+    other, alone = METHODS[1:3]
+    records = [
+        timed(BASELINE, fern, 0, 60),
+        timed(BASELINE, flower, 0, 20, **fast),
+        timed(other, fern, 0, 110),
+        timed(other, fern, 1, 130),
+        timed(other, flower, 0, 160, **fast),
+        timed(alone, flower, 1, 90),
+    ]
     text = methods_page.page_text(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
-    assert heads[9:13] == [
-        "Gaussians",
-        "CPU s, a processor",
-        "CPU s, a processor (family 26)",
-        "MB",
-    ]
-    (both,) = [row for row in rows if row and row[0] == BASELINE.title]
-    (one,) = [row for row in rows if row and row[0] == METHODS[1].title]
-    assert both[10:12] == ["68", "27"]
-    assert one[10:12] == ["68", NONE]
+    assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU / 3DGS", "MB"]
+    times = {row[0]: row[10:12] for row in rows if row}
+    assert times[BASELINE.title] == ["60", NONE]
+    assert times[other.title] == ["120", "4.0"]  # twice on fern, eight times on flower
+    assert times[alone.title] == ["90", NONE]  # 3DGS was not trained on flower there
