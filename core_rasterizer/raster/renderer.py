@@ -1,6 +1,6 @@
 """The rendering pipeline on a device: project, sort, bin, blend; and back again.
 
-This module knows buffers and kernels. Autograd lives in `optimization/model.py` (device-resident
+This module knows buffers and kernels. Autograd lives in `optimization/render_function.py` (device-resident
 Gaussians) and `rasterize.py` (plain torch tensors).
 """
 
