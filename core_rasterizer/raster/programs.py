@@ -50,7 +50,7 @@ class RasterPrograms:
 
     Attributes:
         tile: width and height of a tile, pixels.
-        base: kernels that project without modifiers, and those of `lists`.
+        base: kernels that project for a render with no `RenderRequest.features`, and those of `lists`.
 
     Raises:
         ExplainedError: an override that no kernel knows.

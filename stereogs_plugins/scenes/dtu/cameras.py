@@ -136,8 +136,8 @@ def _sphere(scale: _Array, where: str) -> tuple[_Array, float]:
 def _decompose(world: _Array, center: _Array, radius: float, where: str) -> DtuCamera:
     """K, R and t of P = K [R | t] by the RQ decomposition (Hartley and Zisserman 2004, 6.2.4).
 
-    OpenCV's, which ends in the same digits on every x86 processor. LAPACK's does not, and a training makes
-    much of a last digit.
+    OpenCV's: the last digits of LAPACK's depend on which kernels OpenBLAS chooses for the processor, and a
+    training makes much of them.
     """
     import cv2
 

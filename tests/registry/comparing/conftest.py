@@ -51,7 +51,7 @@ PIPELINE: dict[str, Any] = {
 
 
 def changed(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """A copy with values at dotted keys; `...` removes one."""
+    """A copy with values at paths such as "scene/name"; `...` removes one."""
     result = copy.deepcopy(base)
     for path, value in changes.items():
         *parents, last = path.split("/")

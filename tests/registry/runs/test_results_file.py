@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from registry.runs.folder import RunFolder
 from stereogs_plugins.reports.html import HtmlReport
 
 from ...stereogs_plugins.building import build
-from ..comparing.conftest import PIPELINE
+from ..comparing.conftest import PIPELINE, changed
 
 RESULTS: dict[str, Any] = {
     "pipeline": "plain",
@@ -101,15 +100,7 @@ FORGED: dict[str, tuple[str, Any]] = {
 
 def forged(path: str, value: Any) -> dict[str, Any]:
     """The results with one value at a path; `...` removes it."""
-    results = copy.deepcopy(RESULTS)
-    *parents, last = path.split("/")
-    place = results
-    for parent in parents:
-        place = place[parent]
-    place[last] = value
-    if value is ...:
-        del place[last]
-    return results
+    return changed(RESULTS, {path: value})
 
 
 def written(folder: Path, content: str) -> Path:

@@ -189,7 +189,7 @@ def test_view_numbers() -> None:
 def test_cameras_are_the_same_bits_with_the_linear_algebra_of_another_processor(
     folder: Path,
 ) -> None:
-    """OpenBLAS takes this processor for a Haswell; without AVX-512 it takes Haswell's kernels anyway."""
+    """OpenBLAS takes this processor for a Haswell. Only one with AVX-512 has other kernels to compare."""
     script = (
         "import sys, pathlib; from stereogs_plugins.scenes.dtu.cameras import calibrated\n"
         "found = calibrated(pathlib.Path(sys.argv[1]), list(map(int, sys.argv[2:])))\n"
