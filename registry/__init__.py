@@ -56,8 +56,8 @@ if TYPE_CHECKING:
         TrainingScene,
         TrainingView,
         View,
-        validate,
     )
+    from .contract.scene_check import validate
     from .contract.step import OtherField, Render, Sample, Step
     from .drawing.camera_path import smooth_path
     from .drawing.logged_pictures import LoggerSettings

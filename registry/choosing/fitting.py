@@ -13,7 +13,7 @@ from .table import GROWTH, Quality, by_length, by_quality
 from .telling import Say, tell_choice, tell_cost
 
 if TYPE_CHECKING:
-    from ..runs.training_run import Beginning
+    from ..runs.beginning import Beginning
     from .rehearsal import Clock, Measured
 
 REHEARSED = 0.04

@@ -20,8 +20,8 @@ from core_rasterizer.layout import PARAMETERS
 
 from ..contract.scene import View
 from ..pipeline.parts import Part, Parts
+from ..runs.beginning import Beginning
 from ..runs.evaluation import evaluate, quick
-from ..runs.training_run import Beginning
 from ..training.initial_model import new_model
 from ..training.trainer import Trainer
 from .cost import CLOSING

@@ -9,7 +9,7 @@ from ..pipeline.pipeline import Pipeline
 from .cost import Cost
 
 if TYPE_CHECKING:
-    from ..runs.training_run import Beginning
+    from ..runs.beginning import Beginning
     from .rehearsal import Measured
 
 Say = Callable[[str], None]

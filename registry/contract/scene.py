@@ -1,15 +1,12 @@
-"""What a scene loader returns, and the one check that every loader ends in."""
+"""Photographs, cameras and points: what a scene loader returns, and what of it training may see."""
 
 from __future__ import annotations
 
-import logging
-import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ..errors import PluginError, SceneError
+from ..errors import PluginError
 from .fact import Fact, FactValue
 from .maps import DepthMap
 
@@ -17,18 +14,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera
-
-    from .maps import DepthMap
-
-_FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_ROTATION_TOLERANCE = 1e-4
-_FARTHEST = 1e9
-"""World units; beyond, squares and products of positions leave single precision."""
-_FEWEST_BESIDE_COPIES = 3
-"""Training views that a scene must have beside those that are left out."""
-_log = logging.getLogger("stereogs.scene")
-_FOCAL_RANGE = (1e-2, 1e4)
-"""In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
@@ -209,188 +194,3 @@ class Scene:
     def fact(self, name: str) -> FactValue:
         """The value of the fact of that name; KeyError if there is none."""
         return {fact.name: fact.value for fact in self.facts}[name]
-
-
-def validate(scene: Scene) -> Scene:
-    """Refuse a scene that training could not use; return it otherwise.
-
-    Of training views with one pose the first stays, if at least three views do; a warning and a fact
-    name the others.
-
-    Raises:
-        SceneError: no training view; a repeated or unsafe name; two of few views from one pose; a
-            rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
-            size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
-            bool, does not fit or leaves no pixel; an alpha that does not fit or is not in [0, 1]; a
-            depth that does not fit or is not finite; points
-            that are not finite or have colours outside [0, 1]; bounds out of order; two facts of one
-            name, or a fact that JSON cannot say.
-    """
-    if not scene.train:
-        raise SceneError(
-            "the scene has no training view", where=scene.name, fix="check the folder and the split"
-        )
-    seen: set[str] = set()
-    for view in (*scene.train, *scene.test):
-        _validate_view(view, scene.name)
-        if view.name in seen:
-            raise SceneError(f"two views are named {view.name!r}", where=scene.name)
-        seen.add(view.name)
-    scene = _without_equal_poses(scene)
-    near, far = scene.bounds
-    if not 0 < near < far < float("inf"):
-        raise SceneError(
-            f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
-            where=scene.name,
-        )
-    if scene.points is not None:
-        _validate_points(scene.points, scene.name)
-    _validate_facts(scene)
-    return scene
-
-
-def _validate_view(view: View, scene_name: str) -> None:
-    where = f"{scene_name}, view {view.name!r}"
-    if not is_file_name(view.name):
-        raise SceneError("a view's name must be a plain file name", where=where)
-    _validate_camera(view.camera, where)
-    camera, image = view.camera, view.image
-    if image.shape != (camera.height, camera.width, 3):
-        raise SceneError(
-            f"the image has shape {tuple(image.shape)} but its camera is "
-            f"{camera.width}x{camera.height}",
-            where=where,
-            fix="use images of one size, the size that the poses were made for",
-        )
-    low, high = image.aminmax()  # one pass; a NaN becomes both and compares as false
-    if not 0 <= low <= high <= 1:
-        raise SceneError("the image has values outside [0, 1] or not finite", where=where)
-    _validate_maps(view, where)
-
-
-def is_file_name(name: str) -> bool:
-    """Whether a name can be a file's, with an ending added, on any usual system."""
-    separators = "/" in name or "\\" in name
-    return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200
-
-
-def _validate_camera(camera: Camera, where: str) -> None:
-    """What `Camera` lets pass and no photograph has."""
-    import torch
-
-    rotation = camera.world_to_camera[:3, :3]
-    residual = float((rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max())
-    if residual > _ROTATION_TOLERANCE:
-        raise SceneError(
-            f"the rotation is not orthonormal (off by {residual:.2g})",
-            where=where,
-            fix="write poses with more digits, and without scale",
-        )
-    if camera.world_to_camera[:3, 3].abs().max() > _FARTHEST:
-        raise SceneError("the camera stands too far away for single precision", where=where)
-    size = max(camera.width, camera.height)
-    for name in ("fx", "fy"):
-        focal = getattr(camera, name)
-        if not size * _FOCAL_RANGE[0] < focal < size * _FOCAL_RANGE[1]:
-            raise SceneError(
-                f"the focal length {name} is {focal:g} px for an image of "
-                f"{camera.width}x{camera.height}",
-                where=where,
-                fix="check whether the focal length belongs to another image size or unit",
-            )
-
-
-def _validate_maps(view: View, where: str) -> None:
-    """The mask and the depth."""
-    import torch
-
-    for name, array in (("mask", view.mask), ("alpha", view.alpha), ("depth", view.depth)):
-        if array is not None and array.shape != view.image.shape[:2]:
-            raise SceneError(
-                f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
-                where=where,
-            )
-    if view.mask is not None and view.mask.dtype != torch.bool:
-        raise SceneError(f"the mask is {view.mask.dtype}, not bool", where=where)
-    if view.mask is not None and not view.mask.any():
-        raise SceneError(
-            "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
-        )
-    if view.alpha is not None:
-        low, high = view.alpha.aminmax()
-        if not 0 <= low <= high <= 1:
-            raise SceneError("the alpha has values outside [0, 1] or not finite", where=where)
-    if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
-        raise SceneError("the depth has values that are negative or not finite", where=where)
-
-
-def _without_equal_poses(scene: Scene) -> Scene:
-    """Leave out training views whose pose an earlier one has: they have no parallax.
-
-    Raises:
-        SceneError: fewer than three others would be left; one of the poses is most likely a copy.
-    """
-    kept: list[View] = []
-    copies: list[tuple[View, View]] = []
-    for view in scene.train:
-        twin = next((other for other in kept if _same_pose(view, other)), None)
-        if twin is None:
-            kept.append(view)
-        else:
-            copies.append((twin, view))
-    if not copies:
-        return scene
-    if len(kept) < _FEWEST_BESIDE_COPIES:
-        first, second = copies[0]
-        raise SceneError(
-            f"the training views {first.name!r} and {second.name!r} have the same pose: "
-            "two photographs from one place say nothing about depth",
-            where=scene.name,
-            fix="leave one of them out, or correct its pose",
-        )
-    for first, second in copies:
-        _log.warning(
-            "%s: the training views %s and %s have the same pose; %s is left out",
-            *(scene.name, first.name, second.name, second.name),
-        )
-    fact = Fact("left_out_for_equal_pose", ", ".join(view.name for _, view in copies))
-    return replace(scene, train=tuple(kept), facts=(*scene.facts, fact))
-
-
-def _same_pose(view: View, other: View) -> bool:
-    import torch
-
-    first, second = view.camera.world_to_camera, other.camera.world_to_camera
-    return torch.allclose(first, second, rtol=1e-9, atol=1e-9)
-
-
-def _validate_facts(scene: Scene) -> None:
-    names = [fact.name for fact in scene.facts]
-    for fact in scene.facts:
-        if not _FACT_NAME.fullmatch(fact.name) or names.count(fact.name) > 1:
-            raise SceneError(
-                f"the fact {fact.name!r} has no plain name of its own",
-                where=scene.name,
-                fix="letters, digits, '-' and '_'; each name once",
-            )
-        numbers = fact.value if isinstance(fact.value, tuple) else (fact.value,)
-        if not all(isinstance(n, str) or math.isfinite(n) for n in numbers):
-            raise SceneError(f"the fact {fact.name!r} is not finite", where=scene.name)
-
-
-def _validate_points(points: PointCloud, scene_name: str) -> None:
-    import torch
-
-    for name in ("positions", "colors"):
-        array: Tensor = getattr(points, name)
-        if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] != len(points):
-            raise SceneError(
-                f"the points' {name} have shape {tuple(array.shape)}, not ({len(points)}, 3)",
-                where=scene_name,
-            )
-        finite = torch.isfinite(array).all(dim=1)
-        if not finite.all():
-            first = int((~finite).nonzero()[0])
-            raise SceneError(f"points.{name}[{first}] is not finite", where=scene_name)
-    if len(points) and not 0 <= points.colors.min() <= points.colors.max() <= 1:
-        raise SceneError("the points have colours outside [0, 1]", where=scene_name)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from ..contract.fact import Fact
-from ..contract.scene import PointCloud, Scene, View, validate
+from ..contract.scene import PointCloud, Scene, View
+from ..contract.scene_check import validate
 from ..errors import SceneError
 from .images.decoder import Decoder, stored_size
 from .images.image_files import find_image

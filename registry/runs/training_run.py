@@ -5,36 +5,36 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 
 from rich.console import Console
 
-from core_rasterizer import Device, ExplainedError, Gaussians
+from core_rasterizer import Device, ExplainedError
 
 from ..calls.loan import of_scene
-from ..contract.scene import PointCloud, Scene
-from ..errors import RunError
+from ..contract.scene import Scene
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.parts import Parts
-from ..pipeline.pipeline import Pipeline, load_pipeline
+from ..pipeline.pipeline import Pipeline
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
-from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit, load_checkpoint
+from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, resumed
+from .autosave import Autosave
+from .beginning import Beginning, Fit
 from .evaluation import evaluate, quick
 from .folder import RunFolder, default_folder
 from .interrupt import stop_on_interrupt
 from .observing.metrics_log import EVERY, MetricsLog
 from .observing.observers import Observers, observed
 from .observing.progress import TrainingProgress
-from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
+from .opened import open_run
+from .origin.inputs import load_scene
 from .origin.provenance import circumstances
-from .origin.unedited import check_unedited
 from .replay import keep_failure
-from .results import check_recorded_hash, finish
+from .results import finish
 from .run import Run, Stages
 
 _log = logging.getLogger(__name__)
@@ -45,39 +45,6 @@ OnBegin = Callable[[Run], None]
 """What is given the run before its next iteration; it may look at it and must not change it."""
 ChooseFolder = Callable[[Pipeline, Scene], Path]
 """Names a run's folder once its scene is known."""
-
-
-@dataclass(frozen=True, eq=False)
-class Beginning:
-    """Where a run stands before its first iteration.
-
-    Args:
-        pipeline: that made the points.
-        scene: what is trained on.
-        points: what the initializer gave.
-        gaussians: the first ones, made of them.
-        device: what trains.
-    """
-
-    pipeline: Pipeline
-    scene: Scene
-    points: PointCloud
-    gaussians: Gaussians
-    device: Device
-
-    def of(self, pipeline: Pipeline) -> Beginning:
-        """The same points as the first Gaussians of another pipeline."""
-        gaussians = initial_gaussians(self.points, pipeline.training)
-        return replace(self, pipeline=pipeline, gaussians=gaussians)
-
-
-Fit = Callable[[Beginning], Pipeline]
-"""Says which pipeline trains what another one has begun: one with the same scene, priors and initializer, so
-that alone it begins in the same way and ends in the same bits."""
-AUTOMATIC_SECONDS = 30.0
-"""How old the newest checkpoint may become, whatever the pipeline says about checkpoints."""
-AUTOMATIC_SHARE = 0.005
-"""Of the time, that saving may take; where it takes long, checkpoints become older."""
 
 
 def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
@@ -173,78 +140,6 @@ def resume(
     return run
 
 
-def open_run(
-    path: Path,
-    *,
-    plugins: Plugins,
-    device: Device,
-    scene: Scene | None = None,
-    accept_changed_inputs: bool = False,
-) -> Run:
-    """Read a run folder: its pipeline, scene and newest checkpoint.
-
-    Args:
-        scene: in place of what the pipeline's loader would load; valid.
-
-    Raises:
-        ExplainedError: one of them cannot be read; the pipeline or the checkpoint is not the run's own;
-            or the scene or a model file is another than when the run began, and that was not accepted.
-    """
-    folder = RunFolder.existing(path)
-    pipeline = load_pipeline(folder.pipeline, plugins)
-    checkpoint = load_checkpoint(path / CHECKPOINT)
-    _check_own(folder, checkpoint, pipeline, plugins)
-    parts = Parts(pipeline, device)
-    begin = monotonic()
-    scene = scene or load_scene(parts)
-    loading = monotonic() - begin
-    before, _ = folder.inputs()
-    changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
-    if not accept_changed_inputs:
-        refuse_changed(changed, path)
-    facts = folder.initialization()
-    with explain_misfit(path / CHECKPOINT):
-        gaussians = Gaussians(**checkpoint.part("model"))
-        model = new_model(gaussians, pipeline.training, device)
-    recorded = folder.results()
-    if recorded.get("iterations") == checkpoint.iteration:
-        check_recorded_hash(recorded, model.digest(), path)
-    return Run(
-        pipeline,
-        parts,
-        scene,
-        model,
-        checkpoint=lambda: checkpoint,
-        iteration=checkpoint.iteration,
-        initialization=facts,
-        seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
-        folder=folder,
-        changed=changed,
-        identity=folder.identity,
-        kept=checkpoint.iteration,
-    )
-
-
-def _check_own(
-    folder: RunFolder, checkpoint: Checkpoint, pipeline: Pipeline, plugins: Plugins
-) -> None:
-    """Refuse a checkpoint that this run, with this pipeline, cannot have written."""
-    if "" not in (folder.identity, checkpoint.run) and folder.identity != checkpoint.run:
-        raise RunError(
-            "the checkpoint is another run's",
-            where=str(folder.path / CHECKPOINT),
-            fix="bring the run's own checkpoint back; provenance.json and manifest.json name the run",
-        )
-    check_unedited(folder.pipeline, pipeline, checkpoint.pipeline, plugins)
-    if checkpoint.iteration > pipeline.training.iterations:
-        raise RunError(
-            f"the checkpoint says iteration {checkpoint.iteration}, "
-            f"and the run has {pipeline.training.iterations}",
-            where=str(folder.path / CHECKPOINT),
-            fix="bring the run's own checkpoint back, or train anew into another folder",
-        )
-
-
 def _begun(
     pipeline: Pipeline, scene: Scene | None, device: Device, console: Console, fit: Fit | None
 ) -> tuple[Run, Trainer]:
@@ -303,7 +198,7 @@ def _train_to_end(
         on_begin(run)
     settings = run.pipeline.training
     metrics = MetricsLog(run.add_metrics)
-    autosave = _Autosave(run)
+    autosave = Autosave(run)
     with (
         stop_on_interrupt() as stop,
         TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
@@ -342,25 +237,6 @@ def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
     except Exception as error:
         keep_failure(run, trainer.iteration + 1, error)
         raise
-
-
-class _Autosave:
-    """Checkpoints by the clock, so that a run that is killed loses little."""
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-        self._last, self._cost = monotonic(), 0.0
-
-    def due(self) -> bool:
-        """Whether the newest checkpoint is old."""
-        return monotonic() - self._last > max(AUTOMATIC_SECONDS, self._cost / AUTOMATIC_SHARE)
-
-    def save(self) -> None:
-        """Save one now."""
-        begin = monotonic()
-        self._run.save_checkpoint()
-        self._last = monotonic()
-        self._cost = self._last - begin
 
 
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:

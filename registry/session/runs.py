@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..contract.scene import Scene, validate
+from ..contract.scene import Scene
+from ..contract.scene_check import validate
 from ..pipeline.edits import SECTIONS
 from ..pipeline.pipeline import Item
 from ..plugins.discovery import Plugins
@@ -37,7 +38,7 @@ def open_run(
         ExplainedError: the folder is no run, or something in it cannot be read.
     """
     path = run_folder(folder)
-    from ..runs.training_run import open_run as opened
+    from ..runs.opened import open_run as opened
     from ..training.threads import one_torch_thread
 
     with one_torch_thread():

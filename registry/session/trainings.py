@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from ..calls.loan import checked_plugins
 from ..calls.watchdog import WATCHDOG
 from ..contract.in_memory import IN_MEMORY
-from ..contract.scene import Scene, validate
+from ..contract.scene import Scene
+from ..contract.scene_check import validate
 from ..errors import SceneError
 from ..pipeline.edits import SECTIONS
 from ..pipeline.pipeline import Item, Pipeline
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
+    from ..runs.beginning import Fit
     from ..runs.run import Run
-    from ..runs.training_run import Fit
     from ..training.trainer import Iteration
 
 

@@ -28,7 +28,7 @@ from ..contract.answers import (
     check_score,
 )
 from ..contract.components import Unavailable
-from ..contract.scene import validate
+from ..contract.scene_check import validate
 from ..pipeline.training_settings import TrainingSettings
 from ..priors.capabilities import (
     MatchingPrior,

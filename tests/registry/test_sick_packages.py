@@ -18,8 +18,8 @@ from registry.calls.watchdog import WATCHDOG
 from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
+from registry.runs.opened import open_run
 from registry.runs.replay import replay
-from registry.runs.training_run import open_run
 
 from .conftest import TOYS
 from .sick import NAMES, installed, module

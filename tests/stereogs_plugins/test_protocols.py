@@ -13,7 +13,7 @@ from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins.discovery import Plugins
-from registry.runs.training_run import load_scene
+from registry.runs.origin.inputs import load_scene
 from tests.data import data_folder
 
 TEXT = """\

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from ...pipeline.pipeline import Pipeline
     from ...plugins.discovery import Plugins
+    from ...runs.beginning import Fit
     from ...runs.run import Run
-    from ...runs.training_run import Fit
 
 FAILED = 1
 """Exit status of a run that is finished, but a metric, an exporter or a report failed."""

@@ -28,9 +28,10 @@ from registry.choosing.table import (
 )
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
+from registry.runs.beginning import Fit
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
-from registry.runs.training_run import Fit, start
+from registry.runs.training_run import start
 from registry.training.field import Field
 
 TEXT = """\

@@ -17,8 +17,9 @@ from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer, Plugins
+from registry.runs.opened import open_run
 from registry.runs.run import Run
-from registry.runs.training_run import open_run, resume, start
+from registry.runs.training_run import resume, start
 from tests.registry.conftest import TOYS
 from tests.registry.toy_plugin import ToyDiary
 

@@ -17,9 +17,10 @@ from registry.commands.runs.train import FAILED, conclude
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
+from registry.runs.opened import open_run
 from registry.runs.results import renew
 from registry.runs.run import Run
-from registry.runs.training_run import open_run, resume, start
+from registry.runs.training_run import resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
 from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
 

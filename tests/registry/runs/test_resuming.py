@@ -15,14 +15,15 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
-import registry.runs.training_run as training_run
+import registry.runs.autosave as autosave
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Scene
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.observing.metrics_log import MetricsLog
+from registry.runs.opened import open_run
 from registry.runs.run import Run
-from registry.runs.training_run import open_run, resume
+from registry.runs.training_run import resume
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
 from registry.training.trainer import Trainer
 from tests.registry.runs.toy_run import resumed, run
@@ -267,8 +268,8 @@ def test_checkpoints_are_saved_by_the_clock_too(
     monkeypatch.setattr(Run, "save_checkpoint", noted)
     run(toys, device, tmp_path / "slow")
     assert saved == [30]
-    monkeypatch.setattr(training_run, "AUTOMATIC_SECONDS", 0.0)
-    monkeypatch.setattr(training_run, "AUTOMATIC_SHARE", 1e9)
+    monkeypatch.setattr(autosave, "AUTOMATIC_SECONDS", 0.0)
+    monkeypatch.setattr(autosave, "AUTOMATIC_SHARE", 1e9)
     saved.clear()
     folder, _, _ = run(toys, device, tmp_path / "quick", "training.iterations=3")
     assert saved == [1, 2, 3, 3]

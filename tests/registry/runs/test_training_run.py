@@ -15,8 +15,9 @@ from registry import Fact, PluginError, RunError, SceneError
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
+from registry.runs.opened import open_run
 from registry.runs.origin.source_code import checkout
-from registry.runs.training_run import open_run, start
+from registry.runs.training_run import start
 from tests.registry.runs.toy_run import pipeline, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
