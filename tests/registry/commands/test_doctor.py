@@ -1,0 +1,57 @@
+"""`stereogs doctor`."""
+
+from __future__ import annotations
+
+import pytest
+
+from core_rasterizer import Device, open_device
+from registry.cli import main
+from registry.inspection.self_test import Verdict
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_doctor(capsys: Capture) -> None:
+    assert main(["doctor"]) == 0
+    output = capsys.readouterr().out
+    assert output.count("<- chosen") == 1
+    assert "self-test: passed" in output
+
+
+@pytest.mark.parametrize(
+    ("told", "better", "line"),
+    [
+        ("skx", None, "kernels are built for skx, which the driver was told"),
+        (None, "skx", "STEREOGS_CORRECT_CPU_NAME=1 has faster kernels built, for skx"),
+        (None, None, None),
+    ],
+)
+def test_doctor_tells_of_a_driver_that_does_not_know_the_processor(
+    told: str | None,
+    better: str | None,
+    line: str | None,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Device, "built_for", told)
+    monkeypatch.setattr(Device, "could_be_built_for", better)
+    assert main(["doctor"]) == 0
+    output = capsys.readouterr().out
+    assert line in output if line else "kernels" not in output
+
+
+def test_doctor_tells_of_a_device_that_fails_and_goes_on(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails_first(device: Device) -> Verdict:
+        if device is devices[0]:
+            raise RuntimeError("the driver is gone")
+        return Verdict(0.0, 0.0)
+
+    devices = [open_device(), open_device().as_variant("gpu")]
+    monkeypatch.setattr("core_rasterizer.list_devices", lambda: devices)
+    monkeypatch.setattr("registry.inspection.self_test.self_test", fails_first)
+    assert main(["doctor"]) == 1
+    output = capsys.readouterr().out
+    assert "FAILED: RuntimeError: the driver is gone" in output
+    assert "passed" in output
