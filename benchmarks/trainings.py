@@ -17,7 +17,7 @@ from benchmarks import training_records as records
 from benchmarks.planned_training import PlannedTraining
 from benchmarks.training_process import ANSWER, FAILED, PIPELINE
 from registry.cache import FOLDER_VARIABLE
-from registry.runs.interrupt import stop_on_interrupt
+from registry.runs.guarding.interrupt import stop_on_interrupt
 from registry.system.files import write_text
 
 THREADS = "POCL_MAX_PTHREAD_COUNT"

@@ -20,6 +20,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from . import cache, image_fitting, photos, triangulation, virtual_views, web_page
+    from .contract.checks.scene import validate
     from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
         Appearance,
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
         TrainingView,
         View,
     )
-    from .contract.scene_check import validate
     from .contract.step import OtherField, Render, Sample, Step
     from .drawing.camera_path import smooth_path
     from .drawing.logged_pictures import LoggerSettings

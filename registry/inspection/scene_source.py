@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..contract.scene_check import validate
+from ..contract.checks.scene import validate
 from ..errors import SceneError
 from ..pipeline.parts import build_part
 from ..pipeline.pipeline import Item, load_pipeline

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
+from ..contract.checks.scene import validate
 from ..contract.fact import Fact
 from ..contract.scene import PointCloud, Scene, View
-from ..contract.scene_check import validate
 from ..errors import SceneError
 from .images.decoder import Decoder, stored_size
 from .images.image_files import find_image

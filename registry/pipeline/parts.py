@@ -127,7 +127,7 @@ class Parts:
         Args:
             count: how many there were.
         """
-        from ..contract.answers import check_carried, check_state
+        from ..contract.checks.answers import check_carried, check_state
 
         for part in self:
             with part.at_work(iteration):
@@ -138,7 +138,7 @@ class Parts:
 
     def state(self, iteration: int) -> dict[str, Tensor]:
         """The running state of all components, and of their generators, by slashed names."""
-        from ..contract.answers import check_state
+        from ..contract.checks.answers import check_state
 
         state: dict[str, Tensor] = {}
         for part in self:

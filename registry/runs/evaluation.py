@@ -11,7 +11,7 @@ from typing import get_args
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
 from ..calls.loan import Loan, Overwritten, of_rendering, of_view
-from ..contract.answers import check_score
+from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..drawing.pictures import save_view_pictures

@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..errors import RunError
 from ..system.files import new_folder, remove_leftovers, write_json, write_text
-from .lock import locked
+from .guarding.lock import locked
 from .results_file import Amount, read_results
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from .autosave import Autosave
 from .beginning import Beginning, Fit
 from .evaluation import evaluate, quick
 from .folder import RunFolder, default_folder
-from .interrupt import stop_on_interrupt
+from .guarding.interrupt import stop_on_interrupt
 from .observing.metrics_log import EVERY, MetricsLog
 from .observing.observers import Observers, observed
 from .observing.progress import TrainingProgress

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..contract.checks.scene import validate
 from ..contract.scene import Scene
-from ..contract.scene_check import validate
 from ..pipeline.edits import SECTIONS
 from ..pipeline.pipeline import Item
 from ..plugins.discovery import Plugins

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..contract.checks.scene import validate
 from ..contract.scene import PointCloud, Scene, View
-from ..contract.scene_check import validate
 from ..errors import PipelineError, SceneError
 from ..pipeline.pipeline import Pipeline
 from ..plugins.discovery import Plugins

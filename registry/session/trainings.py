@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from ..calls.loan import checked_plugins
 from ..calls.watchdog import WATCHDOG
+from ..contract.checks.scene import validate
 from ..contract.in_memory import IN_MEMORY
 from ..contract.scene import Scene
-from ..contract.scene_check import validate
 from ..errors import SceneError
 from ..pipeline.edits import SECTIONS
 from ..pipeline.pipeline import Item, Pipeline

@@ -16,7 +16,7 @@ from torch import Tensor
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 
 from ..cache import FOLDER_VARIABLE
-from ..contract.answers import (
+from ..contract.checks.answers import (
     check_colors,
     check_edit,
     check_loss,
@@ -27,8 +27,8 @@ from ..contract.answers import (
     check_sample,
     check_score,
 )
+from ..contract.checks.scene import validate
 from ..contract.components import Unavailable
-from ..contract.scene_check import validate
 from ..pipeline.training_settings import TrainingSettings
 from ..priors.capabilities import (
     MatchingPrior,

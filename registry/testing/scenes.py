@@ -11,10 +11,10 @@ from torch import Tensor
 
 from core_rasterizer import Camera, GaussianModel, Rendering
 
+from ..contract.checks.scene import validate
 from ..contract.maps import DepthMap
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene, View
-from ..contract.scene_check import validate
 from ..contract.step import Sample, Step
 from ..pipeline.training_settings import TrainingSettings
 from ..training.learning_rates import learning_rates

@@ -18,7 +18,7 @@ from torch import Tensor
 from core_rasterizer import Adam, Carried, Edit, GaussianModel, Rendering, apply_edit
 
 from ..calls.loan import Loan, are_checked, of_kinds, of_maps, of_rendering, of_scene
-from ..contract.answers import (
+from ..contract.checks.answers import (
     check_colors,
     check_edit,
     check_offsets,

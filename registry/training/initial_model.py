@@ -7,8 +7,8 @@ from torch import Tensor
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
+from ..contract.checks.scene import is_file_name
 from ..contract.scene import PointCloud
-from ..contract.scene_check import is_file_name
 from ..errors import SceneError
 from ..pipeline.training_settings import TrainingSettings
 

@@ -10,7 +10,7 @@ from core_rasterizer import Device, ExplainedError, Rendering, photometric_loss
 from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.loan import Loan
-from ..contract.answers import check_loss, check_moves
+from ..contract.checks.answers import check_loss, check_moves
 from ..contract.step import Step
 from ..errors import RunError
 from ..pipeline.parts import Part, Parts

@@ -15,7 +15,7 @@ from typing import Any
 
 from ...errors import RunError
 from ...runs.folder import RESULTS, RunFolder
-from ...runs.lock import locked
+from ...runs.guarding.lock import locked
 from ...runs.results_file import read_results
 from ..planning.plan import PlannedRun
 

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ...contract.components import Runner, RunningTask, TrainingTask
 from ...pipeline.parts import Part
-from ...runs.interrupt import stop_on_interrupt
+from ...runs.guarding.interrupt import stop_on_interrupt
 from ..planning.plan import PlannedRun
 from .folder import AblationFolder
 from .progress import AblationProgress

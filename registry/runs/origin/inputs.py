@@ -12,8 +12,8 @@ from torch import Tensor
 
 from core_rasterizer import Camera
 
+from ...contract.checks.scene import validate
 from ...contract.scene import Scene, View
-from ...contract.scene_check import validate
 from ...errors import RunError
 from ...pipeline.parts import Parts
 from ...pipeline.pipeline import Pipeline

@@ -7,7 +7,7 @@ import torch
 
 from core_rasterizer import GaussianModel, open_device
 from registry import Sample, Step
-from registry.contract.answers import check_sample
+from registry.contract.checks.answers import check_sample
 from registry.testing import check
 from stereogs_plugins.samplers.resolution_schedule import (
     ResolutionSchedule,

@@ -8,9 +8,9 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..errors import SceneError
-from .fact import Fact
-from .scene import PointCloud, Scene, View
+from ...errors import SceneError
+from ..fact import Fact
+from ..scene import PointCloud, Scene, View
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -15,10 +15,10 @@ from torch import Tensor
 from core_rasterizer import Edit, GaussianError
 from core_rasterizer.finite import undefined_places
 
-from ..errors import PluginError
-from .components import OpacityUpdate, Unavailable
-from .scene import TrainingView
-from .step import Sample
+from ...errors import PluginError
+from ..components import OpacityUpdate, Unavailable
+from ..scene import TrainingView
+from ..step import Sample
 
 
 def check_loss(loss: Any) -> Tensor:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from ..errors import RunError
+from ...errors import RunError
 
 try:
     import fcntl

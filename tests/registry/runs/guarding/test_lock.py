@@ -13,12 +13,12 @@ import pytest
 
 from registry import RunError
 from registry.runs.folder import RunFolder
-from registry.runs.lock import locked
+from registry.runs.guarding.lock import locked
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from registry.runs.lock import locked
+from registry.runs.guarding.lock import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(60)

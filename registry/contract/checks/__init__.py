@@ -1,0 +1,1 @@
+"""What components return and what loaders load, held to the contract."""
