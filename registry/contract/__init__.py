@@ -1,1 +1,1 @@
-"""What a plugin is and what it is given: component classes, scenes, steps, hooks, and checks of answers."""
+"""What a plugin is and what it is given: component classes, scenes, steps, hooks, and checks."""

@@ -51,7 +51,9 @@ def validate(scene: Scene) -> Scene:
     for view in (*scene.train, *scene.test):
         _validate_view(view, scene.name)
         if view.name in seen:
-            raise SceneError(f"two views are named {view.name!r}", where=scene.name)
+            raise SceneError(
+                f"two views are named {view.name!r}", where=scene.name, fix="rename one of them"
+            )
         seen.add(view.name)
     scene = _without_equal_poses(scene)
     near, far = scene.bounds
@@ -59,6 +61,7 @@ def validate(scene: Scene) -> Scene:
         raise SceneError(
             f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
             where=scene.name,
+            fix="correct them in the file or the code that they come from",
         )
     if scene.points is not None:
         _validate_points(scene.points, scene.name)
@@ -69,7 +72,11 @@ def validate(scene: Scene) -> Scene:
 def _validate_view(view: View, scene_name: str) -> None:
     where = f"{scene_name}, view {view.name!r}"
     if not is_file_name(view.name):
-        raise SceneError("a view's name must be a plain file name", where=where)
+        raise SceneError(
+            "a view's name must be a plain file name",
+            where=where,
+            fix="at most 200 printable characters, no slashes, not dots alone",
+        )
     _validate_camera(view.camera, where)
     camera, image = view.camera, view.image
     if image.shape != (camera.height, camera.width, 3):
@@ -81,7 +88,11 @@ def _validate_view(view: View, scene_name: str) -> None:
         )
     low, high = image.aminmax()  # one pass; a NaN becomes both and compares as false
     if not 0 <= low <= high <= 1:
-        raise SceneError("the image has values outside [0, 1] or not finite", where=where)
+        raise SceneError(
+            "the image has values outside [0, 1] or not finite",
+            where=where,
+            fix="divide 8-bit values by 255, and leave damaged pixels to the mask",
+        )
     _validate_maps(view, where)
 
 
@@ -104,7 +115,11 @@ def _validate_camera(camera: Camera, where: str) -> None:
             fix="write poses with more digits, and without scale",
         )
     if camera.world_to_camera[:3, 3].abs().max() > _FARTHEST:
-        raise SceneError("the camera stands too far away for single precision", where=where)
+        raise SceneError(
+            "the camera stands too far away for single precision",
+            where=where,
+            fix="scale or move the scene so that positions stay below 1e9",
+        )
     size = max(camera.width, camera.height)
     for name in ("fx", "fy"):
         focal = getattr(camera, name)
@@ -118,7 +133,7 @@ def _validate_camera(camera: Camera, where: str) -> None:
 
 
 def _validate_maps(view: View, where: str) -> None:
-    """The mask and the depth."""
+    """The mask, the alpha and the depth."""
     import torch
 
     for name, array in (("mask", view.mask), ("alpha", view.alpha), ("depth", view.depth)):
@@ -126,9 +141,14 @@ def _validate_maps(view: View, where: str) -> None:
             raise SceneError(
                 f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
                 where=where,
+                fix="resize it as its photograph",
             )
     if view.mask is not None and view.mask.dtype != torch.bool:
-        raise SceneError(f"the mask is {view.mask.dtype}, not bool", where=where)
+        raise SceneError(
+            f"the mask is {view.mask.dtype}, not bool",
+            where=where,
+            fix="compare it with a threshold",
+        )
     if view.mask is not None and not view.mask.any():
         raise SceneError(
             "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
@@ -136,9 +156,17 @@ def _validate_maps(view: View, where: str) -> None:
     if view.alpha is not None:
         low, high = view.alpha.aminmax()
         if not 0 <= low <= high <= 1:
-            raise SceneError("the alpha has values outside [0, 1] or not finite", where=where)
+            raise SceneError(
+                "the alpha has values outside [0, 1] or not finite",
+                where=where,
+                fix="divide 8-bit values by 255",
+            )
     if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
-        raise SceneError("the depth has values that are negative or not finite", where=where)
+        raise SceneError(
+            "the depth has values that are negative or not finite",
+            where=where,
+            fix="write 0 where it is not known",
+        )
 
 
 def _without_equal_poses(scene: Scene) -> Scene:
@@ -192,7 +220,11 @@ def _validate_facts(scene: Scene) -> None:
             )
         numbers = fact.value if isinstance(fact.value, tuple) else (fact.value,)
         if not all(isinstance(n, str) or math.isfinite(n) for n in numbers):
-            raise SceneError(f"the fact {fact.name!r} is not finite", where=scene.name)
+            raise SceneError(
+                f"the fact {fact.name!r} is not finite",
+                where=scene.name,
+                fix="leave it out, or say it in words",
+            )
 
 
 def _validate_points(points: PointCloud, scene_name: str) -> None:
@@ -204,10 +236,19 @@ def _validate_points(points: PointCloud, scene_name: str) -> None:
             raise SceneError(
                 f"the points' {name} have shape {tuple(array.shape)}, not ({len(points)}, 3)",
                 where=scene_name,
+                fix="give each point a position and a colour of three numbers each",
             )
         finite = torch.isfinite(array).all(dim=1)
         if not finite.all():
             first = int((~finite).nonzero()[0])
-            raise SceneError(f"points.{name}[{first}] is not finite", where=scene_name)
+            raise SceneError(
+                f"points.{name}[{first}] is not finite",
+                where=scene_name,
+                fix="leave such points out",
+            )
     if len(points) and not 0 <= points.colors.min() <= points.colors.max() <= 1:
-        raise SceneError("the points have colours outside [0, 1]", where=scene_name)
+        raise SceneError(
+            "the points have colours outside [0, 1]",
+            where=scene_name,
+            fix="divide 8-bit values by 255",
+        )

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
+from torch import Tensor
 
+from registry import Step
 from registry.cli import main
 
 Capture = pytest.CaptureFixture[str]
@@ -65,9 +67,9 @@ def test_interrupted_during_training(
 
     original = ToyTerm.loss
 
-    def loss(self: ToyTerm, step: object) -> object:
+    def loss(self: ToyTerm, step: Step) -> Tensor:
         signal.raise_signal(signal.SIGINT)
-        return original(self, step)  # type: ignore[arg-type]
+        return original(self, step)
 
     with monkeypatch.context() as patch:
         patch.setattr(ToyTerm, "loss", loss)

@@ -88,6 +88,7 @@ def test_faults_are_refused(scene: Scene, message: str) -> None:
         validate(scene)
     assert message in caught.value.what
     assert caught.value.where
+    assert caught.value.fix
 
 
 def test_a_whole_scene_passes_unchanged() -> None:
