@@ -10,8 +10,8 @@ from benchmarks.scores import mean_over_scenes, score_of, scores_shown
 from benchmarks.spread import NONE, spread
 from benchmarks.times import commonest_processor, cpu_seconds, time_ratio
 from benchmarks.training_records import Record, processor
-from registry.ablation.showing.paired import difference
-from registry.comparing.paper_tables import PaperTables, paper_tables
+from stereogs_plugins.tools.experiments.comparing.paper_tables import PaperTables, paper_tables
+from stereogs_plugins.tools.experiments.showing.paired import difference
 
 BEGIN = "<!-- measured: `make methods` rewrites everything from here to the end mark -->"
 END = "<!-- measured: end; what stands outside the marks is kept -->"

@@ -20,8 +20,8 @@ from benchmarks.scores import HEADINGS, mean_over_scenes, score_of
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
-from registry.ablation.showing.paired import difference
-from registry.comparing.paper_tables import Ablation, paper_tables
+from stereogs_plugins.tools.experiments.comparing.paper_tables import Ablation, paper_tables
+from stereogs_plugins.tools.experiments.showing.paired import difference
 
 Record = AnyRecord[PartsRun]
 Records = Sequence[Record]

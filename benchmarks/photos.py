@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from registry.photos import Decoder, evenly_spaced, longest_side
-from registry.photos import read_colmap_model as read_model
+from registry.toolkit.photos import Decoder, evenly_spaced, longest_side
+from registry.toolkit.photos import read_colmap_model as read_model
 from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
 from stereogs_plugins.scenes.llff.poses import read_poses
 from stereogs_plugins.scenes.photos.image_names import image_index

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from benchmarks import priors_depth, priors_stereo
 from core_rasterizer import open_device
-from registry.cache import FOLDER_VARIABLE
+from registry.toolkit.cache import FOLDER_VARIABLE
 
 PAGE = Path(__file__).parent.parent / "docs" / "prior_accuracy.md"
 FEATURES = Path("mc_cnn_fast", "mc_cnn_fast_mb.onnx")

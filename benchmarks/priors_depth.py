@@ -28,9 +28,11 @@ from torch import Tensor
 
 from benchmarks.results_plan import CASES, DATA, PIPELINES
 from core_rasterizer import Device
-from registry import Context, MultiViewDepthPrior, Scene, View, grey
+from registry import Context, Scene, View
+from registry.priors import MultiViewDepthPrior
 from registry.session import build_pipeline, load_scene
-from registry.triangulation import triangulate
+from registry.toolkit.drawing import grey
+from registry.toolkit.views.triangulation import triangulate
 from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
     Limits,
     consistent_depths,

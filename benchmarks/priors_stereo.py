@@ -19,7 +19,8 @@ from PIL import Image
 from torch import Tensor
 
 from core_rasterizer import Device
-from registry import Context, Disparity
+from registry import Context
+from registry.priors import Disparity
 from stereogs_plugins.priors.sgm import SgmPrior, SgmSettings
 
 NAMES = ("cones", "tsukuba", "motorcycle", "playground")

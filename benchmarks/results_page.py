@@ -11,7 +11,7 @@ from benchmarks.scores import scores_shown
 from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
-from registry.ablation.showing.paired import difference
+from stereogs_plugins.tools.experiments.showing.paired import difference
 
 Record = AnyRecord[Measurement]
 Records = Sequence[Record]

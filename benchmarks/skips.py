@@ -28,18 +28,18 @@ from benchmarks.skips_table import Measured, table
 from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.ablation.planning.matrix import Matrix, plan_of
-from registry.ablation.planning.plan import Plan, PlannedRun
-from registry.ablation.running.choosing import choose_runner
-from registry.ablation.running.folder import AblationFolder
-from registry.ablation.running.runner import train_all
-from registry.ablation.showing.page import as_page
-from registry.cache import FOLDER_VARIABLE
-from registry.choosing.table import SHORT
 from registry.pipeline.pipeline import load_pipeline
 from registry.pipeline.yaml_source import Node, parse
 from registry.plugins.discovery import Plugins
 from registry.system.files import write_json, write_text
+from registry.toolkit.cache import FOLDER_VARIABLE
+from stereogs_plugins.tools.experiments.planning.matrix import Matrix, plan_of
+from stereogs_plugins.tools.experiments.planning.plan import Plan, PlannedRun
+from stereogs_plugins.tools.experiments.running.choosing import choose_runner
+from stereogs_plugins.tools.experiments.running.folder import AblationFolder
+from stereogs_plugins.tools.experiments.running.runner import train_all
+from stereogs_plugins.tools.experiments.showing.page import as_page
+from stereogs_plugins.tools.quality.table import SHORT
 
 ROOT = Path(__file__).parent.parent
 OUT = Path(__file__).parent / "out" / "skips"

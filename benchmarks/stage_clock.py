@@ -97,7 +97,7 @@ class StageClock:
 def wrap_stages(clock: StageClock) -> None:
     """Have the stages of a training run counted."""
     from core_rasterizer.device.program import Program
-    from registry.priors.capabilities import MultiViewDepthPrior
+    from registry.priors import MultiViewDepthPrior
     from registry.runs import results, run, training_run
     from registry.runs.run import Run
     from registry.training.field import Field

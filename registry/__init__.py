@@ -1,4 +1,4 @@
-"""The host of StereoGS plugins: what a plugin author imports, and nothing else.
+"""The plugin contract: base classes, the data they exchange, and the hooks that register them.
 
     import registry
 
@@ -9,22 +9,21 @@
     def stereogs_register_initializers(register):
         register("flat", Flat)
 
-Importing it costs nothing: each name is imported when it is first used. The host's own machinery lives
-in the folders beside this file; `import stereogs` gives it to programs. A plugin is tried with
-`registry.testing`.
+Importing this package is cheap: each name is imported on first use. Prior models derive from a class in
+`registry.priors`; building blocks for plugins are in `registry.toolkit`; `registry.testing` checks a plugin;
+`import stereogs` runs trainings from Python.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from . import cache, image_fitting, photos, triangulation, virtual_views, web_page
     from .contract.checks.scene import validate
+    from .contract.command import Command, TrainOption
     from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
         Appearance,
-        AverageErrorRole,
         Densification,
         Exporter,
         Initializer,
@@ -36,107 +35,71 @@ if TYPE_CHECKING:
         Perturbation,
         Regularizer,
         Report,
-        Runner,
-        RunningTask,
         Sampler,
         SceneLoader,
-        TrainingTask,
         Unavailable,
         ViewMetric,
     )
-    from .contract.events import IterationDone, RunEnded, RunStarted, ViewsScored
     from .contract.fact import Fact
     from .contract.hook_points import API_VERSION
     from .contract.hooks import Register, hookimpl
-    from .contract.maps import DepthMap, Disparity, Flow, Matches
     from .contract.prior import Prior
-    from .contract.scene import (
-        SOLID,
-        PointCloud,
-        Scene,
-        TrainingScene,
-        TrainingView,
-        View,
-    )
+    from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View
     from .contract.step import OtherField, Render, Sample, Step
-    from .drawing.camera_path import smooth_path
-    from .drawing.logged_pictures import LoggerSettings
-    from .drawing.metric_images import ImageMetricSettings, white_outside
-    from .drawing.orientation import upright_rotation
-    from .drawing.pictures import (
-        RAMP,
-        ViewPictures,
-        depth_ends,
-        grey,
-        nearness_picture,
-        ramp_picture,
-        save_png,
-        side_by_side,
-    )
-    from .drawing.video import write_video
-    from .errors import PipelineError, PluginError, RunError, SceneError
-    from .plugins.optional import optional_module
-    from .priors.capabilities import (
-        MatchingPrior,
-        MonocularDepthPrior,
-        MultiViewDepthPrior,
-        OpticalFlowPrior,
-        StereoPrior,
-    )
-    from .priors.epipolar import epipolar_distances
-    from .priors.flow_geometry import flow_cycle_error, flow_in_size
-    from .priors.keypoint_networks import KeypointNetworks, Keypoints
-    from .priors.learned_features import LearnedFeatures
-    from .priors.model_file import Sha256, read_model_file
-    from .priors.onnx_model import OnnxModel, OnnxTensor
-    from .priors.onnx_session import OnnxProvider, first_line
-    from .priors.onnx_settings import OnnxModelSettings
-    from .runs.results_file import read_results
-    from .system.files import write_text
-    from .training.checkpoint import trained_gaussians
-    from .view_parameters import ViewParameters
+    from .errors import PluginError, RunError, SceneError
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
+    _get, __dir__ = names_on_first_use(__name__)
+
+    def __getattr__(name: str) -> Any:
+        """A name of the contract, or, with a warning, one that moved since version 0.1.0."""
+        if name not in _MOVED:
+            return _get(name)
+        import importlib
+        import warnings
+
+        home = _MOVED[name]
+        warnings.warn(
+            f"registry.{name} has moved: import it from {home}", DeprecationWarning, stacklevel=2
+        )
+        return getattr(importlib.import_module(home), name)
+
+
+_MOVED = {
+    "LoggerSettings": "registry.toolkit.drawing",
+    "MonocularDepthPrior": "registry.priors",
+    "MultiViewDepthPrior": "registry.priors",
+    "OnnxModelSettings": "registry.toolkit.networks",
+    "RunEnded": "registry.events",
+    "RunStarted": "registry.events",
+    "ViewParameters": "registry.toolkit.views",
+    "ViewPictures": "registry.toolkit.drawing",
+    "depth_ends": "registry.toolkit.drawing",
+    "epipolar_distances": "registry.toolkit.views",
+    "optional_module": "registry.plugins.optional",
+    "read_results": "registry.runs.results_file",
+    "trained_gaussians": "registry.training.checkpoint",
+    "write_text": "registry.system.files",
+}
+"""Names that example packages or the documentation of version 0.1.0 used, and their modules now."""
 
 __all__ = [
     "API_VERSION",
-    "RAMP",
-    "SOLID",
     "Appearance",
-    "AverageErrorRole",
+    "Command",
     "Component",
     "Context",
     "Densification",
-    "DepthMap",
-    "Disparity",
     "Exporter",
     "Fact",
-    "Flow",
-    "ImageMetricSettings",
     "Initializer",
-    "IterationDone",
-    "KeypointNetworks",
-    "Keypoints",
-    "LearnedFeatures",
-    "LoggerSettings",
-    "Matches",
-    "MatchingPrior",
     "Metric",
     "Modifier",
-    "MonocularDepthPrior",
-    "MultiViewDepthPrior",
     "Observer",
-    "OnnxModel",
-    "OnnxModelSettings",
-    "OnnxProvider",
-    "OnnxTensor",
     "OpacityPolicy",
     "OpacityUpdate",
-    "OpticalFlowPrior",
     "OtherField",
     "ParameterGroup",
     "Perturbation",
-    "PipelineError",
     "PluginError",
     "PointCloud",
     "Prior",
@@ -144,54 +107,20 @@ __all__ = [
     "Regularizer",
     "Render",
     "Report",
-    "RunEnded",
     "RunError",
-    "RunStarted",
-    "Runner",
-    "RunningTask",
     "Sample",
     "Sampler",
     "Scene",
     "SceneError",
     "SceneLoader",
     "Settings",
-    "Sha256",
     "Step",
-    "StereoPrior",
+    "TrainOption",
     "TrainingScene",
-    "TrainingTask",
     "TrainingView",
     "Unavailable",
     "View",
     "ViewMetric",
-    "ViewParameters",
-    "ViewPictures",
-    "ViewsScored",
-    "cache",
-    "depth_ends",
-    "epipolar_distances",
-    "first_line",
-    "flow_cycle_error",
-    "flow_in_size",
-    "grey",
     "hookimpl",
-    "image_fitting",
-    "nearness_picture",
-    "optional_module",
-    "photos",
-    "ramp_picture",
-    "read_model_file",
-    "read_results",
-    "save_png",
-    "side_by_side",
-    "smooth_path",
-    "trained_gaussians",
-    "triangulation",
-    "upright_rotation",
     "validate",
-    "virtual_views",
-    "web_page",
-    "white_outside",
-    "write_text",
-    "write_video",
 ]

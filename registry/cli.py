@@ -1,7 +1,7 @@
 """The `stereogs` command.
 
-Everything here, and every verb's `add`, imports argparse alone: help, the version and mistakes are answered
-at once. A verb imports what it works with in its `run`, torch only when nothing is left to refuse.
+Help, the version and mistakes are answered without importing torch: only the verb that is given is imported,
+and it imports the rest in its `run`.
 """
 
 from __future__ import annotations
@@ -10,78 +10,36 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands import (
-    check,
-    compare,
-    completion,
-    doctor,
-    explain,
-    plugins,
-    priors,
-    schema,
-    view,
-)
-from .commands.batches import ablate, bench
-from .commands.output import error_console
-from .commands.runs import demo, evaluate, export, render, replay, report, resume, train
+from .commands.output import add_verb, error_console
+from .commands.plugins import with_verb
 from .messages.command_parser import CommandParser
 from .messages.help_text import HelpFormatter
 from .messages.suggestions import did_you_mean, listing
+from .plugins.commands import Verb, verbs
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
 TRACE = "STEREOGS_TRACE"
 """Environment variable: 1 shows the Python traceback of every error."""
 
+COMPLETING = "_ARGCOMPLETE"
+"""Environment variable that a shell sets to ask how a command line continues."""
+
 PROGRESS = "stereogs"
 """Logger whose INFO lines are shown: a component that takes long tells of it there."""
-
-VERBS = {
-    "check": check,
-    "train": train,
-    "resume": resume,
-    "replay": replay,
-    "eval": evaluate,
-    "render": render,
-    "view": view,
-    "export": export,
-    "report": report,
-    "compare": compare,
-    "ablate": ablate,
-    "bench": bench,
-    "explain": explain,
-    "plugins": plugins,
-    "priors": priors,
-    "schema": schema,
-    "doctor": doctor,
-    "demo": demo,
-    "completion": completion,
-}
 
 _EPILOG = """\
 examples:
   stereogs demo                       three photographs to a scored scene
-  stereogs check FOLDER               what is in a folder of photographs
-  stereogs train FOLDER               train on it
+  stereogs train FOLDER               train on a folder of photographs
   stereogs train 3dgs --set scene.path=FOLDER
-                                      with a ready pipeline of your choice
+                                      with a pipeline of your choice
   stereogs resume runs/NAME           after Ctrl-C, a kill or a crash
-  stereogs eval runs/NAME             score it again
-  stereogs compare runs/ONE runs/TWO  scores side by side
-  stereogs render runs/NAME --path    a flight between the training views
-  stereogs view runs/NAME             the scene in the browser
-  stereogs export runs/NAME --format gltf
-                                      for other programs
-  stereogs report runs/NAME           a page about a run, with the scene in 3D
-  stereogs ablate ablations/parts     with parts on and off
-  stereogs bench MATRIX.yaml          several pipelines on several scenes
-  stereogs explain 3dgs               what runs when, and what it needs
-  stereogs plugins                    what a pipeline can name
-  stereogs priors check FILE.onnx     how to run a network, and how good it is
+  stereogs VERB --help                more examples
 
 environment:
   STEREOGS_DATA      folder of data sets, for pipelines that name it
@@ -100,18 +58,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C or SIGTERM.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = build_parser()
-    completion.answer_shell(parser)
-    if not given:
-        parser.print_help()
-        return 0
-    if not given[0].startswith("-") and given[0] not in VERBS:
-        return _explain(_unknown_verb(given[0]))
     _log_to_the_terminal()
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
-        parsed = parser.parse_args(plugins.with_verb(given))
-        status: int = parsed.run(parsed)
+        if COMPLETING in os.environ:
+            from .commands.completing import answer_shell
+
+            answer_shell(build_parser(None))
+        if not given:
+            build_parser(given).print_help()
+            return 0
+        parsed = parse(given)
+        status: int = parsed.command.run(parsed)
         sys.stdout.flush()
     except ExplainedError as error:
         return _explain(error)
@@ -142,8 +100,24 @@ def _log_to_the_terminal() -> None:
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The whole command line, verb by verb."""
+def parse(given: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; `command` of the result is the verb's `Command`.
+
+    Raises:
+        ExplainedError: the command line is wrong, or the plugin that offers its verb cannot be imported.
+    """
+    return build_parser(given).parse_args(with_verb(list(given)))
+
+
+def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
+    """The parser of a command line. Only the verb that is given is imported.
+
+    Args:
+        given: the command line; None adds the arguments of every verb.
+
+    Raises:
+        ExplainedError: no verb has the given name, or two plugins offer the same one.
+    """
     parser = CommandParser(
         prog="stereogs",
         description="Three to twenty-four photographs become a 3D Gaussian scene.",
@@ -151,9 +125,17 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
-    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for verb in VERBS.values():
-        verb.add(verbs)
+    actions, known = parser.add_subparsers(title="verbs", metavar="VERB", required=True), verbs()
+    if given and not given[0].startswith("-") and given[0] not in known:
+        raise _unknown_verb(given[0], known)
+    for name, verb in known.items():
+        if given is None or name in given[:1]:
+            command = verb.load()
+            own = add_verb(actions, name, verb.summary, command.epilog)
+            command.add_arguments(own)
+            own.set_defaults(command=command)
+        else:
+            add_verb(actions, name, verb.summary, "")
     return parser
 
 
@@ -170,11 +152,11 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _unknown_verb(name: str) -> ExplainedError:
+def _unknown_verb(name: str, known: Mapping[str, Verb]) -> ExplainedError:
     return ExplainedError(
-        f"there is no verb {name!r}{did_you_mean(name, VERBS)}",
+        f"unknown verb {name!r}{did_you_mean(name, known)}",
         where="the command line",
-        fix=f"verbs: {listing(VERBS)}; `stereogs --help` says what they do",
+        fix=f"verbs: {listing(known)}; `stereogs --help` describes them",
     )
 
 

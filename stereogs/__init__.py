@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera, ExplainedError, list_devices, open_device
     from registry import PointCloud, Scene, View
     from registry.pipeline.pipeline import Pipeline
+    from registry.runs.options import RunOptions
     from registry.runs.run import Picture, Run
     from registry.session import (
         build_pipeline,
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
         resume,
         scene_from_arrays,
         train,
-        within,
     )
     from registry.training.trainer import Iteration
+    from stereogs_plugins.tools.quality import within
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -42,6 +43,7 @@ __all__ = [
     "Pipeline",
     "PointCloud",
     "Run",
+    "RunOptions",
     "Scene",
     "View",
     "build_pipeline",

@@ -20,9 +20,10 @@ import numpy as np
 from nerfbaselines import DatasetNotFoundError, UnloadedDataset, new_cameras, new_dataset
 
 import stereogs
-from registry import save_png, write_text
 from registry.pipeline.pipeline import Pipeline
 from registry.pipeline.protocols import load_protocol
+from registry.system.files import write_text
+from registry.toolkit.drawing import save_png
 
 DATA = "STEREOGS_DATA"
 PREFIX = "stereogs-"

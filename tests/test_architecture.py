@@ -47,15 +47,29 @@ def test_imports_go_one_way(file: Path) -> None:
 
 PLUGIN_FILES = sorted((ROOT / "stereogs_plugins").rglob("*.py"))
 FACES = {
-    "core_rasterizer": "core_rasterizer/__init__.py",
-    "core_rasterizer.matching": "core_rasterizer/matching/__init__.py",
-    "registry": "registry/__init__.py",
-    "registry.cache": "registry/cache/__init__.py",
-    "registry.image_fitting": "registry/image_fitting.py",
-    "registry.photos": "registry/photos/__init__.py",
-    "registry.triangulation": "registry/triangulation.py",
-    "registry.virtual_views": "registry/virtual_views.py",
-    "registry.web_page": "registry/web_page/__init__.py",
+    name: f"{name.replace('.', '/')}.py"
+    for name in (
+        "registry.errors",
+        "registry.events",
+        "registry.runners",
+        "registry.toolkit.networks.image_fitting",
+        "registry.toolkit.views.triangulation",
+        "registry.toolkit.views.virtual_views",
+    )
+} | {
+    name: f"{name.replace('.', '/')}/__init__.py"
+    for name in (
+        "core_rasterizer",
+        "core_rasterizer.matching",
+        "registry",
+        "registry.priors",
+        "registry.toolkit.cache",
+        "registry.toolkit.drawing",
+        "registry.toolkit.networks",
+        "registry.toolkit.photos",
+        "registry.toolkit.views",
+        "registry.toolkit.web_page",
+    )
 }
 """Modules that plugins may import from, and the files whose `__all__` says what."""
 

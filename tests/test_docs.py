@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.cli import build_parser
+from registry.cli import parse
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -40,7 +40,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_are_understood(page: Path) -> None:
     for command in commands(page):
-        build_parser().parse_args(shlex.split(command, comments=True)[1:])
+        parse(shlex.split(command, comments=True)[1:])
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from registry.cli import VERBS, main
+from registry.cli import main
+from registry.plugins.commands import verbs
 
 WIDTH = 80
 PIPELINE = """\
@@ -23,7 +24,7 @@ training: {iterations: 3, sh_degree: 0}
 RIGHT = (
     [],
     *(["--help"], ["plugins"], ["plugins", "consistency_dense"], ["explain", "tiny.yaml"]),
-    *([verb, "--help"] for verb in VERBS),
+    *([verb, "--help"] for verb in verbs()),
     ["eval", "run"],
     ["compare", "run", "run"],
     ["compare", "weightfree_fast-llff_flower", "run"],

@@ -10,8 +10,8 @@ from pathlib import Path
 from PIL import Image
 
 import stereogs
-from registry.drawing.camera_path import smooth_path
-from registry.drawing.pictures import depth_picture, side_by_side, to_bytes
+from registry.toolkit.drawing.camera_path import smooth_path
+from registry.toolkit.drawing.pictures import depth_picture, side_by_side, to_bytes
 
 ROOT = Path(__file__).parents[2]
 FRAMES, MILLISECONDS = 48, 70

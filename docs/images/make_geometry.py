@@ -15,7 +15,7 @@ from torch import Tensor
 
 import stereogs
 from core_rasterizer import Rendering
-from registry.drawing.pictures import nearness_picture, side_by_side, to_bytes
+from registry.toolkit.drawing.pictures import nearness_picture, side_by_side, to_bytes
 
 ROOT = Path(__file__).parents[2]
 ROOM = "scene={use: procedural, train_views: 3, width: 400, height: 300}"

@@ -1,11 +1,12 @@
-"""`stereogs doctor`: which devices there are, which is used, and whether they compute correctly."""
+"""Find and test the OpenCL devices."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
-from .output import Verbs, add_device, add_verb, console
+from ..contract.command import Command
+from .output import add_device, console
 
 if TYPE_CHECKING:
     from core_rasterizer import Device
@@ -23,30 +24,32 @@ Exit status 1 if a device computes wrongly.
 """
 
 
-def add(verbs: Verbs) -> None:
-    """Add the verb."""
-    parser = add_verb(verbs, "doctor", "find and test the OpenCL devices", _EPILOG)
-    add_device(parser)
-    parser.set_defaults(run=run)
+class Doctor(Command):
+    """The verb `doctor`."""
 
+    epilog = _EPILOG
 
-def run(arguments: argparse.Namespace) -> int:
-    """Test every device; 1 if one fails."""
-    from core_rasterizer import list_devices, open_device
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        add_device(parser)
 
-    output = console()
-    chosen = open_device(arguments.device)
-    failed = False
-    for device in list_devices():
-        passed, verdict = _judge(device)
-        failed |= not passed
-        mark = "  <- chosen" if device is chosen else ""
-        output.print(
-            f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
-            f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
-            f"  self-test: {verdict}" + (_kernels(device) if passed else "")
-        )
-    return FAULT if failed else 0
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Test every device; 1 if one fails."""
+        from core_rasterizer import list_devices, open_device
+
+        output = console()
+        chosen = open_device(arguments.device)
+        failed = False
+        for device in list_devices():
+            passed, verdict = _judge(device)
+            failed |= not passed
+            mark = "  <- chosen" if device is chosen else ""
+            output.print(
+                f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
+                f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
+                f"  self-test: {verdict}" + (_kernels(device) if passed else "")
+            )
+        return FAULT if failed else 0
 
 
 def _kernels(device: Device) -> str:

@@ -1,4 +1,4 @@
-"""What the verbs share: consoles and arguments."""
+"""Consoles and arguments that verbs share."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from ..messages.help_text import HelpFormatter
 if TYPE_CHECKING:
     from ..messages.terminal import PlainConsole
     from ..runs.run import Run
-
-Verbs = Any
-"""argparse's own type for a set of verbs is private."""
 
 
 def console() -> PlainConsole:
@@ -30,12 +27,16 @@ def error_console() -> PlainConsole:
     return PlainConsole(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
-def add_verb(verbs: Verbs, name: str, help_text: str, epilog: str) -> argparse.ArgumentParser:
-    """A verb's parser; its `help_text` is also the first line of its own help."""
+def add_verb(verbs: Any, name: str, summary: str, epilog: str) -> argparse.ArgumentParser:
+    """Add a verb's parser; the summary is also the first line of its own help.
+
+    Args:
+        verbs: from `add_subparsers`, whose type is private.
+    """
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
-        help=help_text,
-        description=help_text[:1].upper() + help_text[1:] + ".",
+        help=summary,
+        description=summary[:1].upper() + summary[1:] + ".",
         epilog=epilog,
         formatter_class=HelpFormatter,
     )
@@ -49,31 +50,6 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="part of the OpenCL device's or platform's name; `stereogs doctor` lists them",
     )
-
-
-def add_watching(parser: argparse.ArgumentParser) -> None:
-    """The options --view, --check-plugins and --hang-after; `watching` takes what the last two were given."""
-    parser.add_argument(
-        "--view",
-        action="store_true",
-        help="show the scene in the browser while it trains, and after that until Ctrl-C",
-    )
-    parser.add_argument(
-        "--check-plugins",
-        action="store_true",
-        help="compare photographs, cameras and Gaussians around each call into a plugin (slower)",
-    )
-    parser.add_argument(
-        "--hang-after",
-        type=positive_seconds,
-        metavar="SECONDS",
-        help="end the run if one call into a plugin takes longer (default: only tell, after 60)",
-    )
-
-
-def watching(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of `stereogs.train` and `resume` from the options that `add_watching` adds."""
-    return {"check_plugins": arguments.check_plugins, "hang_after": arguments.hang_after}
 
 
 def positive_seconds(text: str) -> float:

@@ -1,14 +1,15 @@
-"""`stereogs plugins`: what a pipeline can name; `stereogs plugins new`: a package to begin with."""
+"""List the components that a pipeline can name."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import Verbs, add_verb, console
+from ..contract.command import Command
+from .output import add_verb, console
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -41,15 +42,24 @@ examples:
 """
 
 
-def add(verbs: Verbs) -> None:
-    """Add the verb."""
-    parser = add_verb(verbs, "plugins", "list what a pipeline can name", _EPILOG)
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
-    parser.set_defaults(run=run)
-    within = parser.add_subparsers(title="verbs", metavar="VERB")
-    _add_show(within)
-    _add_new(within)
+class Plugins(Command):
+    """The verb `plugins`, with `plugins NAME` and `plugins new NAME`."""
+
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("--json", action="store_true", help="print JSON")
+        parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
+        parser.set_defaults(action=run)
+        actions = parser.add_subparsers(title="verbs", metavar="VERB")
+        _add_show(actions)
+        _add_new(actions)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """List, describe one, or write a new package."""
+        action: Callable[[argparse.Namespace], int] = arguments.action
+        return action(arguments)
 
 
 def with_verb(arguments: list[str]) -> list[str]:
@@ -61,8 +71,10 @@ def with_verb(arguments: list[str]) -> list[str]:
     return ["plugins", "show", *arguments[1:]]
 
 
-def _add_new(verbs: Verbs) -> None:
-    parser = add_verb(verbs, "new", "write a plugin package that installs and trains", _NEW_EPILOG)
+def _add_new(actions: Any) -> None:
+    parser = add_verb(
+        actions, "new", "write a plugin package that installs and trains", _NEW_EPILOG
+    )
     parser.add_argument("name", metavar="NAME", help="of the component, as pipelines will write it")
     parser.add_argument("--kind", required=True, metavar="KIND", help="what it is; see below")
     parser.add_argument(
@@ -72,7 +84,7 @@ def _add_new(verbs: Verbs) -> None:
         metavar="DIR",
         help="the folder to write the package's folder into (default: this one)",
     )
-    parser.set_defaults(run=run_new)
+    parser.set_defaults(action=run_new)
 
 
 def run_new(arguments: argparse.Namespace) -> int:
@@ -84,11 +96,11 @@ def run_new(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _add_show(verbs: Verbs) -> None:
+def _add_show(actions: Any) -> None:
     epilog = "examples:\n  stereogs plugins show dropout\n  stereogs plugins dropout\n"
-    parser = add_verb(verbs, "show", "say what a component is for and what can be set", epilog)
+    parser = add_verb(actions, "show", "say what a component is for and what can be set", epilog)
     parser.add_argument("name", metavar="NAME", help="as a pipeline writes it")
-    parser.set_defaults(run=run_show)
+    parser.set_defaults(action=run_show)
 
 
 def run_show(arguments: argparse.Namespace) -> int:

@@ -1,11 +1,12 @@
-"""`stereogs schema`: what a pipeline may say, for editors."""
+"""Print the JSON schema of pipelines, for editors."""
 
 from __future__ import annotations
 
 import argparse
 import json
 
-from .output import Verbs, add_verb, error_console
+from ..contract.command import Command
+from .output import error_console
 
 _EPILOG = """\
 examples:
@@ -18,19 +19,18 @@ VS Code the extension YAML of Red Hat) completes and checks a pipeline whose fir
 """
 
 
-def add(verbs: Verbs) -> None:
-    """Add the verb."""
-    parser = add_verb(verbs, "schema", "print the JSON schema of pipelines, for editors", _EPILOG)
-    parser.set_defaults(run=run)
+class Schema(Command):
+    """The verb `schema`."""
 
+    epilog = _EPILOG
 
-def run(arguments: argparse.Namespace) -> int:
-    """Print it; plugins that cannot be loaded are told of, and left out."""
-    from ..inspection.schema import pipeline_schema
-    from ..plugins.discovery import Plugins
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Print it; plugins that cannot be loaded are told of, and left out."""
+        from ..inspection.schema import pipeline_schema
+        from ..plugins.discovery import Plugins
 
-    plugins = Plugins()
-    print(json.dumps(pipeline_schema(plugins.all()), indent=1))
-    for fault in plugins.broken.values():
-        error_console().print(str(fault))
-    return 0
+        plugins = Plugins()
+        print(json.dumps(pipeline_schema(plugins.all()), indent=1))
+        for fault in plugins.broken.values():
+            error_console().print(str(fault))
+        return 0

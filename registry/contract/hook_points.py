@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from ..runners import Runner
 from . import components as c
 from .component import Component
 from .prior import Prior
 
-API_VERSION = 2
+API_VERSION = 3
 """Version of the plugin API. Raised when a plugin written for the one before could break.
 
+3: verbs and train options are plugins; prior models, events, runners and building blocks are imported from
+`registry.priors`, `registry.events`, `registry.runners` and `registry.toolkit`.
 2: samplers, appearances, perturbations, parameters of components, terms stepped alone, several fields,
 edits that add, relocate and split into more than two, optical flow and matches; components see a
 scene without test views and true depth and Gaussians that cannot be written to; scenes have facts in
@@ -125,7 +128,7 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
         observes=True,
     ),
     HookPoint(
-        "runner", "runner", "stereogs_register_runners", c.Runner, holds="one", in_pipeline=False
+        "runner", "runner", "stereogs_register_runners", Runner, holds="one", in_pipeline=False
     ),
 )
 PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)

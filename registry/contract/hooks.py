@@ -12,21 +12,22 @@ from typing import Any, Protocol, TypeVar
 
 import pluggy
 
+from ..runners import Runner
 from . import components as c
-from .component import Component
+from .command import Command, TrainOption
 from .prior import Prior
 
 PROJECT = "stereogs"
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
-ComponentType = TypeVar("ComponentType", bound=Component[Any], contravariant=True)
+Registered = TypeVar("Registered", contravariant=True)
 
 
-class Register(Protocol[ComponentType]):
+class Register(Protocol[Registered]):
     """What a hook is given: call it once for each component."""
 
-    def __call__(self, name: str, component: type[ComponentType], /) -> None: ...
+    def __call__(self, name: str, offered: type[Registered], /) -> None: ...
 
 
 @hookspec
@@ -100,5 +101,15 @@ def stereogs_register_observers(register: Register[c.Observer[Any]]) -> None:
 
 
 @hookspec
-def stereogs_register_runners(register: Register[c.Runner[Any]]) -> None:
+def stereogs_register_runners(register: Register[Runner[Any]]) -> None:
     """Offer places where trainings run, such as a cluster."""
+
+
+@hookspec
+def stereogs_register_commands(register: Register[Command]) -> None:
+    """Offer verbs of the command line. Entry points are in the group `stereogs.commands`."""
+
+
+@hookspec
+def stereogs_register_train_options(register: Register[TrainOption]) -> None:
+    """Offer options of `train` and `resume`. Entry points are in the group `stereogs.train_options`."""

@@ -18,10 +18,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..cache import Cache, content_key
-from ..drawing.pictures import save_png
 from ..plugins.discovery import GROUP
 from ..system.files import write_json
+from ..toolkit.cache import Cache, content_key
+from ..toolkit.drawing.pictures import save_png
 
 if TYPE_CHECKING:
     from torch import Tensor

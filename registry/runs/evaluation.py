@@ -14,9 +14,9 @@ from ..calls.loan import Loan, Overwritten, of_rendering, of_view
 from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
-from ..drawing.pictures import save_view_pictures
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
+from ..toolkit.drawing.pictures import save_view_pictures
 from .average_error import AVERAGE_ERROR, average_error
 
 _ROLES: tuple[AverageErrorRole, ...] = get_args(AverageErrorRole)

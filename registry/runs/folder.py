@@ -215,8 +215,8 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without ending.
         """
-        from ..drawing.pictures import save_png
         from ..system.parallel import in_parallel
+        from ..toolkit.drawing.pictures import save_png
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)

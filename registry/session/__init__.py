@@ -13,7 +13,7 @@ function that computes something.
 from .pipelines import build_pipeline
 from .runs import export, find_exporter, open_run, render, results
 from .scenes import load_scene, scene_from_arrays
-from .trainings import resume, train, within
+from .trainings import resume, train
 
 __all__ = [
     "build_pipeline",
@@ -26,5 +26,4 @@ __all__ = [
     "resume",
     "scene_from_arrays",
     "train",
-    "within",
 ]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..calls.loan import checked_plugins
 from ..calls.watchdog import WATCHDOG
@@ -22,55 +20,37 @@ from ..pipeline.pipeline import Item, Pipeline
 from ..pipeline.schedule import HostSettings
 from ..pipeline.yaml_source import Place
 from ..plugins.discovery import Plugins
+from ..runs.options import RunOptions
 from .arguments import console_of, device_of, run_folder
 from .pipelines import PathLike, PipelineSource, build_pipeline
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from core_rasterizer import Device
-
-    from ..runs.beginning import Fit
     from ..runs.run import Run
-    from ..training.trainer import Iteration
 
 
 def train(
     pipeline: PipelineSource,
+    options: RunOptions | None = None,
     *,
-    scene: Scene | None = None,
     out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
-    progress: bool | Console = True,
-    on_begin: Callable[[Run], None] | None = None,
-    callback: Callable[[Iteration], bool | None] | None = None,
-    device: Device | str | None = None,
-    check_plugins: bool = False,
-    hang_after: float | None = None,
-    fit: Fit | None = None,
+    **changes: Any,
 ) -> Run:
     """Train a pipeline.
 
     Args:
-        pipeline: a pipeline, or what `build_pipeline` makes one from.
-        scene: trained on in place of what the pipeline's loader would load. The run's pipeline then says
-            `scene: in_memory`, and `open_run` wants the scene again.
-        out: the run folder, new or empty, or a function that names it; None writes nothing to disk.
-        progress: whether to print how it goes; or the console to print on.
-        on_begin: given the run once it has its first Gaussians, before the first iteration: to look at while
-            it trains, not to change.
-        callback: called after each iteration; training stops after one for which it returns False.
-        device: the OpenCL device, or part of its name; None chooses.
-        check_plugins: compare all that components are shown around each call; see `checked_plugins`.
-        hang_after: seconds, > 0, after which a call into a component is ended, with a PluginError; one
-            that does not heed that ends the process. In the main thread only; None ends none.
-        fit: chooses the pipeline that goes on from the first Gaussians, see `within`; None: the same one.
+        pipeline: a pipeline, or any source that `build_pipeline` accepts.
+        options: how the training runs.
+        out: the run folder, new or empty, or a function that returns it; None writes nothing to disk.
+        changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
 
     Returns:
         The run. It is not `finished` if the callback or Ctrl-C stopped it.
 
     Raises:
-        ExplainedError: whatever went wrong.
+        ExplainedError: anything went wrong.
     """
+    options = replace(options or RunOptions(), **changes)
+    scene = options.scene
     checked = pipeline if isinstance(pipeline, Pipeline) else build_pipeline(pipeline)
     if scene is not None:
         checked = _for_given(checked, validate(scene))
@@ -81,69 +61,43 @@ def train(
         )
     from ..runs.training_run import start
 
-    with _at_work(check_plugins, hang_after):
+    with _at_work(options.check_plugins, options.hang_after):
         return start(
             checked,
-            device=device_of(device),
+            device=device_of(options.device),
             out=Path(out).expanduser() if isinstance(out, str | os.PathLike) else out,
-            console=console_of(progress),
+            console=console_of(options.progress),
             scene=scene,
-            on_begin=on_begin,
-            callback=callback,
-            fit=fit,
+            on_begin=options.on_begin,
+            callback=options.callback,
+            fit=options.fit,
         )
 
 
-def within(seconds: float) -> Fit:
-    """For `train(..., fit=within(20))`: as many iterations as fit into the seconds, from now to the end.
-
-    The number follows from iterations that are measured on the scene and this machine, schedules go with it,
-    and no more are done than the pipeline says. The run's pipeline, `run.pipeline`, has the number: trained
-    again, it ends in the same bits.
+def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) -> Run:
+    """Continue a run that was stopped, to the same result as if it had not been.
 
     Args:
-        seconds: of wall-clock time, > 0, scores and files included.
-    """
-    from ..choosing.fitting import Budget, fit_length
-
-    budget, log = Budget(seconds, time.monotonic()), logging.getLogger("stereogs.choosing")
-    return lambda beginning: fit_length(beginning, budget, log.info)
-
-
-def resume(
-    folder: PathLike,
-    *,
-    scene: Scene | None = None,
-    progress: bool | Console = True,
-    on_begin: Callable[[Run], None] | None = None,
-    callback: Callable[[Iteration], bool | None] | None = None,
-    device: Device | str | None = None,
-    accept_changed_inputs: bool = False,
-    check_plugins: bool = False,
-    hang_after: float | None = None,
-) -> Run:
-    """Go on with a run that was stopped, to the same end as if it had not been; arguments as `train`'s.
-
-    Args:
-        accept_changed_inputs: go on although photographs, cameras or model files are not those that the
-            run began with.
+        folder: the run folder.
+        options, changes: as for `train`.
 
     Raises:
-        ExplainedError: the folder is no run, has no checkpoint, or whatever goes wrong later.
+        ExplainedError: the folder is not a run, has no checkpoint, or anything goes wrong later.
     """
+    options = replace(options or RunOptions(), **changes)
     path = run_folder(folder)
     from ..runs.training_run import resume as go_on
 
-    with _at_work(check_plugins, hang_after):
+    with _at_work(options.check_plugins, options.hang_after):
         return go_on(
             path,
             plugins=Plugins(),
-            device=device_of(device),
-            console=console_of(progress),
-            scene=scene and validate(scene),
-            on_begin=on_begin,
-            callback=callback,
-            accept_changed_inputs=accept_changed_inputs,
+            device=device_of(options.device),
+            console=console_of(options.progress),
+            scene=options.scene and validate(options.scene),
+            on_begin=options.on_begin,
+            callback=options.callback,
+            accept_changed_inputs=options.accept_changed_inputs,
         )
 
 

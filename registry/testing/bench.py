@@ -14,12 +14,12 @@ from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
 
+from .. import priors as capabilities
 from ..contract.maps import DepthMap
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene
 from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
-from ..priors import capabilities
 from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step_rendering import StepRenderer

@@ -15,8 +15,8 @@ from core_rasterizer import Rendering
 
 from ..contract.component import Component, Settings
 from ..contract.components import Observer
-from ..contract.events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..contract.hook_points import HookPoint
+from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Offer, Plugins

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 
-from ..cache import FOLDER_VARIABLE
 from ..contract.checks.answers import (
     check_colors,
     check_edit,
@@ -30,13 +29,14 @@ from ..contract.checks.answers import (
 from ..contract.checks.scene import validate
 from ..contract.components import Unavailable
 from ..pipeline.training_settings import TrainingSettings
-from ..priors.capabilities import (
+from ..priors import (
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
     StereoPrior,
 )
+from ..toolkit.cache import FOLDER_VARIABLE
 from ..training.initial_model import initial_gaussians
 from .bench import Bench, Moment
 from .judging import require, require_files

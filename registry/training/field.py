@@ -27,11 +27,11 @@ from ..contract.checks.answers import (
     check_sample,
 )
 from ..contract.components import Densification
-from ..contract.events import IterationDone
 from ..contract.maps import DepthMap
 from ..contract.scene import TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
 from ..errors import PluginError, RunError
+from ..events import IterationDone
 from ..pipeline.blame import blame
 from ..pipeline.parts import Parts
 from ..pipeline.schedule import active_sh_degree

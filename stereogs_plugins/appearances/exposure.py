@@ -12,16 +12,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import (
-    Appearance,
-    ParameterGroup,
-    Register,
-    Settings,
-    Step,
-    TrainingScene,
-    ViewParameters,
-    hookimpl,
-)
+from registry import Appearance, ParameterGroup, Register, Settings, Step, TrainingScene, hookimpl
+from registry.toolkit.views import ViewParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from registry import Exporter, Register, Scene, Settings, hookimpl, photos, save_png, write_text
+from registry import Exporter, Register, Scene, Settings, hookimpl
+from registry.system.files import write_text
+from registry.toolkit import photos
+from registry.toolkit.drawing import save_png
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -32,7 +32,7 @@ class GltfExporter(Exporter[Settings]):
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
-        from registry import upright_rotation
+        from registry.toolkit.drawing import upright_rotation
 
         path = folder / "scene.glb"
         rotation = upright_rotation([view.camera for view in scene.train])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from registry import Exporter, Register, Scene, Settings, hookimpl, save_png, write_text
+from registry import Exporter, Register, Scene, Settings, hookimpl
+from registry.system.files import write_text
+from registry.toolkit.drawing import save_png
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -28,7 +28,7 @@ class VideoExporter(Exporter[VideoSettings]):
         Raises:
             RunError: the scene has one training view.
         """
-        from registry import smooth_path, write_video
+        from registry.toolkit.drawing import smooth_path, write_video
 
         cameras = smooth_path([view.camera for view in scene.train], self.settings.frames)
         frames = (model.render(camera, background=scene.background).rgb for camera in cameras)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from registry import ImageMetricSettings, Metric, Register, SceneError, hookimpl
+from registry import Metric, Register, SceneError, hookimpl
+from registry.toolkit.drawing import ImageMetricSettings
 
 if TYPE_CHECKING:
     from torch import Tensor

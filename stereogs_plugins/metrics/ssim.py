@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from registry import ImageMetricSettings, Metric, Register, hookimpl
+from registry import Metric, Register, hookimpl
+from registry.toolkit.drawing import ImageMetricSettings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,8 +29,8 @@ class SSIM(Metric[ImageMetricSettings]):
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
-        from registry import white_outside
-        from registry.photos import in_parallel
+        from registry.toolkit.drawing import white_outside
+        from registry.toolkit.photos import in_parallel
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()

@@ -8,17 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from registry import (
-    IterationDone,
-    LoggerSettings,
-    Observer,
-    Register,
-    RunEnded,
-    RunStarted,
-    ViewsScored,
-    hookimpl,
-    optional_module,
-)
+from registry import Observer, Register, hookimpl
+from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
+from registry.plugins.optional import optional_module
+from registry.toolkit.drawing import LoggerSettings
 
 _IDENTITY = "stereogs.run"
 """The tag by which a run that goes on is found."""

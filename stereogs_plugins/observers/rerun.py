@@ -4,18 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from registry import (
-    IterationDone,
-    LoggerSettings,
-    Observer,
-    Register,
-    RunEnded,
-    RunStarted,
-    TrainingScene,
-    ViewsScored,
-    hookimpl,
-    optional_module,
-)
+from registry import Observer, Register, TrainingScene, hookimpl
+from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
+from registry.plugins.optional import optional_module
+from registry.toolkit.drawing import LoggerSettings
 
 _DC = 0.28209479177387814
 """The spherical harmonic of degree 0, 1 / (2 sqrt(pi))."""

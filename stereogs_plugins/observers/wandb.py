@@ -5,17 +5,10 @@ from __future__ import annotations
 import os
 from typing import Any, Literal
 
-from registry import (
-    IterationDone,
-    LoggerSettings,
-    Observer,
-    Register,
-    RunEnded,
-    RunStarted,
-    ViewsScored,
-    hookimpl,
-    optional_module,
-)
+from registry import Observer, Register, hookimpl
+from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
+from registry.plugins.optional import optional_module
+from registry.toolkit.drawing import LoggerSettings
 
 
 class WandbSettings(LoggerSettings):

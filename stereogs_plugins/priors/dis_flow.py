@@ -11,14 +11,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import (
-    OpticalFlowPrior,
-    Register,
-    Settings,
-    flow_cycle_error,
-    flow_in_size,
-    hookimpl,
-)
+from registry import Register, Settings, hookimpl
+from registry.priors import OpticalFlowPrior
+from registry.toolkit.views import flow_cycle_error, flow_in_size
 
 if TYPE_CHECKING:
     from typing import Any
@@ -83,7 +78,7 @@ def _grey(image: Tensor, size: tuple[int, int]) -> NDArray[np.uint8]:
     import cv2
     import numpy as np
 
-    from registry import grey
+    from registry.toolkit.drawing import grey
 
     brightness = (255 * grey(image).clamp(0, 1)).round().numpy().astype(np.uint8)
     if (brightness.shape[1], brightness.shape[0]) == size:

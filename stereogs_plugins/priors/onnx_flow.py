@@ -10,18 +10,11 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    OnnxModel,
-    OnnxModelSettings,
-    OpticalFlowPrior,
-    PluginError,
-    Register,
-    flow_cycle_error,
-    flow_in_size,
-    hookimpl,
-)
-from registry.image_fitting import ValueRange
+from registry import Context, PluginError, Register, hookimpl
+from registry.priors import OpticalFlowPrior
+from registry.toolkit.networks import OnnxModel, OnnxModelSettings
+from registry.toolkit.networks.image_fitting import ValueRange
+from registry.toolkit.views import flow_cycle_error, flow_in_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,7 +89,7 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         Raises:
             PluginError: the graph answers anything but two maps of its input's size.
         """
-        from registry.image_fitting import stretched
+        from registry.toolkit.networks.image_fitting import stretched
 
         size, other = ((int(image.shape[0]), int(image.shape[1])) for image in (first, second))
         # The second image is looked at in the size of the first.
@@ -112,7 +105,7 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         """The flow `[H, W, 2]` between images `[1, 3, H, W]`."""
         import torch
 
-        from registry.image_fitting import in_range, padded
+        from registry.toolkit.networks.image_fitting import in_range, padded
 
         size = (int(first.shape[2]), int(first.shape[3]))
         frozen = (self._first.shape[2], self._first.shape[3])

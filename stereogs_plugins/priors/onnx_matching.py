@@ -10,19 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    KeypointNetworks,
-    Matches,
-    MatchingPrior,
-    OnnxModel,
-    OnnxModelSettings,
-    Register,
-    Sha256,
-    TrainingView,
-    hookimpl,
-)
-from registry.image_fitting import ValueRange
+from registry import Context, Register, TrainingView, hookimpl
+from registry.priors import Matches, MatchingPrior
+from registry.toolkit.networks import KeypointNetworks, OnnxModel, OnnxModelSettings, Sha256
+from registry.toolkit.networks.image_fitting import ValueRange
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -94,7 +85,7 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
         Raises:
             PluginError: see `MatchingPrior.matches`.
         """
-        from registry import epipolar_distances
+        from registry.toolkit.views import epipolar_distances
 
         found = super().matches_between(first, second)
         limit = self.settings.max_epipolar_distance

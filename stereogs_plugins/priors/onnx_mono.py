@@ -7,17 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    MonocularDepthPrior,
-    OnnxModel,
-    OnnxModelSettings,
-    OnnxTensor,
-    PluginError,
-    Register,
-    hookimpl,
-)
-from registry.image_fitting import ValueRange
+from registry import Context, PluginError, Register, hookimpl
+from registry.priors import MonocularDepthPrior
+from registry.toolkit.networks import OnnxModel, OnnxModelSettings, OnnxTensor
+from registry.toolkit.networks.image_fitting import ValueRange
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -112,7 +105,7 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         """
         from torch.nn.functional import interpolate
 
-        from registry.image_fitting import in_range, stretched
+        from registry.toolkit.networks.image_fitting import in_range, stretched
 
         size = (int(image.shape[0]), int(image.shape[1]))
         factor = self._family.short_side / min(size)

@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from core_rasterizer.matching import MOST_PATCH_SOURCES
-from registry import (
-    DepthMap,
-    MultiViewDepthPrior,
-    PluginError,
-    Register,
-    Settings,
-    TrainingView,
-    grey,
-    hookimpl,
-)
+from registry import PluginError, Register, Settings, TrainingView, hookimpl
+from registry.priors import DepthMap, MultiViewDepthPrior
+from registry.toolkit.drawing import grey
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

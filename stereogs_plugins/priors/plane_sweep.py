@@ -13,19 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
-from registry import (
-    Context,
-    DepthMap,
-    MultiViewDepthPrior,
-    OnnxModel,
-    PluginError,
-    Register,
-    Settings,
-    Sha256,
-    TrainingView,
-    grey,
-    hookimpl,
-)
+from registry import Context, PluginError, Register, Settings, TrainingView, hookimpl
+from registry.priors import DepthMap, MultiViewDepthPrior
+from registry.toolkit.drawing import grey
+from registry.toolkit.networks import OnnxModel, Sha256
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -77,7 +68,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     """
 
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
-        from registry import LearnedFeatures
+        from registry.toolkit.networks import LearnedFeatures
 
         super().__init__(settings, context)
         self._features = (
@@ -87,7 +78,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
         """The cost `features`, for a file of learned features."""
-        from registry import LearnedFeatures
+        from registry.toolkit.networks import LearnedFeatures
 
         if not LearnedFeatures.recognizes(model):
             return []

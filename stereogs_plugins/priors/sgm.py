@@ -12,17 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from core_rasterizer.matching import LARGEST_PENALTY, MAX_RADIUS
-from registry import (
-    Context,
-    OnnxModel,
-    OnnxProvider,
-    PluginError,
-    Register,
-    Settings,
-    Sha256,
-    StereoPrior,
-    hookimpl,
-)
+from registry import Context, PluginError, Register, Settings, hookimpl
+from registry.priors import StereoPrior
+from registry.toolkit.networks import OnnxModel, OnnxProvider, Sha256
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,7 +60,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def __init__(self, settings: SgmSettings, context: Context) -> None:
         from core_rasterizer.matching import Penalties
-        from registry import LearnedFeatures
+        from registry.toolkit.networks import LearnedFeatures
 
         super().__init__(settings, context)
         if settings.small_penalty > settings.large_penalty:
@@ -90,7 +82,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
         """The cost `features`, for a file of learned features."""
-        from registry import LearnedFeatures
+        from registry.toolkit.networks import LearnedFeatures
 
         if not LearnedFeatures.recognizes(model):
             return []
@@ -123,7 +115,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def _costs(self, left: Tensor, right: Tensor) -> CostVolume:
         from core_rasterizer.matching import census_costs, feature_costs, zncc_costs
-        from registry import grey
+        from registry.toolkit.drawing import grey
 
         device, planes = self.context.device, self._planes(left)
         if self._features:
@@ -135,7 +127,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def _cheapest(self, costs: CostVolume, image: Tensor) -> Tensor:
         from core_rasterizer.matching import aggregate, pick
-        from registry import grey
+        from registry.toolkit.drawing import grey
 
         device = self.context.device
         sums = aggregate(device, costs, grey(image), self._penalties)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from registry import Matches, MatchingPrior, Register, Settings, hookimpl
+from registry import Register, Settings, hookimpl
+from registry.priors import Matches, MatchingPrior
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -38,7 +39,7 @@ class SiftMatches(MatchingPrior[SiftMatchesSettings]):
         """The matches, in the order of the first image's features."""
         import torch
 
-        from registry.photos import import_pycolmap
+        from registry.toolkit.photos import import_pycolmap
 
         colmap = import_pycolmap()
         features = [self._features(colmap, image) for image in (first, second)]
@@ -62,7 +63,7 @@ class SiftMatches(MatchingPrior[SiftMatchesSettings]):
         """pycolmap's keypoints and descriptors."""
         import torch
 
-        from registry import grey
+        from registry.toolkit.drawing import grey
 
         options = colmap.FeatureExtractionOptions()
         options.num_threads = 1

@@ -10,16 +10,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    MonocularDepthPrior,
-    Register,
-    Regularizer,
-    Settings,
-    Step,
-    hookimpl,
-)
-from registry.image_fitting import at_size
+from registry import Context, Register, Regularizer, Settings, Step, hookimpl
+from registry.priors import MonocularDepthPrior
+from registry.toolkit.networks.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -18,19 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    PluginError,
-    Register,
-    Runner,
-    RunningTask,
-    Settings,
-    hookimpl,
-    optional_module,
-)
+from registry import Context, PluginError, Register, Settings, hookimpl
+from registry.plugins.optional import optional_module
+from registry.runners import Runner, RunningTask
 
 if TYPE_CHECKING:
-    from registry import TrainingTask
+    from registry.runners import TrainingTask
 
 _PASSED_ON = ("STEREOGS_DATA", "STEREOGS_MODELS", "STEREOGS_DEVICE", "STEREOGS_PLUGINS")
 """Environment variables that a worker takes from here: folders must have the same path there."""

@@ -23,9 +23,9 @@ from registry import (
     Settings,
     Step,
     TrainingScene,
-    ViewParameters,
     hookimpl,
 )
+from registry.toolkit.views import ViewParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

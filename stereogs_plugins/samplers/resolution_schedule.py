@@ -29,7 +29,7 @@ class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
     """The same view through a camera of fewer pixels; each is the mean of those that it covers.
 
     A term that compares with a map of the photograph takes its pixels at the render's size
-    (`registry.image_fitting.at_size`), as those of this package do.
+    (`registry.toolkit.networks.image_fitting.at_size`), as those of this package do.
     """
 
     def __init__(self, settings: ResolutionScheduleSettings, context: Context) -> None:

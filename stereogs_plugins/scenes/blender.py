@@ -15,7 +15,7 @@ import pydantic
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     BACKGROUNDS,
     Decoder,
     Finite,

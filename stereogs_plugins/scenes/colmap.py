@@ -8,7 +8,7 @@ from typing import ClassVar
 from pydantic import Field
 
 from registry import Register, Scene, SceneLoader, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     ColmapModel,
     ImageSourceSettings,
     LoadedPhotos,

@@ -34,7 +34,7 @@ SOON = 0.02
 @pytest.fixture(autouse=True)
 def _the_log_is_as_loud_as_before() -> Iterator[None]:
     """Readers that answer damage with a warning are told to be quiet, by their targets."""
-    cache = logging.getLogger("registry.cache.entries")
+    cache = logging.getLogger("registry.toolkit.cache.entries")
     level = cache.level
     yield
     cache.setLevel(level)

@@ -10,7 +10,8 @@ import torch
 
 import stereogs
 from core_rasterizer import Device
-from registry import PipelineError, RunError, SceneError
+from registry import RunError, SceneError
+from registry.errors import PipelineError
 from registry.testing import tiny_scene
 
 from .conftest import TOY_ENTRIES, Install

@@ -12,7 +12,6 @@ import pytest
 import stereogs
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
-from registry.cache import FOLDER_VARIABLE
 from registry.calls.memory import MemoryLedger, resident_bytes
 from registry.calls.watchdog import WATCHDOG
 from registry.pipeline import blame
@@ -20,6 +19,7 @@ from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.opened import open_run
 from registry.runs.replay import replay
+from registry.toolkit.cache import FOLDER_VARIABLE
 
 from .conftest import TOYS
 from .sick import NAMES, installed, module

@@ -13,8 +13,9 @@ import pytest
 import torch
 
 from core_rasterizer import Gaussians, save_ply
-from registry import DepthMap, MultiViewDepthPrior, Prior, TrainingView
+from registry import Prior, TrainingView
 from registry.plugins.discovery import GROUP, Offer, Plugins
+from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.testing import check, tiny_scene
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.metrics.lpips_network import onnx_difference, sha256

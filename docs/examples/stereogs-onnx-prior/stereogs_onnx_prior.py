@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 
 import registry
-from registry.image_fitting import full_size_maps, in_range, padded
+from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
 
 STEREOGS_API = 2
 """The version of the plugin API that this module was written for."""

@@ -1,4 +1,4 @@
-"""`turntable`: photographs on a turntable, one lens; a scene loader of what registry.photos offers.
+"""`turntable`: photographs on a turntable, one lens; a scene loader of what registry.toolkit.photos offers.
 
 The folder holds the photographs and turntable.json:
 
@@ -15,7 +15,7 @@ from typing import ClassVar
 import pydantic
 
 import registry
-from registry import photos
+from registry.toolkit import photos
 
 STEREOGS_API = 2
 """The version of the plugin API that this module was written for."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer import ExplainedError
 
 from ...calls.loan import of_scene
-from ...contract.events import RunEnded, RunStarted, ViewsScored
+from ...events import RunEnded, RunStarted, ViewsScored
 from ...pipeline.parts import Part
 from ...training.trainer import Iteration, Trainer
 from ..evaluation import Scores

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry.photos import in_parallel
+from registry.toolkit.photos import in_parallel
 
 from .completing.back_layer import back_layer
 from .completing.margin import margin

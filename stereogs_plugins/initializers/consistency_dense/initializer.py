@@ -10,16 +10,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-from registry import (
-    Initializer,
-    MultiViewDepthPrior,
-    PointCloud,
-    Prior,
-    Register,
-    SceneError,
-    TrainingScene,
-    hookimpl,
-)
+from registry import Initializer, PointCloud, Prior, Register, SceneError, TrainingScene, hookimpl
+from registry.priors import MultiViewDepthPrior
 
 from .settings import ConsistencyDenseSettings
 
@@ -137,7 +129,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
     def _confirmed(self, scene: TrainingScene, choices: Sequence[Choice]) -> list[DepthImage]:
         """Confirmed depths of each view, without small patches."""
-        from registry.photos import in_parallel
+        from registry.toolkit.photos import in_parallel
 
         from .confirming.geometric_filter import without_small_patches
 
@@ -231,7 +223,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     ) -> PointCloud:
         import torch
 
-        from registry.photos import in_parallel
+        from registry.toolkit.photos import in_parallel
 
         from .layers import joined
         from .view_depth import PICTURE_COLUMNS, ViewDepth

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from registry import SceneError
-from registry.triangulation import triangulated_points
+from registry.toolkit.views.triangulation import triangulated_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable

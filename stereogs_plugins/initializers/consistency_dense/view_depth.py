@@ -9,7 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import DepthMap, TrainingView, nearness_picture, side_by_side
+from registry import TrainingView
+from registry.priors import DepthMap
+from registry.toolkit.drawing import nearness_picture, side_by_side
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from registry import (
-    DepthMap,
-    Initializer,
-    OpticalFlowPrior,
-    PointCloud,
-    Prior,
-    SceneError,
-    Settings,
-    TrainingScene,
-)
+from registry import Initializer, PointCloud, Prior, SceneError, Settings, TrainingScene
+from registry.priors import DepthMap, OpticalFlowPrior
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -116,7 +108,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
     def _points(self, scene: TrainingScene, maps: Mapping[str, DepthMap]) -> PointCloud:
         import torch
 
-        from registry import nearness_picture
+        from registry.toolkit.drawing import nearness_picture
 
         positions, colors, pictures = [], [], {}
         stride = self.settings.stride

@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from registry import (
-    Initializer,
-    MatchingPrior,
-    PointCloud,
-    Prior,
-    SceneError,
-    Settings,
-    TrainingScene,
-)
+from registry import Initializer, PointCloud, Prior, SceneError, Settings, TrainingScene
+from registry.priors import MatchingPrior
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from core_rasterizer import ExplainedError
-from registry import read_model_file
+from registry.toolkit.networks import read_model_file
 
 from .backbone import LAYERS, backbone
 from .files import read_tensors

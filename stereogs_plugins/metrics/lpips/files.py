@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from registry import OnnxModel, PluginError, first_line, read_model_file
+from registry import PluginError
+from registry.toolkit.networks import OnnxModel, first_line, read_model_file
 
 if TYPE_CHECKING:
     from pathlib import Path

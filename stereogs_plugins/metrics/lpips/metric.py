@@ -15,16 +15,10 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 import pydantic
 
-from registry import (
-    AverageErrorRole,
-    ImageMetricSettings,
-    Metric,
-    PluginError,
-    Register,
-    Sha256,
-    Unavailable,
-    hookimpl,
-)
+from registry import Metric, PluginError, Register, Unavailable, hookimpl
+from registry.contract.components import AverageErrorRole
+from registry.toolkit.drawing import ImageMetricSettings
+from registry.toolkit.networks import Sha256
 
 from .known_files import FOLDER_VARIABLE, KNOWN, NetworkName, known_files
 
@@ -84,7 +78,7 @@ class LPIPS(Metric[LPIPSSettings]):
         Raises:
             PluginError: the files have another hash or do not hold what the settings say.
         """
-        from registry import white_outside
+        from registry.toolkit.drawing import white_outside
 
         if isinstance(self._distance, Unavailable):
             return self._distance

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera
-    from registry import OnnxModel
-    from registry.image_fitting import ValueRange
+    from registry.toolkit.networks import OnnxModel
+    from registry.toolkit.networks.image_fitting import ValueRange
 
 FamilyName = Literal["mvsanywhere", "mvsformer"]
 Cameras: TypeAlias = "Sequence[Camera]"

@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    DepthMap,
-    MultiViewDepthPrior,
-    OnnxModel,
-    OnnxModelSettings,
-    PluginError,
-    Register,
-    TrainingView,
-    hookimpl,
-)
-from registry.image_fitting import ValueRange
+from registry import Context, PluginError, Register, TrainingView, hookimpl
+from registry.priors import DepthMap, MultiViewDepthPrior
+from registry.toolkit.networks import OnnxModel, OnnxModelSettings
+from registry.toolkit.networks.image_fitting import ValueRange
 
 from .families import FAMILIES, FamilyName
 
@@ -28,7 +20,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from registry.image_fitting import Fit
+    from registry.toolkit.networks.image_fitting import Fit
 
 _log = logging.getLogger("stereogs.onnx_mvs")
 
@@ -138,7 +130,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         """The depth of the first view."""
         import torch
 
-        from registry.image_fitting import in_range
+        from registry.toolkit.networks.image_fitting import in_range
 
         family = self._family
         fit = self._fit(views[0])
@@ -163,7 +155,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         return DepthMap(torch.where(valid, depth, 0.0), valid, confidence)
 
     def _fit(self, view: TrainingView, target: tuple[int, int] | None = None) -> Fit:
-        from registry.image_fitting import stretched
+        from registry.toolkit.networks.image_fitting import stretched
 
         image = (view.camera.height, view.camera.width)
         multiple = self._family.multiple
@@ -175,7 +167,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         return stretched(image, wanted, multiple)
 
     def _map(self, name: str, answers: Mapping[str, Tensor], fit: Fit) -> Tensor:
-        from registry.image_fitting import full_size_maps
+        from registry.toolkit.networks.image_fitting import full_size_maps
 
         return full_size_maps(name, answers, (1, *fit.target), self._model.path)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from registry.image_fitting import FrozenSize, ValueRange
+    from registry.toolkit.networks.image_fitting import FrozenSize, ValueRange
 
 FamilyName = Literal[
     "foundation_stereo",

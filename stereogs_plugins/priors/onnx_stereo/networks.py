@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from registry import OnnxModel, PluginError
+from registry import PluginError
+from registry.toolkit.networks import OnnxModel
 
 from .group_correlation import group_correlation
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from registry.image_fitting import FrozenSize
+    from registry.toolkit.networks.image_fitting import FrozenSize
 
     from .families import StereoFamily
 

@@ -8,17 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    OnnxModel,
-    OnnxModelSettings,
-    PluginError,
-    Register,
-    Sha256,
-    StereoPrior,
-    hookimpl,
-)
-from registry.image_fitting import Padding, ValueRange
+from registry import Context, PluginError, Register, hookimpl
+from registry.priors import StereoPrior
+from registry.toolkit.networks import OnnxModel, OnnxModelSettings, Sha256
+from registry.toolkit.networks.image_fitting import Padding, ValueRange
 
 from .families import FAMILIES, FamilyName, StereoFamily
 
@@ -116,7 +109,7 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         """Disparities `[N, H, W]` of pairs `[N, H, W, 3]`."""
         import torch
 
-        from registry.image_fitting import in_range, padded, stretched
+        from registry.toolkit.networks.image_fitting import in_range, padded, stretched
 
         settings, network = self.settings, self._network
         height, width = int(lefts.shape[1]), int(lefts.shape[2])
@@ -151,7 +144,7 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         return torch.where(known, disparity, torch.nan)
 
     def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
-        from registry.image_fitting import full_size_maps
+        from registry.toolkit.networks.image_fitting import full_size_maps
 
         return full_size_maps(name, answers, shape, self._network.last.path)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, get_args
 
-from registry.image_fitting import ValueRange
+from registry.toolkit.networks.image_fitting import ValueRange
 
 from .families import FAMILIES
 
 if TYPE_CHECKING:
-    from registry import OnnxModel, OnnxTensor
+    from registry.toolkit.networks import OnnxModel, OnnxTensor
 
     from .families import StereoFamily
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import OnnxModel, PluginError, grey
+from registry import PluginError
+from registry.toolkit.drawing import grey
+from registry.toolkit.networks import OnnxModel
 
 from .networks import frozen_size, open_batch
 

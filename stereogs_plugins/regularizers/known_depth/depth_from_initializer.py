@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import PluginError, Regularizer, Settings, Step
-from registry.image_fitting import at_size
+from registry.toolkit.networks.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor

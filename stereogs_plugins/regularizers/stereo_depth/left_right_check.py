@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from registry import Disparity
+    from registry.priors import Disparity
 
 
 def agreeing(left: Disparity, right: Disparity, tolerance: float) -> Tensor:

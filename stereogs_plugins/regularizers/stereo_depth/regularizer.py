@@ -12,19 +12,10 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import (
-    Context,
-    Disparity,
-    Register,
-    Regularizer,
-    Settings,
-    Step,
-    StereoPrior,
-    TrainingView,
-    hookimpl,
-)
-from registry.image_fitting import at_size
-from registry.photos import dark_background
+from registry import Context, Register, Regularizer, Settings, Step, TrainingView, hookimpl
+from registry.priors import Disparity, StereoPrior
+from registry.toolkit.networks.image_fitting import at_size
+from registry.toolkit.photos import dark_background
 
 from .baseline import BaselineSettings, choose_baseline
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import PluginError, Regularizer, Settings, Step, virtual_views
-from registry.virtual_views import VirtualViewKind
+from registry import PluginError, Regularizer, Settings, Step
+from registry.toolkit.views import virtual_views
+from registry.toolkit.views.virtual_views import VirtualViewKind
 
 from .warp import forward_splat
 

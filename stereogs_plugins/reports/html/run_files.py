@@ -6,7 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from registry import RunError, read_results
+from registry import RunError
+from registry.runs.results_file import read_results
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

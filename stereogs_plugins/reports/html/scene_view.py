@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from registry import web_page, write_text
+from registry.system.files import write_text
+from registry.toolkit import web_page
 
 from .spz import spz
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from registry.web_page import Cell, note, score_table
+from registry.toolkit.web_page import Cell, note, score_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,7 +6,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Any
 
-from registry.web_page import Axis, Line, Point, folded, grid, line_plot
+from registry.toolkit.web_page import Axis, Line, Point, folded, grid, line_plot
 
 from .scores import with_unit
 

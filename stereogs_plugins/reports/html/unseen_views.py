@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from PIL import Image
 
-from registry import RAMP, ViewPictures, depth_ends, ramp_picture
-from registry.photos import in_parallel
-from registry.web_page import choice, color_scale, figure, grid, image, note, wipe
+from registry.toolkit.drawing import RAMP, ViewPictures, depth_ends, ramp_picture
+from registry.toolkit.photos import in_parallel
+from registry.toolkit.web_page import choice, color_scale, figure, grid, image, note, wipe
 
 from .scores import score
 

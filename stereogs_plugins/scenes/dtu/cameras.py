@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from registry import PointCloud, SceneError
-from registry.photos import Bounds, Lens, decoding, pose_from_axes, read_arrays, read_colmap_model
+from registry.toolkit.photos import (
+    Bounds,
+    Lens,
+    decoding,
+    pose_from_axes,
+    read_arrays,
+    read_colmap_model,
+)
 
 FULL_SIZE = (1600, 1200)
 DEPTH_RANGE = (425.0, 935.0)

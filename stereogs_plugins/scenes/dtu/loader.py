@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     Decoder,
     LoadedPhotos,
     PosedPhoto,

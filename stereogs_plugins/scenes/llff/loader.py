@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import pydantic
 
 from registry import Register, Scene, SceneError, SceneLoader, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     Bounds,
     ImageSourceSettings,
     LoadedPhotos,

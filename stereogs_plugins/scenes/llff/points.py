@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from registry import PointCloud, SceneError
-from registry.photos import (
+from registry.toolkit.photos import (
     POINTS_FIX,
     Tracks,
     decoding,

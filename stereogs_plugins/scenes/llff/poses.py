@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from registry import SceneError
-from registry.photos import Lens, decoding, pose_from_axes, read_array
+from registry.toolkit.photos import Lens, decoding, pose_from_axes, read_array
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Fact, PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     Decoder,
     LoadedPhotos,
     PosedPhoto,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import pydantic
 
 from registry import SceneError
-from registry.photos import Distortion, Finite, Lens, Matrix4x4, MatrixRow, read_document
+from registry.toolkit.photos import Distortion, Finite, Lens, Matrix4x4, MatrixRow, read_document
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ from registry import SceneError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from registry.photos import ColmapModel
+    from registry.toolkit.photos import ColmapModel
 
     from .found_cameras import FoundCameras
     from .structure_from_motion import Reconstruction

@@ -17,9 +17,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from registry import KeypointNetworks
-from registry.cache import Cache, content_key, source_digest
-from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_model
+from registry.toolkit.cache import Cache, content_key, source_digest
+from registry.toolkit.networks import KeypointNetworks
+from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
 from .image_names import image_name
 from .learned_matches import add_learned_matches

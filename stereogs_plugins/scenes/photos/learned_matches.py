@@ -11,7 +11,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from registry import KeypointNetworks, OnnxModel
+from registry.toolkit.networks import KeypointNetworks, OnnxModel
 
 from .image_names import image_index, image_name
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from registry import Keypoints
+    from registry.toolkit.networks import Keypoints
 
 FOLDER_VARIABLE = "STEREOGS_MODELS"
 """Environment variable: the folder that is looked in."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneLoader, hookimpl
-from registry.photos import (
+from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
     LoadedPhotos,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from registry import SceneError
-from registry.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, read_heif
+from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, read_heif
 
 UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 """Endings of pictures that are not read here, and must not be left out in silence."""

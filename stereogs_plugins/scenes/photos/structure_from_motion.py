@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
-from registry.photos import Decoder, import_pycolmap, in_parallel
+from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
 from .image_names import image_index, image_name
 from .learned_matches import FEWEST, add_learned_matches, known_files

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from registry import SceneError
-from registry.photos import Size, in_parallel, open_image, upright_size
+from registry.toolkit.photos import Size, in_parallel, open_image, upright_size
 
 from .picture_files import readable_pictures
 

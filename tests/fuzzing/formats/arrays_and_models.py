@@ -12,8 +12,8 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from core_rasterizer import ExplainedError
-from registry import OnnxModel
 from registry.priors.prior_cache import PriorCache
+from registry.toolkit.networks import OnnxModel
 from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from tests.fuzzing.target import Target
 
@@ -51,7 +51,7 @@ class PriorAnswers(Target):
 
     def write(self) -> tuple[str, ...]:
         """One answer with a picture and what was asked."""
-        logging.getLogger("registry.cache.entries").setLevel(logging.ERROR)
+        logging.getLogger("registry.toolkit.cache.entries").setLevel(logging.ERROR)
         with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
             PriorCache("fuzzed").save(
                 self._key, TENSORS, {"depth": torch.full((3, 4, 3), 0.5)}, {"asked": "something"}
@@ -89,7 +89,7 @@ class OnnxFiles(Target):
         """Open and ask it."""
         model = OnnxModel(self.folder / "model.onnx", provider="cpu")
         if [spec.name for spec in model.inputs] == ["x"]:
-            with mock.patch("registry.priors.onnx_model.LONGEST_ANSWER", 0.2):
+            with mock.patch("registry.toolkit.networks.onnx_model.LONGEST_ANSWER", 0.2):
                 answers = model.run({"x": torch.ones(1, 1, 4, 4)})
             assert all(answer.dtype == torch.float32 for answer in answers.values())
 

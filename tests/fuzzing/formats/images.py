@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from registry import SceneError
-from registry.photos import Decoder
+from registry.toolkit.photos import Decoder
 from tests.fuzzing.target import Target
 
 _KINDS = ("png", "jpg", "webp", "tif", "bmp")

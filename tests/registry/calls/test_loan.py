@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from core_rasterizer import Device, GaussianModel
-from registry import DepthMap, PluginError, Scene
+from registry import PluginError, Scene
 from registry.calls.loan import Loan, checked_plugins, of_maps, of_rendering, of_scene
 from registry.pipeline.training_settings import TrainingSettings
+from registry.priors import DepthMap
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.cli import VERBS, build_parser, main
+from registry.cli import main, parse
+from registry.plugins.commands import verbs
 
 Capture = pytest.CaptureFixture[str]
 
@@ -21,7 +22,7 @@ def only_the_pipeline(pipeline: Path) -> bool:
     ("arguments", "what", "where"),
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
-        (["train"], "nothing to train", "command line"),
+        (["train"], "neither a pipeline nor a folder", "command line"),
         (["resume", "none"], "not a run folder: there is no such folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),
@@ -74,10 +75,10 @@ def test_interrupted_before_training(
     assert only_the_pipeline(pipeline)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", list(verbs()))
 def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
-        build_parser().parse_args([verb, "--help"])
+        parse([verb, "--help"])
     assert caught.value.code == 0
     text = capsys.readouterr().out
     assert f"stereogs {verb}" in text.split("examples:")[1]

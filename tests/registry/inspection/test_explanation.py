@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.layout import row_count
-from registry import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 from registry.commands import explain
 from registry.contract.hook_points import PIPELINE_POINTS
 from registry.inspection.explanation import STAGES, explained, faults, memory
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
+from registry.priors import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
 
 ROOT = Path(__file__).parents[3]
 TEXT = """\

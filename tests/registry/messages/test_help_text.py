@@ -4,8 +4,9 @@ import argparse
 
 import pytest
 
-from registry.cli import VERBS, main
+from registry.cli import main
 from registry.messages.help_text import HelpFormatter
+from registry.plugins.commands import verbs
 
 TEXT = """\
 examples:
@@ -17,7 +18,7 @@ what a line holds, is filled anew as one paragraph, whatever its lines were.
 """
 
 
-@pytest.mark.parametrize("verb", ["", *VERBS])
+@pytest.mark.parametrize("verb", ["", *verbs()])
 def test_the_help_of_every_verb_fits_80_columns(
     verb: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

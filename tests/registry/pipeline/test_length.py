@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from registry import PipelineError
+from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.training_settings import VIEWS, iterations_of_a_run
 from registry.plugins.discovery import Plugins

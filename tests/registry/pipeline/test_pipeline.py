@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from registry import PipelineError, PluginError
+from registry import PluginError
+from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import registry.pipeline.protocols as protocols
-from registry import PipelineError
+from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins.discovery import Plugins

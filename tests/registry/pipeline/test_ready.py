@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from registry import PipelineError
+from registry.errors import PipelineError
 from registry.pipeline import ready
 from registry.pipeline.ready import find_pipeline, ready_pipelines
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from registry import PipelineError
+from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.schedule import in_iterations
 from registry.pipeline.yaml_source import Node, Place

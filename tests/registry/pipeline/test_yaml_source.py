@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from registry import PipelineError
+from registry.errors import PipelineError
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, read, resolve, to_yaml
 

@@ -10,17 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from registry import (
+from registry import PluginError, Settings, View
+from registry.priors import (
     DepthMap,
     Matches,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
-    PluginError,
-    Settings,
     StereoPrior,
-    View,
 )
 from registry.testing import check, tiny_scene
 

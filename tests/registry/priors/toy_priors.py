@@ -9,18 +9,15 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import open_device
-from registry import (
-    Context,
+from registry import Context, Prior, Settings, View
+from registry.priors import (
     DepthMap,
     Matches,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
-    Prior,
-    Settings,
     StereoPrior,
-    View,
 )
 
 

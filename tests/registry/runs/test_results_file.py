@@ -8,14 +8,15 @@ from typing import Any
 
 import pytest
 
-from registry import RunError, read_results
+from registry import RunError
 from registry.cli import main
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
+from registry.runs.results_file import read_results
 from stereogs_plugins.reports.html import HtmlReport
+from tests.stereogs_plugins.tools.experiments.comparing.conftest import PIPELINE, changed
 
 from ...stereogs_plugins.building import build
-from ..comparing.conftest import PIPELINE, changed
 
 RESULTS: dict[str, Any] = {
     "pipeline": "plain",

@@ -15,6 +15,8 @@ import torch
 
 import registry as r
 from core_rasterizer import ExplainedError
+from registry.events import IterationDone, RunEnded, RunStarted
+from registry.priors import StereoPrior
 from registry.testing import check
 
 from .. import toy_doors as doors
@@ -284,7 +286,7 @@ class Stubborn(toys.ToyPsnr):
         return -abs(float(rendered[1, 1, 2]) - float(photograph[1, 1, 2]))
 
 
-class Squeezing(r.StereoPrior):
+class Squeezing(StereoPrior):
     """Answers another shape for images of one pixel."""
 
     def estimate(self, left: Any, right: Any) -> torch.Tensor:
@@ -310,23 +312,23 @@ class Halving(r.Regularizer[HalfSettings]):
 class Deaf(r.Observer):
     """Misspells what it wants to hear."""
 
-    def iteration(self, done: r.IterationDone) -> None:
+    def iteration(self, done: IterationDone) -> None:
         pass
 
 
 class Retouching(toys.ToyDiary):
-    def iterated(self, done: r.IterationDone) -> None:
+    def iterated(self, done: IterationDone) -> None:
         done.rendering.rgb.clamp_(0, 0.5)
 
 
 class Impatient(toys.ToyDiary):
-    def ended(self, run: r.RunEnded) -> None:
+    def ended(self, run: RunEnded) -> None:
         if run.error:
             raise ValueError("no results")
 
 
 class Once(toys.ToyDiary):
-    def started(self, run: r.RunStarted) -> None:
+    def started(self, run: RunStarted) -> None:
         super().started(run)
         assert not run.resumed, "it was told before"
 

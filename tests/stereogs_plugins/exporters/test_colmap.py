@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from core_rasterizer import GaussianModel, open_device
-from registry import photos
+from registry.toolkit import photos
 from stereogs_plugins.exporters.colmap import ColmapExporter, stereogs_register_exporters
 from tests.stereogs_plugins.building import build, offered, some_gaussians
 from tests.stereogs_plugins.exporters.looking import SCENE

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from core_rasterizer import GaussianModel, open_device
-from registry import smooth_path
 from registry.testing import check
+from registry.toolkit.drawing import smooth_path
 from stereogs_plugins.exporters.video import VideoExporter, stereogs_register_exporters
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.exporters.looking import SCENE, colorful

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, open_device
-from registry import Context, DepthMap, MultiViewDepthPrior, PointCloud, Scene, Settings, View
+from registry import Context, PointCloud, Scene, Settings, View
+from registry.priors import DepthMap, MultiViewDepthPrior
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage
 from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
 

@@ -6,16 +6,15 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from registry import (
+from registry import Settings, TrainingView
+from registry.priors import (
     DepthMap,
     Matches,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
-    Settings,
     StereoPrior,
-    TrainingView,
 )
 from tests.stereogs_plugins.building import build
 

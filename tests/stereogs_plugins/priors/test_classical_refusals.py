@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from registry import MultiViewDepthPrior, PluginError
+from registry import PluginError
+from registry.priors import MultiViewDepthPrior
 from registry.testing import tiny_scene
 from stereogs_plugins.priors.patch_match import PatchMatchPrior
 from stereogs_plugins.priors.plane_sweep import PlaneSweep

@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera
-from registry import Matches, PluginError, View, epipolar_distances
+from registry import PluginError, View
+from registry.priors import Matches
 from registry.testing import check
+from registry.toolkit.views import epipolar_distances
 from stereogs_plugins.priors.onnx_matching import OnnxMatching, stereogs_register_priors
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder, models_folder

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from registry import OnnxModel, PluginError
+from registry import PluginError
+from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.priors.onnx_mono import OnnxMono, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from core_rasterizer import Camera
-from registry import DepthMap, PluginError, View
+from registry import PluginError, View
+from registry.priors import DepthMap
 from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
 from stereogs_plugins.priors.onnx_mvs.sources import overlap
 from tests.stereogs_plugins.building import build, offered

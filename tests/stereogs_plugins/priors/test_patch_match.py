@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from registry import DepthMap, Scene
+from registry import Scene
+from registry.priors import DepthMap
 from registry.testing import tiny_scene
 from stereogs_plugins.priors.patch_match import PatchMatchPrior, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered

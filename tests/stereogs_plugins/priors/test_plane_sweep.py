@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.priors_depth import point_errors, reconstructed
-from registry import DepthMap, PluginError, Scene, View
+from registry import PluginError, Scene, View
+from registry.priors import DepthMap
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_priors
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder

@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry import DepthMap, Matches, OnnxModel, PluginError, Scene, TrainingView
+from registry import PluginError, Scene, TrainingView
 from registry.cli import main
-from registry.inspection import prior_trials
-from registry.inspection.prior_truth import judge, truth_of
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
+from registry.priors import DepthMap, Matches
+from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.scenes.procedural import ProceduralScene
+from stereogs_plugins.tools.priors import prior_trials
+from stereogs_plugins.tools.priors.prior_truth import judge, truth_of
 from tests.stereogs_plugins.building import build
 
 from . import graphs

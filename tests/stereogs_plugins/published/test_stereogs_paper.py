@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from registry.comparing.paper_tables import Numbers, paper_tables
 from registry.pipeline.protocols import protocol_names
+from stereogs_plugins.tools.experiments.comparing.paper_tables import Numbers, paper_tables
 
 TABLES = paper_tables("stereogs")
 

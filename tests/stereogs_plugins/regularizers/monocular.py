@@ -6,7 +6,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from registry import MonocularDepthPrior, Settings
+from registry import Settings
+from registry.priors import MonocularDepthPrior
 
 
 class Brightness(MonocularDepthPrior[Settings]):

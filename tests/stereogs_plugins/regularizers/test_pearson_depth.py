@@ -8,9 +8,10 @@ import torch
 
 from core_rasterizer import GaussianModel, open_device
 from core_rasterizer.layout import PARAMETERS
-from registry import PluginError, Step, virtual_views
+from registry import PluginError, Step
 from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
+from registry.toolkit.views import virtual_views
 from registry.training.initial_model import initial_gaussians, new_model
 from stereogs_plugins.regularizers.pearson_depth import (
     SOLID,

@@ -14,9 +14,9 @@ from PIL import Image
 
 from core_rasterizer import Gaussians, Rendering
 from registry import RunError
-from registry.drawing.pictures import save_png, save_view_pictures
 from registry.runs.folder import RunFolder
 from registry.testing import tiny_scene
+from registry.toolkit.drawing.pictures import save_png, save_view_pictures
 from registry.training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
 from stereogs_plugins.reports.html.spz import spz

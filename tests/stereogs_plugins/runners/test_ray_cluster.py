@@ -14,15 +14,15 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device, open_device
-from registry.ablation.planning.matrix import plan_of, read_matrix
-from registry.ablation.planning.plan import Plan
-from registry.ablation.running.choosing import choose_runner
-from registry.ablation.running.folder import AblationFolder
-from registry.ablation.running.progress import AblationProgress
-from registry.ablation.running.runner import Outcome, train_all
 from registry.pipeline.yaml_source import parse
 from registry.plugins.discovery import SELECTION, Plugins
 from stereogs_plugins.runners.ray_cluster import land
+from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
+from stereogs_plugins.tools.experiments.planning.plan import Plan
+from stereogs_plugins.tools.experiments.running.choosing import choose_runner
+from stereogs_plugins.tools.experiments.running.folder import AblationFolder
+from stereogs_plugins.tools.experiments.running.progress import AblationProgress
+from stereogs_plugins.tools.experiments.running.runner import Outcome, train_all
 
 SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
 PIPELINE = f"""\

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 import registry.session
-from registry.choosing.table import LONG, QUALITIES, QUICK, SHORT, by_quality
 from registry.cli import main
 from registry.pipeline.pipeline import Pipeline, load_pipeline
 from registry.plugins.discovery import Plugins
+from stereogs_plugins.tools.quality.table import LONG, QUALITIES, QUICK, SHORT, by_quality
 from tests.stereogs_plugins.scenes.test_formats import CASES
 
 FORMATS: dict[str, Callable[[Path], Path]] = {

@@ -14,7 +14,7 @@ from torch.nn.functional import grid_sample
 
 from core_rasterizer import Camera
 from registry import Scene, SceneError, View
-from registry.photos import split
+from registry.toolkit.photos import split
 from stereogs_plugins.scenes.llff import LLFFScene, stereogs_register_scenes
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from registry.photos import in_parallel
+from registry.toolkit.photos import in_parallel
 
 from ..layers import is_background
 from ..other_views import hides

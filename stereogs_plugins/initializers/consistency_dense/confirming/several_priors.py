@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from registry.photos import in_parallel
+from registry.toolkit.photos import in_parallel
 
 from .geometric_filter import Limits, supported
 

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import open_device
-from registry import Context, OpticalFlowPrior, Scene, SceneError, Settings
+from registry import Context, Scene, SceneError, Settings
+from registry.priors import OpticalFlowPrior
 from registry.testing import check
 from stereogs_plugins.initializers.two_view import (
     FlowEpipolar,

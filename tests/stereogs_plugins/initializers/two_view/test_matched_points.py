@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import open_device
-from registry import Context, Matches, MatchingPrior, Scene, SceneError, Settings
+from registry import Context, Scene, SceneError, Settings
+from registry.priors import Matches, MatchingPrior
 from registry.testing import check
 from stereogs_plugins.initializers.two_view import MatchedPoints
 from stereogs_plugins.priors.sift_matches import SiftMatches

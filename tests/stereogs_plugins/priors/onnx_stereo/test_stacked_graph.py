@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry import OnnxModel, PluginError
+from registry import PluginError
+from registry.toolkit.networks import OnnxModel
 from tests.stereogs_plugins.priors import graphs
 
 from .test_onnx_stereo import finds_the_shift, stereo

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, GaussianModel, Rendering, open_device
-from registry import Context, DepthMap, MonocularDepthPrior, Scene, Settings, Step, View
+from registry import Context, Scene, Settings, Step, View
+from registry.priors import DepthMap, MonocularDepthPrior
 from registry.testing import step_of
 from tests.stereogs_plugins.building import some_gaussians
 

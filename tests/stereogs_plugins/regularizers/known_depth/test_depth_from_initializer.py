@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from registry import DepthMap, PluginError
+from registry import PluginError
+from registry.priors import DepthMap
 from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import (
     DepthFromInitializer,

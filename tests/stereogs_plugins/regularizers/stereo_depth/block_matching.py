@@ -9,7 +9,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
-from registry import Scene, Settings, Step, StereoPrior, View
+from registry import Scene, Settings, Step, View
+from registry.priors import StereoPrior
 from registry.testing import step_of
 
 WIDTH, HEIGHT, FOCAL = 96, 48, 80.0

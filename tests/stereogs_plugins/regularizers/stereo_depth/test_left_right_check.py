@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from registry import Disparity
+from registry.priors import Disparity
 from stereogs_plugins.regularizers.stereo_depth.left_right_check import agreeing
 from tests.stereogs_plugins.building import build
 

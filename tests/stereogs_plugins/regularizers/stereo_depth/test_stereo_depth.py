@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
-from registry import PluginError, Settings, StereoPrior
+from registry import PluginError, Settings
+from registry.priors import StereoPrior
 from stereogs_plugins.regularizers.stereo_depth import StereoDepth, stereogs_register_regularizers
 from tests.stereogs_plugins.building import build, offered
 

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from core_rasterizer import photometric_loss
-from registry import PluginError, Step, virtual_views
+from registry import PluginError, Step
 from registry.testing import check
 from registry.testing.bench import Bench
+from registry.toolkit.views import virtual_views
 from stereogs_plugins.regularizers.unseen_views import (
     CycleFilteredWarping,
     DepthSmoothness,

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from registry import SceneError
-from registry.photos import ColmapModel
+from registry.toolkit.photos import ColmapModel
 from stereogs_plugins.scenes.photos.disconnected import require_one_piece
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.mapping import Piece

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from registry import PluginError
-from registry.photos import Decoder, evenly_spaced, import_pycolmap, longest_side
+from registry.toolkit.photos import Decoder, evenly_spaced, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos import learned_matches
 from stereogs_plugins.scenes.photos.learned_matches import FINDER, MATCHER, known_files
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from registry.photos import Decoder, import_pycolmap, longest_side
+from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos.mapping import LEAST_SUPPORT, MAX_ERROR, Piece, worth
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
 from stereogs_plugins.scenes.photos.support import agreeing_share

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from registry import SceneError
-from registry.photos import Decoder
+from registry.toolkit.photos import Decoder
 from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 

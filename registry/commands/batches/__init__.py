@@ -1,1 +1,0 @@
-"""The verbs that train many runs for one table."""

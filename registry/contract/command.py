@@ -1,0 +1,73 @@
+"""Verbs of the `stereogs` command line, and options of its `train` and `resume`."""
+
+from __future__ import annotations
+
+import argparse
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from ..pipeline.pipeline import Pipeline
+    from ..runs.options import RunOptions
+
+
+class Command(ABC):
+    """A verb. The first line of its module's docstring is its line in `stereogs --help`.
+
+    `epilog` is printed below the options in `stereogs VERB --help`. Modules should import only what parsing
+    needs; `run` imports the rest, so that help and mistakes are answered at once.
+    """
+
+    epilog: ClassVar[str] = ""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:  # noqa: B027
+        """Add positional arguments and options."""
+
+    @abstractmethod
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Do the work; return the exit status: 0 done, 1 a check found a fault.
+
+        Raise an `ExplainedError`, such as `RunError`, for what the user can fix.
+        """
+
+
+@dataclass(frozen=True)
+class TrainRequest:
+    """The command line of one `train` or `resume`.
+
+    Args:
+        arguments: as parsed.
+        begin: `time.monotonic()` at the start of the command.
+        load: loads a pipeline by name or path, with the scene and the changes of the command line; None for
+            `resume`.
+        pipeline_named: False if a folder of photographs was given in place of a pipeline.
+    """
+
+    arguments: argparse.Namespace
+    begin: float
+    load: Callable[[str], Pipeline] | None = None
+    pipeline_named: bool = True
+
+
+class TrainOption(ABC):
+    """Options that a plugin adds to the verbs in `verbs`."""
+
+    verbs: ClassVar[tuple[str, ...]] = ("train",)
+    folder_pipeline: ClassVar[str | None] = None
+    """Name of the pipeline that trains a folder when the command names no pipeline."""
+
+    @abstractmethod
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add options."""
+
+    def check(self, arguments: argparse.Namespace) -> None:  # noqa: B027
+        """Raise a `RunError` for options that contradict each other, before anything is loaded."""
+
+    @abstractmethod
+    def running(
+        self, request: TrainRequest, options: RunOptions
+    ) -> AbstractContextManager[RunOptions]:
+        """A context that encloses the training and gives the options to run it with."""

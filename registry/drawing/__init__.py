@@ -1,1 +1,0 @@
-"""Pictures, films and camera flights."""

@@ -1,0 +1,1 @@
+"""Building blocks for plugins: photographs, networks, views, drawing, web pages, cache."""

@@ -1,0 +1,188 @@
+"""Pictures for people: renders, depth in colours, and both beside the truth."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from ...contract.scene import View
+from ...system.files import replacing
+from ...system.parallel import in_parallel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from torch import Tensor
+
+    from core_rasterizer import Rendering
+
+RAMP = (
+    (0.10, 0.07, 0.25),
+    (0.18, 0.30, 0.62),
+    (0.13, 0.57, 0.55),
+    (0.55, 0.78, 0.32),
+    (1.00, 0.92, 0.45),
+)
+"""Colours from low to high, from far to near, equally spaced; lightness grows steadily."""
+NEAREST, FARTHEST = "nearest depth", "farthest depth"
+"""What a picture of depth says of itself, as texts in its PNG file: the z-depths, in world units, of its
+lightest and its darkest colour."""
+DEPTHS, COMPARISONS = "depth", "comparison"
+"""Folders within the one of the renders."""
+_RAMP_STEPS = 1024
+"""From the ramp's first colour to its last; a step is less than one of 256 levels."""
+_GAP = 4
+"""White pixels between pictures side by side."""
+_LUMA = (0.299, 0.587, 0.114)
+"""Shares of red, green and blue in grey (ITU-R BT.601), as image libraries convert."""
+
+
+def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) -> None:
+    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG, with texts by keyword in it (PNG's tEXt)."""
+    from PIL import Image, PngImagePlugin
+
+    info = PngImagePlugin.PngInfo()
+    for keyword, text in (texts or {}).items():
+        info.add_text(keyword, text)
+    with replacing(path) as temporary:
+        # Z_RLE looks for repeats in the byte before alone. PNG's filters leave hardly any others in pictures:
+        # files are as small, and take three quarters of the time.
+        Image.fromarray(to_bytes(image)).save(
+            temporary, "PNG", compress_type=zlib.Z_RLE, pnginfo=info
+        )
+
+
+def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """`[H, W, 3]` in [0, 1] as rounded bytes; values outside are clamped."""
+    import torch
+
+    return (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+
+
+def grey(image: Tensor) -> Tensor:
+    """Brightness `[H, W]` of an image `[H, W, 3]` in [0, 1]: ITU-R BT.601's shares of the colours."""
+    return image @ image.new_tensor(_LUMA)
+
+
+@dataclass(frozen=True)
+class ViewPictures:
+    """Where the pictures of one view lie; no two views share a file, whatever their names.
+
+    Args:
+        render: the colours.
+        depth: in colours, see `depth_picture`.
+        comparison: truth, render and depth side by side.
+    """
+
+    render: Path
+    depth: Path
+    comparison: Path
+
+    @classmethod
+    def of(cls, name: str, folder: Path) -> Self:
+        """Of the view of that name, in a run's folder of renders."""
+        file = f"{name}.png"
+        return cls(folder / file, folder / DEPTHS / file, folder / COMPARISONS / file)
+
+
+def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPictures:
+    """Write a view's render, its depth, and truth | render | depth side by side."""
+    files = ViewPictures.of(view.name, folder)
+    depth = depth_picture(rendering)
+    for file in (files.depth, files.comparison):
+        file.parent.mkdir(exist_ok=True)
+    pictures = [
+        (rendering.rgb, files.render, None),
+        (depth, files.depth, _depth_texts(rendering)),
+        (side_by_side(view.image, rendering.rgb, depth), files.comparison, None),
+    ]
+    in_parallel(lambda picture: save_png(*picture), pictures)
+    return files
+
+
+def depth_picture(rendering: Rendering) -> Tensor:
+    """Depth in colours, `[H, W, 3]`: near is light, far is dark, nothing hit is black.
+
+    Colours are linear in inverse depth between its 2nd and 98th percentile in this picture.
+    """
+    return nearness_picture(*_nearness(rendering))
+
+
+def _nearness(rendering: Rendering) -> tuple[Tensor, Tensor]:
+    """Inverse depth, and where something was hit."""
+    alpha = rendering.alpha.detach()
+    return alpha / rendering.depth.detach().clamp(min=1e-9), alpha > 0.5
+
+
+def _depth_texts(rendering: Rendering) -> dict[str, str]:
+    """The ends of the colours of `depth_picture`; empty if nothing was hit."""
+    nearness, known = _nearness(rendering)
+    if not known.any():
+        return {}
+    low, high = _ends(nearness, known)
+    return {NEAREST: f"{1 / high:.6g}", FARTHEST: f"{1 / low:.6g}"}
+
+
+def depth_ends(picture: Path) -> tuple[float, float] | None:
+    """The z-depths of the lightest and the darkest colour of a saved picture of depth, world units.
+
+    None of one that shows nothing, or was written by an older version.
+    """
+    from PIL import Image
+
+    with Image.open(picture) as opened:
+        texts: Mapping[str, str] = getattr(opened, "text", {})
+    try:
+        return float(texts[NEAREST]), float(texts[FARTHEST])
+    except (KeyError, ValueError):
+        return None
+
+
+def _ends(values: Tensor, known: Tensor) -> tuple[float, float]:
+    """The 2nd and 98th percentile of what is known."""
+    import numpy as np
+
+    low, high = np.quantile(values[known].numpy(), (0.02, 0.98))
+    return float(low), float(high)
+
+
+def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
+    """Inverse depth or disparity in colours, `[H, W, 3]`: large is light, unknown is black.
+
+    Colours are linear between the 2nd and 98th percentile of what is known.
+
+    Args:
+        nearness: `[H, W]`; values that are not known do not matter.
+        known: `[H, W]` bool.
+    """
+    import torch
+
+    if not known.any():
+        return torch.zeros(*known.shape, 3)
+    low, high = _ends(nearness, known)
+    relative = torch.where(known, (nearness - low) / max(high - low, 1e-12), 0.0)
+    return torch.where(known[..., None], ramp_picture(relative), 0.0)
+
+
+def ramp_picture(values: Tensor) -> Tensor:
+    """`[H, W]` in colours, `[H, W, 3]`: from `RAMP`'s first at 0 to its last at 1, clamped."""
+    import torch
+
+    ramp = torch.nn.functional.interpolate(
+        torch.tensor(RAMP).T[None], _RAMP_STEPS + 1, mode="linear", align_corners=True
+    )[0].T
+    return ramp.contiguous()[(values.clamp(0, 1) * _RAMP_STEPS).round().long()]
+
+
+def side_by_side(*images: Tensor) -> Tensor:
+    """Images of one height in a row, with a white gap between them."""
+    import torch
+
+    gap = torch.ones(images[0].shape[0], _GAP, 3)
+    row: list[Tensor] = []
+    for image in images:
+        row += [image.detach().clamp(0, 1), gap]
+    return torch.cat(row[:-1], dim=1)

@@ -1,0 +1,100 @@
+"""Depth bounds of a scene whose files publish none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ....errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from core_rasterizer import Camera
+
+    from ....contract.scene import PointCloud
+
+Bounds = tuple[float, float]
+
+MIN_POINTS = 8
+"""Fewer visible points say nothing about a scene's depths."""
+PERCENTILES = (0.1, 99.9)
+MARGIN = 1.1
+"""Bounds from points are widened by this factor: points are sparse, their extremes too tame."""
+FOCUS_FACTOR = 5.0
+"""Content is assumed from 1/5 to 5 times the distance of what the cameras look at together."""
+BASELINES = (1.0, 100.0)
+"""Bounds of cameras that look at nothing together, in units of their largest distance."""
+
+
+def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where: str) -> Bounds:
+    """(near, far) z-depth from what is known, in this order:
+
+    1. Points: the 0.1 and 99.9 percentile of their depths in each image, the extremes over all images,
+       a tenth wider.
+    2. The point nearest to all optical axes, if it lies before all cameras and the axes are not close
+       to parallel: from a fifth of its smallest depth to five times its largest.
+    3. The largest distance between two cameras: from 1 to 100 times that.
+
+    Args:
+        cameras: of the training views.
+
+    Raises:
+        SceneError: there is one camera, or all stand at one place, and there are no points.
+    """
+    import numpy as np
+
+    centers = np.stack([camera.center.numpy() for camera in cameras])
+    axes = np.stack([camera.world_to_camera[2, :3].numpy() for camera in cameras])
+    bounds = _from_points(cameras, points) or _from_focus(centers, axes) or _from_baselines(centers)
+    if bounds is None:
+        raise SceneError(
+            "nothing tells how deep the scene is: there are no points, and the training cameras "
+            "stand at one place",
+            where=where,
+            fix="use two or more training views, or bring points",
+        )
+    return bounds
+
+
+def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds | None:
+    import numpy as np
+    import torch
+
+    if points is None:
+        return None
+    extremes = []
+    for camera in cameras:
+        column, row, depth = camera.project(points.positions)
+        inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
+        visible = depth[(depth > 0) & inside & torch.isfinite(depth)].numpy()
+        if len(visible) >= MIN_POINTS:
+            extremes.append(np.percentile(visible, PERCENTILES))
+    if not extremes:
+        return None
+    nearest, farthest = np.min(extremes, axis=0)[0], np.max(extremes, axis=0)[1]
+    return float(nearest / MARGIN), float(farthest * MARGIN)
+
+
+def _from_focus(centers: NDArray[np.float64], axes: NDArray[np.float64]) -> Bounds | None:
+    """Least squares: the point p with the smallest sum of squared distances to all axes."""
+    import numpy as np
+
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]
+    together = across.mean(axis=0)
+    if np.linalg.eigvalsh(together)[0] < 1e-3:  # axes within about 2 degrees
+        return None
+    focus = np.linalg.solve(together, np.einsum("vij,vj->i", across, centers) / len(centers))
+    depths = np.einsum("vi,vi->v", axes, focus - centers)
+    if depths.min() <= 0:
+        return None
+    return float(depths.min() / FOCUS_FACTOR), float(depths.max() * FOCUS_FACTOR)
+
+
+def _from_baselines(centers: NDArray[np.float64]) -> Bounds | None:
+    import numpy as np
+
+    largest = float(np.linalg.norm(centers[:, None] - centers[None], axis=2).max())
+    return (BASELINES[0] * largest, BASELINES[1] * largest) if largest > 0 else None

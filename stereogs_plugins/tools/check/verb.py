@@ -1,0 +1,106 @@
+"""Say what a loader finds in a folder of data."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from registry import Command, Register, hookimpl
+from registry.commands.output import add_device, console
+from registry.errors import RunError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+_EPILOG = """\
+examples:
+  stereogs check my-photos            a folder of pictures and nothing else
+  stereogs check /data/llff_fern --set downsample=8
+  stereogs check /data/scan24 --format dtu --set train_views=6
+  stereogs check pipeline.yaml        the scene of a pipeline
+
+The format is guessed from the folder's content; `stereogs plugins` lists the loaders and their
+settings. The picture shows all views (training views framed in orange, test views in blue) and the
+cameras from above, with the sparse points.
+"""
+
+
+class Check(Command):
+    """The verb `check`."""
+
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("data", type=Path, metavar="DATA", help="a folder, or a pipeline file")
+        parser.add_argument("--format", metavar="NAME", help="the scene loader (default: guessed)")
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="change a setting of the loader",
+        )
+        parser.add_argument(
+            "--out",
+            type=Path,
+            default=Path("check.png"),
+            metavar="PATH",
+            help="the picture to write, or a folder for it (default: check.png)",
+        )
+        add_device(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Load, print, and draw."""
+        picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
+        _check_picture(picture)
+        from registry.inspection.scene_source import find_loader, load
+        from registry.plugins.discovery import Plugins
+
+        output = console()
+        found = find_loader(
+            arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
+        )
+        from core_rasterizer import open_device
+        from registry.inspection.scene_facts import facts, warnings
+        from registry.toolkit.drawing.pictures import save_png
+        from registry.training.threads import one_torch_thread
+
+        from .scene_picture import scene_picture
+
+        with one_torch_thread():
+            scene = load(found, open_device(arguments.device))
+        offer = found.item.offer
+        output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
+        _print_columns(output, facts(scene))
+        output.print("said by the loader")
+        _print_columns(output, [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts])
+        for text in warnings(scene):
+            output.print(f"warning: {text}")
+        save_png(scene_picture(scene), picture)
+        output.print(f"picture  {picture}")
+        return 0
+
+
+def _check_picture(path: Path) -> None:
+    """Refuse a place for the picture before the scene is loaded, which may take minutes."""
+    if path.suffix.lower() != ".png" or path.is_dir() or not path.absolute().parent.is_dir():
+        raise RunError(
+            "the picture must be a .png file in a folder that exists",
+            where=f"--out {path}",
+            fix="for example --out check.png",
+        )
+
+
+def _print_columns(output: Console, rows: Sequence[tuple[str, str]]) -> None:
+    width = max((len(label) for label, _ in rows), default=0)
+    for label, text in rows:
+        output.print(f"  {label:<{width}}  {text}")
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("check", Check)

@@ -1,0 +1,87 @@
+"""Write a run for other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from registry import Command, Register, hookimpl
+from registry.commands.output import add_run, console, open_given
+
+MOST_LINES = 3
+"""Files of one folder that are told one by one."""
+
+_EPILOG = """\
+examples:
+  stereogs export runs/3dgs-fern --format gltf
+  stereogs export runs/3dgs-fern --format video --set frames=300 --out films
+  stereogs export runs/weightfree-fern --format spz --without margin,back_layer
+
+A format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` says what
+one writes and what can be set. --without leaves out what descends from guessed initial points; the run's
+initialization/facts.json names the kinds (points_by_kind).
+"""
+
+
+class Export(Command):
+    """The verb `export`."""
+
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "--format", required=True, metavar="NAME", help="an exporter, as pipelines name it"
+        )
+        parser.add_argument(
+            "--out",
+            type=Path,
+            metavar="DIR",
+            help="where to write (default: exports in the run folder)",
+        )
+        parser.add_argument(
+            "--without",
+            type=_names,
+            default=(),
+            metavar="A,B",
+            help="kinds of initial points whose Gaussians are left out",
+        )
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="change a setting of the exporter",
+        )
+        add_run(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Export and say what was written."""
+        output = console()
+        from registry.session import export, find_exporter
+
+        find_exporter(arguments.format, arguments.set)  # reading the scene may take minutes
+        opened = open_given(arguments)
+        written = export(
+            opened,
+            arguments.format,
+            arguments.out,
+            changes=arguments.set,
+            without=arguments.without,
+        )
+        for folder in dict.fromkeys(path.parent for path in written):
+            inside = [path for path in written if path.parent == folder]
+            if len(inside) > MOST_LINES:
+                output.print(f"exported  {len(inside)} files in {folder}")
+            else:
+                output.print(*(f"exported  {path}" for path in inside), sep="\n")
+        return 0
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(filter(None, (name.strip() for name in text.split(","))))
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("export", Export)

@@ -1,0 +1,67 @@
+"""Render a run's test views, or a flight."""
+
+from __future__ import annotations
+
+import argparse
+
+from registry import Command, Register, hookimpl
+from registry.commands.output import add_run, console, open_given
+
+PATH = "path"
+
+_EPILOG = """\
+examples:
+  stereogs render runs/3dgs-fern          the test views, as pictures
+  stereogs render runs/3dgs-fern --path   a flight between the training views
+
+The flight is a video where the extra `video` is installed (pip install 'stereogs-plugins[video]'),
+else numbered PNG pictures.
+"""
+
+
+class Render(Command):
+    """The verb `render`."""
+
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "--path", action="store_true", help="fly along a smooth path between the training views"
+        )
+        parser.add_argument(
+            "--frames",
+            type=int,
+            default=120,
+            metavar="N",
+            help="pictures of the flight (default 120)",
+        )
+        add_run(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Render and say where the files lie."""
+        output = console()
+        run = open_given(arguments)
+        from registry.runs.results import RENDERS
+        from registry.toolkit.drawing.camera_path import smooth_path
+        from registry.toolkit.drawing.pictures import save_view_pictures
+        from registry.toolkit.drawing.video import write_video
+        from registry.training.threads import one_torch_thread
+
+        folder = run.folder_or_refuse().folder(RENDERS)
+        with one_torch_thread():
+            if not arguments.path:
+                for view in run.scene.test:
+                    save_view_pictures(run.rendering(view.camera), view, folder)
+                output.print(f"{len(run.scene.test)} test views in {folder}")
+                return 0
+            cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
+            frames = (run.rendering(camera).rgb for camera in cameras)
+            written, note = write_video(frames, folder / PATH)
+        output.print(f"{note}: {written}")
+        return 0
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("render", Render)

@@ -1,0 +1,59 @@
+"""Repeat an iteration that failed."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from registry import Command, Register, hookimpl
+from registry.commands.output import add_accept_changed_inputs, add_device, console
+
+_EPILOG = """\
+examples:
+  stereogs replay runs/3dgs-fern/failures/iteration-0000021
+  STEREOGS_TRACE=1 stereogs replay runs/3dgs-fern/failures/iteration-0000021
+
+A run that fails in an iteration keeps the moment before it. This repeats that iteration: it ends in the
+same error, or, once what was wrong is mended, says so.
+"""
+
+
+class Replay(Command):
+    """The verb `replay`."""
+
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "failure",
+            type=Path,
+            metavar="FAILURE",
+            help="a folder in RUN/failures, or a file in it",
+        )
+        add_accept_changed_inputs(parser)
+        add_device(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Repeat it; 0 if it goes through now."""
+        from core_rasterizer import open_device
+        from registry.plugins.discovery import Plugins
+        from registry.runs.replay import replay
+        from registry.training.threads import one_torch_thread
+
+        with one_torch_thread():
+            failure = replay(
+                arguments.failure,
+                plugins=Plugins(),
+                device=open_device(arguments.device),
+                accept_changed_inputs=arguments.accept_changed_inputs,
+            )
+        console().print(
+            f"iteration {failure.iteration} goes through; when it was kept, it failed: {failure.what}"
+        )
+        return 0
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("replay", Replay)

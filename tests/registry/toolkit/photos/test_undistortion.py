@@ -1,0 +1,68 @@
+"""Undistortion, by pycolmap, held against kornia's model of the same lenses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from kornia.geometry.calibration import distort_points
+from torch.nn.functional import grid_sample
+
+from registry import SceneError
+from registry.toolkit.photos import Distortion, Lens, Pixels, undistort
+
+WIDTH, HEIGHT = 160, 120
+
+
+def waves() -> Pixels:
+    """A smooth picture: bilinear samples of it say where they were taken."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    channels = [np.sin(u / 9) + np.cos(v / 7), np.sin((u + v) / 11), np.cos(u / 13)]
+    return (127.5 + 60 * np.stack(channels, axis=2)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("OPENCV", (-0.12, 0.02, 0.003, -0.002)),
+        ("FULL_OPENCV", (-0.1, 0.03, 0.001, 0.002, 0.004, 0.01, -0.02, 0.001)),
+    ],
+)
+def test_every_pixel_shows_what_kornia_says_it_should(
+    model: Distortion, coefficients: tuple[float, ...]
+) -> None:
+    bent = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT, model, coefficients)
+    picture = waves()
+    straight, pixels = undistort(bent, picture, "here")
+    assert straight.is_pinhole
+    v, u = torch.meshgrid(
+        torch.arange(straight.height) + 0.5, torch.arange(straight.width) + 0.5, indexing="ij"
+    )
+    seen_at = distort_points(
+        torch.stack([u, v], dim=-1).reshape(1, -1, 2).double(),
+        calibration(bent),
+        torch.tensor([coefficients], dtype=torch.float64),
+        calibration(straight),
+    )
+    grid = (seen_at / torch.tensor([WIDTH, HEIGHT]) * 2 - 1).reshape(1, *u.shape, 2)
+    image = torch.from_numpy(picture).double().permute(2, 0, 1)[None]
+    expected = grid_sample(image, grid, align_corners=False, padding_mode="border")
+    inner = (slice(2, -2), slice(2, -2))
+    difference = expected[0].permute(1, 2, 0) - torch.from_numpy(pixels).double()
+    assert difference[inner].abs().max() <= 1.0
+
+
+def calibration(lens: Lens) -> torch.Tensor:
+    matrix = [[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]]
+    return torch.tensor([matrix], dtype=torch.float64)
+
+
+def test_a_pinhole_is_left_alone() -> None:
+    lens, picture = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT), waves()
+    assert undistort(lens, picture, "here") == (lens, picture)
+
+
+def test_a_lens_that_bends_too_much_is_refused() -> None:
+    bent = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT, "OPENCV", (-3.0, 0.0, 0.0, 0.0))
+    with pytest.raises(SceneError, match="bends the picture too much"):
+        undistort(bent, waves(), "here")

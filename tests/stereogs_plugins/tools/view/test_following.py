@@ -1,0 +1,133 @@
+"""A page that is open while a run trains: it shows what is learnt, and learns nothing itself."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+
+from websockets.exceptions import ConnectionClosed
+
+import stereogs
+from registry.cli import main
+from registry.runs.run import Run
+from registry.training.trainer import Iteration
+from stereogs_plugins.tools.view.following import Following
+from tests.registry.conftest import TOY_ENTRIES, Install
+from tests.stereogs_plugins.tools.view.browser import WINDOW, Received, move, visit
+
+PIPELINE = """\
+name: followed
+scene: toy_scene
+initializer: {use: toy_points, kinds: true}
+modifiers: [toy_dropout]
+densification: {use: toy_growth, every: 10, stop: 25}
+metrics: [psnr]
+training: {iterations: 40, sh_degree: 1, sh_every: 10}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _toys(install: Install) -> None:
+    install("toys", "1.5", TOY_ENTRIES)
+
+
+class Visitor:
+    """Trains with a page, and somebody who moves on it all the time."""
+
+    def __init__(self) -> None:
+        self.pages: list[Following] = []
+        self.pictures: list[np.ndarray] = []  # type: ignore[type-arg]
+        self.ended = threading.Event()
+
+    def begin(self, run: Run) -> None:
+        self.pages.append(Following(run, 0))
+        arrived = threading.Event()
+        self.thread = threading.Thread(target=self._look, args=(self.pages[0].url, arrived))
+        self.thread.start()
+        assert arrived.wait(10)
+
+    def iterated(self, done: Iteration) -> None:
+        self.pages[0].iterated(done)
+
+    def _look(self, url: str, arrived: threading.Event) -> None:
+        with suppress(ConnectionClosed), visit(url) as page:
+            received = Received(page)
+            for step in range(1000):
+                move(page, (0.001 * step, 0.0, 0.0))
+                received.read()
+                arrived.set()
+                if received.picture is not None:
+                    self.pictures.append(received.picture)
+                if self.ended.is_set():
+                    return
+
+
+def test_a_visitor_sees_the_training_and_changes_no_bit() -> None:
+    alone = stereogs.train(PIPELINE, progress=False)
+    visitor = Visitor()
+    watched = stereogs.train(
+        PIPELINE, progress=False, on_begin=visitor.begin, callback=visitor.iterated
+    )
+    visitor.ended.set()
+    visitor.thread.join()
+    visitor.pages[0].close()
+    assert watched.hash == alone.hash
+    assert visitor.pictures
+    assert visitor.pictures[-1].shape == (WINDOW[1], WINDOW[0], 3)
+    assert visitor.pictures[-1].std() > 5, "not one colour"
+
+
+def test_without_a_visitor_nothing_is_copied() -> None:
+    copies: list[int] = []
+    pages: list[Following] = []
+
+    def begin(run: Run) -> None:
+        pages.append(Following(run, 0))
+        kept = run.checkpoint
+        run.checkpoint = lambda: (copies.append(run.iteration), kept())[1]
+
+    stereogs.train(
+        PIPELINE, progress=False, on_begin=begin, callback=lambda done: pages[0].iterated(done)
+    )
+    pages[0].close()
+    assert copies == []
+
+
+def test_a_page_that_fails_does_not_end_the_run(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError("the browser is gone")
+
+    monkeypatch.setattr("stereogs_plugins.tools.view.viewer.Viewer.show", broken)
+    visitor = Visitor()
+    run = stereogs.train(
+        PIPELINE, progress=False, on_begin=visitor.begin, callback=visitor.iterated
+    )
+    visitor.ended.set()
+    visitor.thread.join()
+    assert run.finished
+    assert "the page is closed, training goes on: the browser is gone" in caplog.text
+
+
+def test_the_verb_trains_shows_and_ends_with_ctrl_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "followed.yaml").write_text(PIPELINE)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stereogs_plugins.tools.view.viewer.Viewer.serve", interrupted)
+    out = tmp_path / "run"
+    assert main(["train", str(tmp_path / "followed.yaml"), "--view", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "while it trains" in printed
+    assert printed.index("hash ") < printed.index("Ctrl-C ends it")
+    assert stereogs.results(out)["iterations"] == 40
