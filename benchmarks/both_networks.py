@@ -5,7 +5,7 @@ from __future__ import annotations
 import yaml
 
 from benchmarks.scores import ALEXNET, VGG
-from registry.pipeline.pipeline import Pipeline
+from registry.pipeline import Pipeline
 from registry.session import build_pipeline
 
 

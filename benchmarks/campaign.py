@@ -25,7 +25,7 @@ from benchmarks.training_records import Record
 from benchmarks.trainings import train
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.plugins.discovery import Plugins
+from registry.plugins import Plugins
 
 OUT = Path(__file__).parent / "out"
 DOCS = Path(__file__).parent.parent / "docs"

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.plugins.discovery import Plugins
-from registry.system.files import replacing
+from registry.plugins import Plugins
+from registry.system import replacing
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from registry import RunError
-from registry.system.files import write_text
+from registry.system import write_text
 
 
 def rewrite(page: Path, begin: str, end: str, text: str) -> None:

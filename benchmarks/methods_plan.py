@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 from benchmarks.planned_training import written_digest
 from benchmarks.results_plan import PIPELINES, Case, cases
-from registry.pipeline.edits import apply_override, set_value
-from registry.pipeline.pipeline import Pipeline, build_pipeline
-from registry.pipeline.yaml_source import Node, Place, read
-from registry.plugins.discovery import Plugins
+from registry.pipeline import Node, Pipeline, Place, apply_override, read, set_value
+from registry.pipeline import checked_pipeline as build_pipeline
+from registry.plugins import Plugins
 
 Points = Literal["own", "same"]
 """Whether a method starts from the points that it asks for, or from those that all are given."""

@@ -6,8 +6,7 @@ import hashlib
 import json
 from typing import Any, Protocol, TypeVar
 
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.yaml_source import Node
+from registry.pipeline import Node, Pipeline
 
 
 class PlannedTraining(Protocol):

@@ -11,11 +11,10 @@ from typing import Any
 
 from benchmarks.planned_training import written_digest
 from registry import RunError
-from registry.messages.suggestions import listing
-from registry.pipeline.edits import apply_override
-from registry.pipeline.pipeline import Pipeline, build_pipeline
-from registry.pipeline.yaml_source import read
-from registry.plugins.discovery import Plugins
+from registry.messages import listing
+from registry.pipeline import Pipeline, apply_override, read
+from registry.pipeline import checked_pipeline as build_pipeline
+from registry.plugins import Plugins
 
 DATA = "STEREOGS_DATA"
 PIPELINES = Path(__file__).parent.parent / "pipelines"

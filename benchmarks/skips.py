@@ -28,10 +28,10 @@ from benchmarks.skips_table import Measured, table
 from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.pipeline.pipeline import load_pipeline
-from registry.pipeline.yaml_source import Node, parse
-from registry.plugins.discovery import Plugins
-from registry.system.files import write_json, write_text
+from registry.pipeline import Node, load_pipeline, parse
+from registry.plugins import Plugins
+from registry.system import write_text
+from registry.system.files import write_json
 from registry.toolkit.cache import FOLDER_VARIABLE
 from stereogs_plugins.tools.experiments.planning.matrix import Matrix, plan_of
 from stereogs_plugins.tools.experiments.planning.plan import Plan, PlannedRun

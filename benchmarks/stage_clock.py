@@ -98,8 +98,7 @@ def wrap_stages(clock: StageClock) -> None:
     """Have the stages of a training run counted."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
-    from registry.runs import results, run, training_run
-    from registry.runs.run import Run
+    from registry.runs import Run, results, run, training_run
     from registry.training.field import Field
     from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
 

@@ -17,11 +17,11 @@ from benchmarks.branches import Trained, train_branches
 from benchmarks.scores import VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.runs.evaluation import evaluate
+from registry.runs import evaluate
 from registry.runs.origin.provenance import circumstances
 from registry.session import build_pipeline
 from registry.system.files import write_json
-from registry.training.threads import one_torch_thread
+from registry.training import one_torch_thread
 
 PIPELINE, RENDERS, ANSWER = "pipeline.yaml", "renders", "answer.json"
 """In the folder of a training."""

@@ -16,6 +16,7 @@ from core_rasterizer.errors import ExplainedError
 
 from .commands.output import add_verb, error_console
 from .commands.plugins import with_verb
+from .errors import PluginError
 from .messages.command_parser import CommandParser
 from .messages.help_text import HelpFormatter
 from .messages.suggestions import did_you_mean, listing
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             build_parser(given).print_help()
             return 0
         parsed = parse(given)
-        status: int = parsed.command.run(parsed)
+        status = _run(parsed, given[0])
         sys.stdout.flush()
     except ExplainedError as error:
         return _explain(error)
@@ -100,6 +101,21 @@ def _log_to_the_terminal() -> None:
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
 
 
+def _run(parsed: argparse.Namespace, verb: str) -> int:
+    """Run the verb; an error that explains nothing is blamed on the plugin that offers the verb."""
+    try:
+        status: int = parsed.command.run(parsed)
+    except (ExplainedError, OSError):
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"the verb {verb!r} failed: {type(error).__name__}: {error}",
+            where=f"{verbs()[verb].owner}, module {type(parsed.command).__module__}",
+            fix=f"{TRACE}=1 shows the traceback; report it to the authors of the package",
+        ) from error
+    return status
+
+
 def parse(given: Sequence[str]) -> argparse.Namespace:
     """Parse a command line; `command` of the result is the verb's `Command`.
 
@@ -110,7 +126,7 @@ def parse(given: Sequence[str]) -> argparse.Namespace:
 
 
 def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
-    """The parser of a command line. Only the verb that is given is imported.
+    """The parser of a command line: of the verb that is given, or with a line for each verb.
 
     Args:
         given: the command line; None adds the arguments of every verb.
@@ -128,8 +144,10 @@ def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
     actions, known = parser.add_subparsers(title="verbs", metavar="VERB", required=True), verbs()
     if given and not given[0].startswith("-") and given[0] not in known:
         raise _unknown_verb(given[0], known)
-    for name, verb in known.items():
-        if given is None or name in given[:1]:
+    chosen = list(known) if given is None else [name for name in given[:1] if name in known]
+    for name in chosen or known:
+        verb = known[name]
+        if chosen:
             command = verb.load()
             own = add_verb(actions, name, verb.summary, command.epilog)
             command.add_arguments(own)

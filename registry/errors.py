@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from core_rasterizer.errors import ExplainedError
 
+__all__ = ["PipelineError", "PluginError", "RunError", "SceneError"]
+
 
 class PipelineError(ExplainedError):
     """The pipeline file is wrong; `where` names file and line."""

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from .contract.scene import TrainingScene, TrainingView
 
+__all__ = ["IterationDone", "RunEnded", "RunStarted", "ViewsScored"]
+
 
 @dataclass(frozen=True, eq=False)
 class RunStarted:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from .contract.component import Component, SettingsType
 
+__all__ = ["Runner", "RunningTask", "TrainingTask"]
+
 
 @dataclass(frozen=True)
 class TrainingTask:

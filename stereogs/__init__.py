@@ -16,9 +16,9 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from core_rasterizer import Camera, ExplainedError, list_devices, open_device
     from registry import PointCloud, Scene, View
-    from registry.pipeline.pipeline import Pipeline
-    from registry.runs.options import RunOptions
-    from registry.runs.run import Picture, Run
+    from registry.pipeline import Pipeline
+    from registry.runs import Run, RunOptions
+    from registry.runs.run import Picture
     from registry.session import (
         build_pipeline,
         export,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         scene_from_arrays,
         train,
     )
-    from registry.training.trainer import Iteration
+    from registry.training import Iteration
     from stereogs_plugins.tools.quality import within
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)

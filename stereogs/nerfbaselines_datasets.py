@@ -20,9 +20,8 @@ import numpy as np
 from nerfbaselines import DatasetNotFoundError, UnloadedDataset, new_cameras, new_dataset
 
 import stereogs
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.protocols import load_protocol
-from registry.system.files import write_text
+from registry.pipeline import Pipeline, load_protocol
+from registry.system import write_text
 from registry.toolkit.drawing import save_png
 
 DATA = "STEREOGS_DATA"
@@ -126,8 +125,7 @@ def _folder(scene: str) -> Path:
 
 
 def _reads(loader: str, folder: Path) -> bool:
-    from registry.plugins.discovery import Plugins
-    from registry.plugins.recognition import scene_loaders
+    from registry.plugins import Plugins, scene_loaders
 
     return any(
         offer.name == loader and component.recognizes(folder)

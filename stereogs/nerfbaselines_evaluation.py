@@ -13,7 +13,7 @@ from nerfbaselines.evaluation import DefaultEvaluationProtocol
 
 from core_rasterizer import open_device
 from registry import Metric, Unavailable
-from registry.pipeline.parts import build_part
+from registry.pipeline import build_part
 
 from .nerfbaselines_datasets import EVALUATION, PREFIX, pipeline_of
 

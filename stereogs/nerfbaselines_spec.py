@@ -5,7 +5,7 @@ Found through the entry point `nerfbaselines.specs`.
 
 from nerfbaselines import register
 
-from registry.pipeline.protocols import load_protocol, protocol_names
+from registry.pipeline import load_protocol, protocol_names
 
 register(
     {

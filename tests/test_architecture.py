@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent.parent
 MAY_IMPORT = {
     "core_rasterizer": {"core_rasterizer"},
     "registry": {"registry", "core_rasterizer"},
-    "stereogs": {"stereogs", "registry", "core_rasterizer"},
+    "stereogs": {"stereogs", "stereogs_plugins", "registry", "core_rasterizer"},
     "stereogs_plugins": {"stereogs_plugins", "registry", "core_rasterizer"},
 }
 FILES = [file for package in MAY_IMPORT for file in sorted((ROOT / package).rglob("*.py"))]
@@ -62,7 +62,18 @@ FACES = {
         "core_rasterizer",
         "core_rasterizer.matching",
         "registry",
+        "registry.commands",
+        "registry.contract",
+        "registry.inspection",
+        "registry.messages",
+        "registry.pipeline",
+        "registry.plugins",
         "registry.priors",
+        "registry.runs",
+        "registry.session",
+        "registry.system",
+        "registry.training",
+        "registry.toolkit",
         "registry.toolkit.cache",
         "registry.toolkit.drawing",
         "registry.toolkit.networks",
@@ -99,7 +110,9 @@ def test_helpers_live_with_their_plugin() -> None:
 
 def test_every_plugin_is_an_entry_point() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    entries = set(project["entry-points"]["stereogs.plugins"].values())
+    groups = ("stereogs.plugins", "stereogs.commands", "stereogs.train_options")
+    modules = {value for group in groups for value in project["entry-points"][group].values()}
+    entries = {".".join(module.split(".")[:3]) for module in modules}
     plugins = {plugin_of(file) for file in PLUGIN_FILES}
     assert entries == {name for name in plugins if not name.endswith("__init__")}
 

@@ -1,1 +1,17 @@
-"""Words for people: the nearest name to a misspelt one, and what a terminal may be shown."""
+"""Text for people: suggestions and the terminal."""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .suggestions import did_you_mean, listing
+    from .terminal import PlainConsole
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "PlainConsole",
+    "did_you_mean",
+    "listing",
+]

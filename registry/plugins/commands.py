@@ -44,6 +44,11 @@ class Verb:
     entry: EntryPoint
 
     @property
+    def owner(self) -> str:
+        """The package that offers it, and its version."""
+        return _owner(self.entry)
+
+    @property
     def summary(self) -> str:
         """First line of the module's docstring, read without importing the module; "" if it has none."""
         source = _source(self.entry.module)
@@ -77,7 +82,7 @@ def verbs() -> dict[str, Verb]:
     for entry in sorted(entry_points(group=COMMANDS), key=lambda entry: entry.name):
         if entry.name in found:
             raise PluginError(
-                f"the verb {entry.name!r} is offered twice: by {_owner(found[entry.name].entry)} and "
+                f"the verb {entry.name!r} is offered twice: by {found[entry.name].owner} and "
                 f"{_owner(entry)}",
                 fix="uninstall one of them",
             )

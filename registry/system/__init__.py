@@ -1,1 +1,17 @@
-"""What the operating system gives: files that are whole or absent, and how much memory something takes."""
+"""Files and memory of this machine."""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .files import replacing, write_text
+    from .memory import peak_memory_mb
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "peak_memory_mb",
+    "replacing",
+    "write_text",
+]

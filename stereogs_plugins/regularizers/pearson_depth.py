@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from registry import Context, PluginError, Register, Regularizer, Settings, Step, hookimpl
-from registry.contract.scene import SOLID
+from registry.contract import SOLID
 from registry.priors import MonocularDepthPrior
 from registry.toolkit.networks.image_fitting import at_size
 from registry.toolkit.views import virtual_views

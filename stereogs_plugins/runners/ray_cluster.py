@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import Field
 
 from registry import Context, PluginError, Register, Settings, hookimpl
-from registry.plugins.optional import optional_module
+from registry.plugins import optional_module
 from registry.runners import Runner, RunningTask
 
 if TYPE_CHECKING:

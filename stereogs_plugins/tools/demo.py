@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_device, console
-from registry.commands.train import conclude
+from registry.commands import add_device, conclude, console
 
 if TYPE_CHECKING:
-    from registry.plugins.discovery import Plugins
+    from registry.plugins import Plugins
 
 DATA = "STEREOGS_DATA"
 PIPELINE = "demo"
@@ -46,13 +45,12 @@ class Demo(Command):
         """Train the demo's pipeline and show what came out."""
         import shutil
 
-        from registry.pipeline.pipeline import load_pipeline
-        from registry.plugins.discovery import Plugins
-        from registry.runs.results import RENDERS
-        from registry.runs.training_run import in_runs
+        from registry.pipeline import load_pipeline
+        from registry.plugins import Plugins
+        from registry.runs import RENDERS, in_runs
         from registry.session import train
-        from registry.system.files import replacing
-        from registry.toolkit.drawing.pictures import COMPARISONS
+        from registry.system import replacing
+        from registry.toolkit.drawing import COMPARISONS
 
         output = console()
         plugins = Plugins()
@@ -80,8 +78,8 @@ def photographs(plugins: Plugins) -> dict[str, Any] | None:
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
         return None
-    from registry.pipeline.settings_check import escape_variables
-    from registry.plugins.recognition import scene_loaders
+    from registry.pipeline import escape_variables
+    from registry.plugins import scene_loaders
 
     loaders = scene_loaders(plugins)
     for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_run, console, open_given
+from registry.commands import add_run, console, open_given
 
 MOST_LINES = 3
 """Files of one folder that are told one by one."""

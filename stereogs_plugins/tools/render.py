@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_run, console, open_given
+from registry.commands import add_run, console, open_given
 
 PATH = "path"
 
@@ -42,11 +42,9 @@ class Render(Command):
         """Render and say where the files lie."""
         output = console()
         run = open_given(arguments)
-        from registry.runs.results import RENDERS
-        from registry.toolkit.drawing.camera_path import smooth_path
-        from registry.toolkit.drawing.pictures import save_view_pictures
-        from registry.toolkit.drawing.video import write_video
-        from registry.training.threads import one_torch_thread
+        from registry.runs import RENDERS
+        from registry.toolkit.drawing import save_view_pictures, smooth_path, write_video
+        from registry.training import one_torch_thread
 
         folder = run.folder_or_refuse().folder(RENDERS)
         with one_torch_thread():

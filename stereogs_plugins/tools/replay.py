@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_accept_changed_inputs, add_device, console
+from registry.commands import add_accept_changed_inputs, add_device, console
 
 _EPILOG = """\
 examples:
@@ -37,9 +37,9 @@ class Replay(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Repeat it; 0 if it goes through now."""
         from core_rasterizer import open_device
-        from registry.plugins.discovery import Plugins
-        from registry.runs.replay import replay
-        from registry.training.threads import one_torch_thread
+        from registry.plugins import Plugins
+        from registry.runs import repeat_failure as replay
+        from registry.training import one_torch_thread
 
         with one_torch_thread():
             failure = replay(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from registry import Exporter, Scene, Settings
-from registry.system.files import write_text
+from registry.system import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path

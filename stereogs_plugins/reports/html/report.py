@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import pydantic
 
 from registry import Register, Report, Scene, Settings, hookimpl
-from registry.system.files import write_text
+from registry.system import write_text
 from registry.toolkit.photos import in_parallel
 from registry.toolkit.web_page import (
     Cell,
@@ -82,7 +82,7 @@ class HtmlReport(Report[HtmlReportSettings]):
         return [folder / FILE, *view.files]
 
     def _scene_view(self, folder: Path, scene: Scene, run: RunFiles) -> SceneView:
-        from registry.training.checkpoint import trained_gaussians
+        from registry.training import trained_gaussians
 
         from .scene_view import SceneView, scene_view
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from registry import RunError
-from registry.runs.results_file import read_results
+from registry.runs import read_results
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from registry.system.files import write_text
+from registry.system import write_text
 from registry.toolkit import web_page
 
 from .spz import spz

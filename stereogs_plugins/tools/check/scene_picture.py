@@ -7,8 +7,8 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from registry.contract.scene import Scene, View
-from registry.toolkit.drawing.pictures import to_bytes
+from registry import Scene, View
+from registry.toolkit.drawing import to_bytes
 
 from .top_view import draw_top_view
 

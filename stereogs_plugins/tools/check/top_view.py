@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from registry.contract.scene import Scene, View
-from registry.inspection.labels import Color, Label, draw_labels, write
+from registry import Scene, View
+
+from .labels import Color, Label, draw_labels, write
 
 Array = NDArray[np.float64]
 

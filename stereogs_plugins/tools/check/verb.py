@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
-from registry.commands.output import add_device, console
-from registry.errors import RunError
+from registry import Command, Register, RunError, hookimpl
+from registry.commands import add_device, console
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,17 +56,17 @@ class Check(Command):
         """Load, print, and draw."""
         picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
         _check_picture(picture)
-        from registry.inspection.scene_source import find_loader, load
-        from registry.plugins.discovery import Plugins
+        from registry.inspection import find_loader, load
+        from registry.plugins import Plugins
 
         output = console()
         found = find_loader(
             arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
         )
         from core_rasterizer import open_device
-        from registry.inspection.scene_facts import facts, warnings
-        from registry.toolkit.drawing.pictures import save_png
-        from registry.training.threads import one_torch_thread
+        from registry.inspection import facts, warnings
+        from registry.toolkit.drawing import save_png
+        from registry.training import one_torch_thread
 
         from .scene_picture import scene_picture
 

@@ -72,7 +72,7 @@ class Ablate(Command):
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Train what is missing, then write and print the table; 130 after Ctrl-C."""
-        from registry.plugins.discovery import Plugins
+        from registry.plugins import Plugins
 
         from .planning.making import make_plan
 

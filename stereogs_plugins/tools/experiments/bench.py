@@ -39,7 +39,7 @@ class Bench(Command):
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Train what is missing, then write and print the table; 130 after Ctrl-C."""
-        from registry.plugins.discovery import Plugins
+        from registry.plugins import Plugins
 
         from .planning.matrix import plan_of, read_matrix
 

@@ -6,14 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from registry.commands.output import add_device, console
-from registry.errors import RunError
+from registry import RunError
+from registry.commands import add_device, console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from registry.pipeline.yaml_source import Node
-    from registry.plugins.discovery import Plugins
+    from registry.pipeline import Node
+    from registry.plugins import Plugins
 
     from .planning.plan import Plan
     from .running.folder import AblationFolder
@@ -88,7 +88,7 @@ def carry_out(
 def _runner(arguments: argparse.Namespace, written: Node | None) -> Node | None:
     if arguments.runner is None:
         return written
-    from registry.pipeline.yaml_source import parse
+    from registry.pipeline import parse
 
     return parse(arguments.runner, f"--runner {arguments.runner}", has_lines=False)
 
@@ -98,7 +98,7 @@ def _files(plan: Plan) -> tuple[str, str, str]:
 
 
 def _write(plan: Plan, results: Results, folder: AblationFolder) -> None:
-    from registry.system.files import write_text
+    from registry.system import write_text
 
     from .published import published_costs
     from .showing.page import as_page

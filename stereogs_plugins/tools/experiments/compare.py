@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
-from registry.commands.output import console
-from registry.errors import RunError
-from registry.messages.suggestions import did_you_mean, listing
+from registry import Command, Register, RunError, hookimpl
+from registry.commands import console
+from registry.messages import did_you_mean, listing
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -122,7 +121,7 @@ def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) ->
     Raises:
         RunError: the paper or the protocol is not known, or a run does not follow it as it is now.
     """
-    from registry.pipeline.protocols import protocol_names
+    from registry.pipeline import protocol_names
 
     from .comparing.comparability import check_present
     from .comparing.paper_tables import paper_tables

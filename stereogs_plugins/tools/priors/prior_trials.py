@@ -12,24 +12,29 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from registry.contract.hook_points import HOOK_POINTS
-from registry.contract.prior import Prior
-from registry.errors import PluginError
-from registry.inspection.scene_source import find_loader, load
-from registry.pipeline.blame import blame
-from registry.pipeline.edits import apply_override
-from registry.pipeline.parts import build_part
-from registry.pipeline.pipeline import Item
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.settings_check import escape_variables, plain, validate_settings
-from registry.pipeline.yaml_source import Place, parse, to_yaml
-from registry.plugins.discovery import Offer, Plugins
+from registry import PluginError, Prior
+from registry.contract import HOOK_POINTS
+from registry.inspection import find_loader, load
+from registry.pipeline import (
+    HostSettings,
+    Item,
+    Place,
+    apply_override,
+    blame,
+    build_part,
+    escape_variables,
+    parse,
+    plain,
+    to_yaml,
+    validate_settings,
+)
+from registry.plugins import Offer, Plugins
 
 from .prior_truth import Score, Truth, judge, truth_of
 
 if TYPE_CHECKING:
     from core_rasterizer import Device
-    from registry.toolkit.networks.onnx_model import OnnxModel
+    from registry.toolkit.networks import OnnxModel
 
 _PRIORS = next(point for point in HOOK_POINTS if point.section == "priors")
 _SCENE = "prior_check.yaml"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from registry.errors import PluginError
+from registry import PluginError
 from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
@@ -18,8 +18,7 @@ from registry.priors import (
 )
 
 if TYPE_CHECKING:
-    from registry.contract.prior import Prior
-    from registry.contract.scene import TrainingView
+    from registry import Prior, TrainingView
 
 PIXELS = 2.0
 """A disparity, a vector or a match that is off by more is wrong."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_device, console
+from registry.commands import add_device, console
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from core_rasterizer import Device
-    from registry.toolkit.networks.onnx_model import OnnxModel
+    from registry.toolkit.networks import OnnxModel
 
     from .prior_trials import Guess, Trial
     from .prior_truth import Truth
@@ -65,9 +65,9 @@ class Priors(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Describe the file, guess settings, try them and print; 1 if nothing worked."""
         from core_rasterizer import open_device
-        from registry.plugins.discovery import Plugins
-        from registry.toolkit.networks.onnx_model import OnnxModel
-        from registry.training.threads import one_torch_thread
+        from registry.plugins import Plugins
+        from registry.toolkit.networks import OnnxModel
+        from registry.training import one_torch_thread
 
         from .prior_trials import guesses, known_truth
 
@@ -130,7 +130,7 @@ def _tried(
 
 
 def _conclude(best: Trial, output: Console) -> None:
-    from registry.system.memory import peak_memory_mb
+    from registry.system import peak_memory_mb
 
     output.print(f"\nbest: {best.score.text}")
     memory = peak_memory_mb()

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from registry.runs.beginning import Fit
+    from registry.runs import Fit
 
 
 def within(seconds: float) -> Fit:

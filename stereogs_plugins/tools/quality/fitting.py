@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
-from registry.pipeline.pipeline import Pipeline
+from registry.pipeline import Pipeline
 
 from .cost import LEAST_ITERATIONS, Cost
 from .messages import Say, tell_choice, tell_cost
 from .table import GROWTH, Quality, by_length, by_quality
 
 if TYPE_CHECKING:
-    from registry.runs.beginning import Beginning
+    from registry.runs import Beginning
 
     from .rehearsal import Clock, Measured
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from registry.pipeline.pipeline import Pipeline
+from registry.pipeline import Pipeline
 
 from .cost import Cost
 
 if TYPE_CHECKING:
-    from registry.runs.beginning import Beginning
+    from registry.runs import Beginning
 
     from .rehearsal import Measured
 

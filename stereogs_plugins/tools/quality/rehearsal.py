@@ -7,6 +7,7 @@ its components are built anew afterwards, as they are when a run is resumed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
@@ -16,13 +17,10 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians
-from core_rasterizer.layout import PARAMETERS
-from registry.contract.scene import View
-from registry.pipeline.parts import Part, Parts
-from registry.runs.beginning import Beginning
-from registry.runs.evaluation import evaluate, quick
-from registry.training.initial_model import new_model
-from registry.training.trainer import Trainer
+from registry import View
+from registry.pipeline import Part, Parts
+from registry.runs import Beginning, evaluate, quick
+from registry.training import Trainer, new_model
 
 from .cost import CLOSING
 
@@ -113,4 +111,4 @@ def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Cloc
 
 
 def _grown(gaussians: Gaussians, which: Tensor) -> Gaussians:
-    return Gaussians(**{name: getattr(gaussians, name)[which] for name in PARAMETERS})
+    return Gaussians(**{f.name: getattr(gaussians, f.name)[which] for f in fields(gaussians)})

@@ -11,7 +11,7 @@ import torch
 from pydantic import BaseModel, Field, RootModel
 
 from core_rasterizer import Camera, ExplainedError
-from registry.toolkit.photos.reading import Finite, read_document
+from registry.toolkit.photos import Finite, read_document
 
 FILE = "cameras.json"
 _Vector = tuple[Finite, Finite, Finite]

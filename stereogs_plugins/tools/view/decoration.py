@@ -11,8 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch.nn.functional import normalize
 
-from core_rasterizer.gaussians import SH_C0
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
 
 if TYPE_CHECKING:
     from core_rasterizer import Gaussians
@@ -31,6 +30,9 @@ _BOX_WIDTH = 0.004
 """Of the crop box's lines, in units of its diagonal."""
 MOST_ELLIPSOIDS = 10_000
 """That a browser without a graphics card can still turn."""
+
+_SH_C0 = 0.28209479177387814
+"""The constant spherical harmonic, 1 / (2 sqrt(pi))."""
 
 
 def add_cameras(
@@ -106,7 +108,7 @@ def add_ellipsoids(
         batched_wxyzs=normalize(gaussians.quaternions[chosen], dim=1).numpy(),
         batched_positions=gaussians.means[chosen].numpy() / unit,
         batched_scales=scales[chosen].numpy() / unit,
-        batched_colors=to_bytes(gaussians.sh[chosen, 0] * SH_C0 + 0.5),
+        batched_colors=to_bytes(gaussians.sh[chosen, 0] * _SH_C0 + 0.5),
         cast_shadow=False,
         receive_shadow=False,
     )

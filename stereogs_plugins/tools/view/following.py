@@ -15,8 +15,8 @@ from .subject import of_run, snapshot
 from .viewer import Viewer
 
 if TYPE_CHECKING:
-    from registry.runs.run import Run
-    from registry.training.trainer import Iteration
+    from registry.runs import Run
+    from registry.training import Iteration
 
 RENEW_SECONDS = 1.0
 """Between two copies of the Gaussians."""

@@ -13,10 +13,9 @@ from registry import Register, TrainOption, hookimpl
 from .verb import PORT
 
 if TYPE_CHECKING:
-    from registry.contract.command import TrainRequest
-    from registry.runs.options import RunOptions
-    from registry.runs.run import Run
-    from registry.training.trainer import Iteration
+    from registry.commands import TrainRequest
+    from registry.runs import Run, RunOptions
+    from registry.training import Iteration
 
     from .following import Following
 
@@ -47,7 +46,7 @@ class LivePage(TrainOption):
         from .package import import_viser
 
         import_viser()
-        from registry.commands.output import console
+        from registry.commands import console
 
         output = console()
         pages: list[Following] = []
@@ -74,7 +73,7 @@ class LivePage(TrainOption):
 
 
 def _stay(page: Following) -> None:
-    from registry.training.threads import one_torch_thread
+    from registry.training import one_torch_thread
 
     with one_torch_thread():
         page.stay()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from registry.errors import RunError
+from registry import RunError
 
 
 def import_viser() -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
-from registry.toolkit.drawing.pictures import depth_picture, to_bytes
+from registry.toolkit.drawing import depth_picture, to_bytes
 
 from .subject import Subject
 

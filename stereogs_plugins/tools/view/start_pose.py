@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from core_rasterizer import Camera
-from registry.contract.scene import camera_extent
-from registry.toolkit.drawing.orientation import Vector, upwards
+from registry.contract import camera_extent
+from registry.toolkit.drawing import Vector, upwards
 
 from .subject import Subject
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians, load_ply
-from registry.contract.scene import Scene
-from registry.runs.run import Run
-from registry.training.initial_model import new_model
+from registry import Scene
+from registry.runs import Run
+from registry.training import new_model
 
 from .camera_list import cameras_beside
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
-from registry.commands.output import add_accept_changed_inputs, add_device, console
+from registry.commands import add_accept_changed_inputs, add_device, console
 
 if TYPE_CHECKING:
     from .subject import Subject
@@ -49,7 +49,7 @@ class View(Command):
         from .package import import_viser
 
         import_viser()  # told before anything is loaded
-        from registry.training.threads import one_torch_thread
+        from registry.training import one_torch_thread
 
         with one_torch_thread():
             subject = _subject(arguments)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from registry.errors import RunError
-from registry.pipeline.protocols import load_protocol
+from registry import RunError
+from registry.pipeline import load_protocol
 
 from .comparison import FinishedRun, metric_names
 

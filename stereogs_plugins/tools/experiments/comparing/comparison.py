@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from registry.errors import RunError
-from registry.pipeline.settings_check import plain
-from registry.pipeline.yaml_source import read
-from registry.runs.folder import RESULTS, RunFolder
-from registry.runs.results_file import read_results
+from registry import RunError
+from registry.pipeline import plain, read
+from registry.runs import RESULTS, RunFolder, read_results
 
 COSTS = ("gaussians", "seconds", "peak_memory_mb")
 """What results.json says a run cost."""

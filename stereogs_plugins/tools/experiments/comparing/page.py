@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from registry.runs.results import RENDERS
+from registry.runs import RENDERS
 from registry.toolkit.web_page import Cell, note, page, score_table, section
 
 from ..showing.view_gallery import RenderedRun, view_gallery

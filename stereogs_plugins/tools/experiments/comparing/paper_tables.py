@@ -12,11 +12,9 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from registry.contract.component import Settings
-from registry.errors import RunError
-from registry.messages.suggestions import did_you_mean, listing
-from registry.pipeline.settings_check import validate_settings
-from registry.pipeline.yaml_source import parse
+from registry import RunError, Settings
+from registry.messages import did_you_mean, listing
+from registry.pipeline import parse, validate_settings
 
 GROUP = "stereogs.paper_tables"
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from registry.errors import PipelineError
-from registry.pipeline.edits import apply_override
-from registry.pipeline.yaml_source import Node, Place, parse
+from registry.pipeline import Node, Place, apply_override, parse
 
 from .description import Description, Toggle, seed_count
 from .variations import Variation, values

@@ -21,11 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from registry.errors import PipelineError
-from registry.messages.suggestions import did_you_mean, listing
-from registry.pipeline.edits import TOP_LEVEL
-from registry.pipeline.ready import find_pipeline
-from registry.pipeline.settings_check import plain
-from registry.pipeline.yaml_source import Node, Place, read
+from registry.messages import did_you_mean, listing
+from registry.pipeline import TOP_LEVEL, Node, Place, find_pipeline, plain, read
 
 from .variations import Variation, alternatives, values
 

@@ -10,10 +10,9 @@ from copy import deepcopy
 from dataclasses import replace
 
 from registry.errors import PipelineError
-from registry.pipeline.edits import set_value
-from registry.pipeline.pipeline import Pipeline, build_pipeline
-from registry.pipeline.yaml_source import Node, Place
-from registry.plugins.discovery import Plugins
+from registry.pipeline import Node, Pipeline, Place, set_value
+from registry.pipeline import checked_pipeline as build_pipeline
+from registry.plugins import Plugins
 
 from .description import Description
 from .plan import Combination, Plan, PlannedRun

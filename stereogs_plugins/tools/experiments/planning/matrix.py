@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from registry.errors import PipelineError
-from registry.messages.suggestions import did_you_mean, listing
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.ready import find_pipeline
-from registry.pipeline.settings_check import plain
-from registry.pipeline.yaml_source import Node, read
-from registry.plugins.discovery import Plugins
+from registry.messages import did_you_mean, listing
+from registry.pipeline import Node, Pipeline, find_pipeline, plain, read
+from registry.plugins import Plugins
 
 from .description import seed_count, written_scenes
 from .making import changed, with_runs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from registry.pipeline.pipeline import Pipeline
+from registry.pipeline import Pipeline
 
 from .variations import Choice, Variation
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from registry.errors import PipelineError
-from registry.pipeline.edits import item_names
-from registry.pipeline.yaml_source import Node
+from registry.pipeline import Node, item_names
 
 from .variations import Change
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from registry.errors import PipelineError
-from registry.messages.suggestions import did_you_mean, listing
-from registry.pipeline.edits import SECTIONS, component_items, item_names
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.yaml_source import Node, Place, parse
+from registry.messages import did_you_mean, listing
+from registry.pipeline import SECTIONS, Node, Pipeline, Place, component_items, item_names, parse
 
 from .description import Toggle
 from .variations import Change

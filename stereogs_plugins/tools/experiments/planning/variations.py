@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass
 
 from registry.errors import PipelineError
-from registry.pipeline.edits import item_names
-from registry.pipeline.yaml_source import Node, resolve
+from registry.pipeline import Node, item_names, resolve
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from importlib.metadata import version
 
 from core_rasterizer import Device
-from registry.contract.hook_points import HOOK_POINTS, HookPoint
+from registry.contract import HOOK_POINTS, HookPoint
 from registry.errors import PipelineError
-from registry.pipeline.edits import expand
-from registry.pipeline.parts import Part, build_part
-from registry.pipeline.pipeline import component_item
-from registry.pipeline.yaml_source import Node, Place
-from registry.plugins.discovery import Offer, Plugins
+from registry.pipeline import Node, Part, Place, build_part, component_item, expand
+from registry.plugins import Offer, Plugins
 
 from .local_processes import LocalProcesses
 

@@ -13,10 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from registry.errors import RunError
-from registry.runs.folder import RESULTS, RunFolder
-from registry.runs.guarding.lock import locked
-from registry.runs.results_file import read_results
+from registry import RunError
+from registry.runs import RESULTS, RunFolder, locked, read_results
 
 from ..planning.plan import PlannedRun
 

@@ -12,15 +12,14 @@ from functools import cached_property
 
 from pydantic import Field
 
-from core_rasterizer.errors import ExplainedError
-from registry.contract.component import Context, Settings
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.training_settings import iterations_of_a_run
-from registry.plugins.discovery import Plugins
+from core_rasterizer import ExplainedError
+from registry import Context, Settings
+from registry.pipeline import iterations_of_a_run, parse_pipeline
+from registry.plugins import Plugins
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.folder import METRICS, RunFolder
-from registry.system.files import write_text
-from registry.training.checkpoint import CHECKPOINT, load_checkpoint
+from registry.runs import METRICS, RunFolder
+from registry.system import write_text
+from registry.training import CHECKPOINT, load_checkpoint
 
 from .jobs import default_jobs
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from registry.pipeline.parts import Part
+from registry.pipeline import Part
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.guarding.interrupt import stop_on_interrupt
+from registry.runs import stop_on_interrupt
 
 from ..planning.plan import PlannedRun
 from .folder import AblationFolder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from registry.runs.results import RENDERS
+from registry.runs import RENDERS
 from registry.toolkit.web_page import Cell, grid, note, page, score_table, section
 
 from ..planning.plan import Plan

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from registry.runs.folder import METRICS
+from registry.runs import METRICS
 
 from ..planning.plan import Combination, PlannedRun
 from ..running.folder import AblationFolder

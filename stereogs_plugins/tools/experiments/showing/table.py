@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rich import box
 from rich.table import Table
 
-from registry.messages.terminal import PlainConsole
+from registry.messages import PlainConsole
 
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from registry.toolkit.drawing.pictures import ViewPictures
+from registry.toolkit.drawing import ViewPictures
 from registry.toolkit.web_page import choice, figure, image, note, pinned, wipe
 
 MOST_VIEWS = 12
