@@ -11,7 +11,6 @@ from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from ..contract.command import Command, TrainOption
-from ..contract.hooks import PROJECT
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
 
@@ -137,6 +136,8 @@ def _registered(entry: EntryPoint, hook: str, kind: type[Kind]) -> Kind:
 
 def _offered(module: object, hook: str, where: str) -> dict[str, Any]:
     """All that a module registers through a hook, by name."""
+    from ..contract.hooks import PROJECT  # imports pydantic, which `stereogs --help` does without
+
     offered: dict[str, Any] = {}
 
     def register(name: str, cls: Any) -> None:

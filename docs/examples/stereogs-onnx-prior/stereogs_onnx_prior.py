@@ -11,18 +11,20 @@ from pydantic import Field
 from torch import Tensor
 
 import registry
+from registry.priors import MonocularDepthPrior
+from registry.toolkit.networks import OnnxModelSettings
 from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
 
 STEREOGS_API = 2
 """The version of the plugin API that this module was written for."""
 
 
-class PlainDepthSettings(registry.OnnxModelSettings):
+class PlainDepthSettings(OnnxModelSettings):
     multiple: int = Field(14, ge=1)
     """The network takes images whose sides are multiples of this many pixels."""
 
 
-class PlainDepth(registry.MonocularDepthPrior[PlainDepthSettings]):
+class PlainDepth(MonocularDepthPrior[PlainDepthSettings]):
     """A network that takes `[1, 3, H, W]` with ImageNet's mean and deviation and answers `[1, 1, H, W]`."""
 
     def __init__(self, settings: PlainDepthSettings, context: registry.Context) -> None:

@@ -13,6 +13,7 @@ import registry as r
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.contract.hook_points import HOOK_POINTS
+from registry.events import IterationDone, ViewsScored
 from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
@@ -133,7 +134,7 @@ def test_a_run_in_memory_leaves_no_file(toys: Plugins, device: Device, alone: Ru
 def test_of_several_fields_it_hears_of_the_first(toys: Plugins, device: Device) -> None:
     text = TEXT.replace("iterations: 6", "iterations: 6, fields: 2")
     run, told = recorded(parse_pipeline(text, toys), device, None)
-    (iteration,) = [event for event in told if isinstance(event, r.IterationDone)]
+    (iteration,) = [event for event in told if isinstance(event, IterationDone)]
     assert iteration.gaussians == run.model.count
     assert {"photometric", "field1/photometric"} <= iteration.numbers.keys()
 
@@ -213,7 +214,7 @@ def test_a_run_may_go_on_with_a_new_one(
 def test_what_one_changes_in_its_values_reaches_nobody(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def spoil(self: ToyDiary, scored: r.ViewsScored) -> None:
+    def spoil(self: ToyDiary, scored: ViewsScored) -> None:
         for split in scored.views.values():
             for row in split.values():
                 row.clear()  # type: ignore[attr-defined]

@@ -1,9 +1,10 @@
 """A prior that forgets to return."""
 
 import registry
+from registry.priors import MultiViewDepthPrior
 
 
-class Sick(registry.MultiViewDepthPrior[registry.Settings]):
+class Sick(MultiViewDepthPrior[registry.Settings]):
     def estimate(self, views, bounds):
         pass
 
