@@ -54,14 +54,14 @@ else:
         """A name of the contract, or, with a warning, one that moved since version 0.1.0."""
         if name not in _MOVED:
             return _get(name)
-        import importlib
+        import pkgutil
         import warnings
 
         home = _MOVED[name]
         warnings.warn(
             f"registry.{name} has moved: import it from {home}", DeprecationWarning, stacklevel=2
         )
-        return getattr(importlib.import_module(home), name)
+        return pkgutil.resolve_name(f"{home}.{name}")
 
 
 _MOVED = {
@@ -73,12 +73,18 @@ _MOVED = {
     "RunStarted": "registry.events",
     "ViewParameters": "registry.toolkit.views",
     "ViewPictures": "registry.toolkit.drawing",
+    "cache": "registry.toolkit",
     "depth_ends": "registry.toolkit.drawing",
     "epipolar_distances": "registry.toolkit.views",
-    "optional_module": "registry.plugins.optional",
-    "read_results": "registry.runs.results_file",
-    "trained_gaussians": "registry.training.checkpoint",
-    "write_text": "registry.system.files",
+    "image_fitting": "registry.toolkit.networks",
+    "optional_module": "registry.plugins",
+    "photos": "registry.toolkit",
+    "read_results": "registry.runs",
+    "trained_gaussians": "registry.training",
+    "triangulation": "registry.toolkit.views",
+    "virtual_views": "registry.toolkit.views",
+    "web_page": "registry.toolkit",
+    "write_text": "registry.system",
 }
 """Names that example packages or the documentation of version 0.1.0 used, and their modules now."""
 

@@ -105,9 +105,9 @@ class Train(Command):
             run = train(pipeline, options, out=arguments.out or in_runs)
             status = conclude(run, output)
             if run.finished and options.fit is not None:
-                took = f"{monotonic() - begin:.1f} s"
                 output.print(
-                    f"repeat    stereogs train {run.folder_or_refuse().pipeline} (took {took})"
+                    f"repeat    stereogs train {run.folder_or_refuse().pipeline}; "
+                    f"it took {monotonic() - begin:.1f} s"
                 )
         return status
 

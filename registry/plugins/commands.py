@@ -116,6 +116,9 @@ def _registered(entry: EntryPoint, hook: str, kind: type[Kind]) -> Kind:
             where=where,
             fix=fix,
         ) from error
+    from .discovery import check_api
+
+    check_api(entry, module)
     offered = _offered(module, hook, where)
     cls = offered.get(entry.name)
     if cls is None:

@@ -134,7 +134,7 @@ class Plugins:
         try:
             with WATCHDOG.watching(who), left_as_found(who):
                 module = entry.load()
-                _check_api(entry, module)
+                check_api(entry, module)
                 if not self._manager.is_registered(module):  # by another entry of the same module
                     self._manager.register(module, name=key)
                 _check_hooks(module)
@@ -257,9 +257,10 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
         )
 
 
-def _check_api(entry: EntryPoint, module: object) -> None:
+def check_api(entry: EntryPoint, module: object) -> None:
+    """Raise a PluginError if the module was written for another version of the plugin API."""
     wanted = getattr(module, "STEREOGS_API", API_VERSION)
-    if wanted != API_VERSION:
+    if wanted not in (2, API_VERSION):  # names that documented plugins of 2 import are kept
         raise PluginError(
             f"it needs stereogs API {wanted}, this is API {API_VERSION}",
             fix=f"pip install -U {_distribution(entry)[0]} stereogs-plugins",

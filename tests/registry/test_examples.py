@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import stereogs
+from registry.plugins.commands import verbs
 from registry.plugins.discovery import SELECTION, Plugins
 from tests.packages import ROOT, install, run_python
 
@@ -51,9 +52,14 @@ def test_they_are_found_through_their_entry_points(installed: Plugins) -> None:
     offers = {offer.name: offer for offer in installed.all()}
     for package in PACKAGES:
         project = tomllib.loads((package / "pyproject.toml").read_text("utf-8"))["project"]
-        for name in project["entry-points"]["stereogs.plugins"]:
+        for name in project["entry-points"].get("stereogs.plugins", ()):
             found = (offers[name].distribution, offers[name].version)
             assert found == (project["name"], project["version"])
+
+
+def test_the_verb_of_one_is_found(installed: Plugins) -> None:
+    assert verbs()["largest"].owner == "stereogs-largest-command 0.1.0"
+    assert verbs()["largest"].summary == "list the largest Gaussians of a run"
 
 
 @pytest.mark.proof

@@ -12,7 +12,7 @@ from torch import Tensor
 
 import registry
 
-STEREOGS_API = 2
+STEREOGS_API = 3
 """The version of the plugin API that this module was written for."""
 
 

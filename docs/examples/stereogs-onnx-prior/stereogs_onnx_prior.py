@@ -15,7 +15,7 @@ from registry.priors import MonocularDepthPrior
 from registry.toolkit.networks import OnnxModelSettings
 from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
 
-STEREOGS_API = 2
+STEREOGS_API = 3
 """The version of the plugin API that this module was written for."""
 
 

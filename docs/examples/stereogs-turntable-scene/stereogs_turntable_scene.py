@@ -17,7 +17,7 @@ import pydantic
 import registry
 from registry.toolkit import photos
 
-STEREOGS_API = 2
+STEREOGS_API = 3
 """The version of the plugin API that this module was written for."""
 
 

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 from PIL import Image, ImageDraw
-from registry.inspection.labels import Label, draw_labels, write
+
+from stereogs_plugins.tools.check.labels import Label, draw_labels, write
 
 COLORS = ((255, 0, 0), (0, 0, 255))
 SIZE = (200, 120)

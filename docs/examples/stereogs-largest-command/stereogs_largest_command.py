@@ -1,0 +1,34 @@
+"""List the largest Gaussians of a run."""
+
+import argparse
+
+import registry
+from registry.commands import add_run, console, open_given
+
+STEREOGS_API = 3
+"""The version of the plugin API that this module was written for."""
+
+
+class Largest(registry.Command):
+    """The verb `largest`: centres and sizes of the Gaussians with the largest standard deviations."""
+
+    epilog = "examples:\n  stereogs largest runs/3dgs-fern --count 5\n"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the run folder and --count."""
+        add_run(parser)
+        parser.add_argument("--count", type=int, default=10, metavar="N", help="rows to print")
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Print a row for each; torch is imported by `open_given`, after the arguments are parsed."""
+        gaussians = open_given(arguments).model.gaussians()
+        sizes = gaussians.log_scales.exp().amax(dim=1)
+        for index in sizes.argsort(descending=True)[: arguments.count].tolist():
+            x, y, z = gaussians.means[index].tolist()
+            console().print(f"{sizes[index]:10.4f}  at {x:9.3f} {y:9.3f} {z:9.3f}")
+        return 0
+
+
+@registry.hookimpl
+def stereogs_register_commands(register: registry.Register[registry.Command]) -> None:
+    register("largest", Largest)
