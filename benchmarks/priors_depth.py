@@ -31,7 +31,7 @@ from core_rasterizer import Device
 from registry import Context, MultiViewDepthPrior, Scene, View, grey
 from registry.session import build_pipeline, load_scene
 from registry.triangulation import triangulate
-from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
+from stereogs_plugins.initializers.consistency_dense.geometric_consistency import (
     Limits,
     consistent_depths,
     without_small_patches,
@@ -129,7 +129,7 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
     kept = consistent_depths(
         [view.camera for view in scene.train],
         depths,
-        Limits(reprojection=2, depth=0.05, views=1, bounds=scene.bounds),
+        Limits(2, 0.05, 1, scene.bounds),
     )
     return [without_small_patches(depth, min_pixels=100, max_step=0.05) for depth in kept]
 

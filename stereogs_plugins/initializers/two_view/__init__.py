@@ -1,4 +1,4 @@
-"""Points from pairs of photographs by their known cameras: `flow_epipolar` and `matched_points`."""
+"""Points from pairs of photographs with known cameras: `flow_epipolar` and `matched_points`."""
 
 from __future__ import annotations
 

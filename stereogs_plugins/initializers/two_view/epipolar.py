@@ -1,4 +1,4 @@
-"""Depth of a pixel from where another camera shows the same (Hartley and Zisserman 2004, chapter 9)."""
+"""Depth from correspondences between two cameras (Hartley and Zisserman 2004, chapter 9)."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from registry import TrainingScene
 
 BOUNDS_MARGIN = 1.1
-"""A point nearer than near / margin or farther than far * margin comes from a wrong correspondence."""
+"""Depths outside near / margin to far * margin come from wrong correspondences."""
 STEP = 0.5
-"""Pixels along the epipolar line by which the sensitivity is measured."""
+"""Step along the epipolar line for measuring the sensitivity, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Intersection:
-    """What P correspondences say.
+    """Results for P correspondences.
 
     Args:
-        depth: `[P]` float64 z-depth in the first camera, world units; NaN where the rays meet behind a
-            camera or nowhere.
-        distance: `[P]` float64 pixels from the second position to the epipolar line of the first.
-        sensitivity: `[P]` float64, by how much depth changes per pixel along that line; not finite
-            where depth is unknown.
+        depth: `[P]` float64 z-depth in the first camera, world units; NaN where the rays do not meet in
+            front of both cameras.
+        distance: `[P]` float64 distance of the second position from the epipolar line of the first, pixels.
+        sensitivity: `[P]` float64 change of depth per pixel along that line; not finite where depth is
+            unknown.
     """
 
     depth: Tensor
@@ -35,9 +35,9 @@ class Intersection:
 
 
 def intersect(first: Camera, second: Camera, here: Tensor, there: Tensor) -> Intersection:
-    """Where the first camera's rays meet those of the second.
+    """Intersect rays of the first camera with those of the second.
 
-    A second position is first moved to the nearest point of its epipolar line; the two rays then lie in
+    A second position is first moved to the nearest point of its epipolar line, so that both rays lie in
     one plane.
 
     Args:
@@ -49,7 +49,7 @@ def intersect(first: Camera, second: Camera, here: Tensor, there: Tensor) -> Int
     shift = relative[:3, 3]
     rays = _homogeneous(here) @ torch.linalg.inv(first.intrinsics).T @ relative[:3, :3].T
     back = torch.linalg.inv(second.intrinsics)
-    # The plane of the ray and both centres, seen as a line in the second image.
+    # Epipolar lines: the plane of a ray and both centres, in the second image.
     lines = torch.linalg.cross(shift.expand_as(rays), rays) @ back
     normals = lines[:, :2] / lines[:, :2].norm(dim=1, keepdim=True)
     signed = (_homogeneous(there) * lines).sum(1) / lines[:, :2].norm(dim=1)
@@ -63,14 +63,14 @@ def intersect(first: Camera, second: Camera, here: Tensor, there: Tensor) -> Int
 
 
 def within_bounds(depth: Tensor, scene: TrainingScene) -> Tensor:
-    """Which depths can be the scene's content, bool."""
+    """Mask of depths that can be the scene's content."""
     near, far = scene.bounds
     inside: Tensor = (depth > near / BOUNDS_MARGIN) & (depth < far * BOUNDS_MARGIN)
     return inside
 
 
 def _meeting(rays: Tensor, shift: Tensor, directions: Tensor) -> Tensor:
-    """The z with z * ray + shift along a direction, all in the second camera; NaN where there is none."""
+    """The z with z * ray + shift parallel to a direction, in the second camera; NaN if none."""
     import torch
 
     moved = torch.linalg.cross(shift.expand_as(directions), directions)

@@ -1,7 +1,7 @@
-"""`flow_epipolar`: a point for every pixel whose optical flow keeps to its epipolar line (NexusGS).
+"""`flow_epipolar`: a point for every pixel whose optical flow stays near its epipolar line (NexusGS).
 
-Zheng et al., CVPR 2025: flow to the nearest cameras is moved onto the epipolar lines that known poses
-give, and depth follows from where the rays meet. The authors ask a flow network.
+Zheng et al., CVPR 2025: flow to the nearest cameras is moved onto the epipolar lines of the known poses, and
+depth is triangulated. The authors use a flow network.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ class FlowEpipolarSettings(Settings):
     prior: str | None = None
     """Name of the optical-flow prior; null takes the only one."""
     neighbours: int = Field(2, ge=1)
-    """How many of the nearest training cameras each view is compared with."""
+    """Number of nearest training cameras that each view is compared with."""
     max_distance: float = Field(1.0, gt=0)
-    """Pixels by which the flow may miss the epipolar line."""
+    """Largest distance of the flow from the epipolar line, pixels."""
     blend: Literal["nearest_valid", "min_sensitivity"] = "nearest_valid"
-    """Which neighbour's depth a pixel takes: that of the nearest camera that gives one (what the authors'
-    code does), or that which moves least with an error of the flow (what the paper says)."""
+    """Depth of a pixel: from the nearest camera with a valid one (as in the authors' code), or the one that
+    changes least with an error of the flow (as in the paper)."""
     stride: int = Field(1, ge=1)
-    """One point for each square of so many by so many pixels."""
+    """One point per square of this many by this many pixels."""
 
 
 class FlowEpipolar(Initializer[FlowEpipolarSettings]):
-    """Points from optical flow and known cameras; hands its depths on (`PointCloud.maps`)."""
+    """Points from optical flow and known cameras; also returns depth maps (`PointCloud.maps`)."""
 
     ablation_baseline = "sfm"
 
@@ -53,12 +53,12 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
 
         Raises:
             PluginError: the pipeline has no optical-flow prior, or several and `prior` is null.
-            SceneError: one training view, or no flow that fits the cameras.
+            SceneError: one training view, or no flow fits the cameras.
         """
         prior = OpticalFlowPrior.choose(priors, self.settings.prior)
         if len(scene.train) < 2:
             raise SceneError(
-                "flow needs two training views, there is one",
+                "flow needs two training views, but the scene has one",
                 where=scene.name,
                 fix="use two or more training views, or the initializer `random`",
             )
@@ -74,7 +74,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
     def _map(
         self, view: TrainingView, scene: TrainingScene, prior: OpticalFlowPrior[Any]
     ) -> DepthMap:
-        """The depth of one view, blended over its neighbours."""
+        """Depth of one view, blended over its neighbours."""
         import torch
 
         depth = torch.zeros(view.image.shape[:2], dtype=torch.float64)
@@ -97,7 +97,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
         scene: TrainingScene,
         prior: OpticalFlowPrior[Any],
     ) -> tuple[Tensor, Tensor]:
-        """Depth `[H, W]`, 0 where unknown, and its sensitivity, by the flow to one neighbour."""
+        """Depth `[H, W]` from the flow to one neighbour, 0 where unknown, and its sensitivity."""
         import torch
 
         from .epipolar import intersect, within_bounds
@@ -143,7 +143,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
 
 
 def _nearest(view: TrainingView, scene: TrainingScene) -> list[TrainingView]:
-    """The other training views, the nearest camera first."""
+    """The other training views, nearest camera first."""
     others = [other for other in scene.train if other is not view]
     return sorted(
         others, key=lambda other: float((other.camera.center - view.camera.center).norm())

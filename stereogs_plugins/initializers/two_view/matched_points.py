@@ -1,7 +1,6 @@
-"""`matched_points`: a point for every match between two photographs that fits their cameras.
+"""`matched_points`: a point for every match between two training photographs that fits their cameras.
 
-The initial points of Binocular3DGS (Han et al. 2024), who ask a dense matching network; from the training
-photographs alone.
+The initial points of Binocular3DGS (Han et al. 2024), whose authors use a dense matching network.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ class MatchedPointsSettings(Settings):
     prior: str | None = None
     """Name of the matching prior; null takes the only one."""
     max_distance: float = Field(2.0, gt=0)
-    """Pixels by which a match may miss its epipolar line."""
+    """Largest distance of a match from its epipolar line, pixels."""
     min_score: float = Field(0.0, ge=0, le=1)
-    """Matches that are less sure are left out."""
+    """Drop matches with a lower score."""
 
 
 class MatchedPoints(Initializer[MatchedPointsSettings]):
-    """Points where the first photograph's ray meets the match, moved onto its epipolar line."""
+    """Triangulated matches, each first moved onto its epipolar line."""
 
     ablation_baseline = "sfm"
 
@@ -75,7 +74,7 @@ class MatchedPoints(Initializer[MatchedPointsSettings]):
         scene: TrainingScene,
         prior: MatchingPrior[Any],
     ) -> tuple[Tensor, Tensor]:
-        """Positions `[P, 3]` and colours `[P, 3]` from one pair."""
+        """Positions `[P, 3]` and colours `[P, 3]` from one pair of views."""
         from .epipolar import intersect, within_bounds
 
         matches = prior.matches_between(first, second)

@@ -1,4 +1,4 @@
-"""Guesses and coarse layers where other views confirm no depth."""
+"""Guesses and coarse layers where no depth is confirmed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ import torch
 from torch import Tensor
 
 from registry import PointCloud, Scene, SceneError, View
-from stereogs_plugins.initializers.consistency_dense import (
-    matched,
-)
+from stereogs_plugins.initializers.consistency_dense.completion import matched
 from stereogs_plugins.initializers.sfm import SfmInitializer
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.initializers.consistency_dense.dense import COMPLETE, dense
@@ -23,7 +21,7 @@ from tests.stereogs_plugins.initializers.depth_scenes import (
 )
 
 
-def test_completion_fills_what_the_filter_leaves(scene: Scene) -> None:
+def test_completion_fills_the_holes_of_the_filter(scene: Scene) -> None:
     bare = dense(scene, stride=3, sigma=0.5, opacity=0.9, max_points=None)
     full = dense(scene, stride=3, sigma=0.5, opacity=0.9, max_points=None, **COMPLETE)
     assert set(bare.facts["points_by_kind"]) == {"confirmed", "filled"}
@@ -53,13 +51,13 @@ def in_lowest(share: float) -> Callable[[View], Tensor]:
     return depth_of
 
 
-def test_where_much_is_confirmed_the_rest_is_guessed(scene: Scene) -> None:
+def test_the_rest_is_guessed_if_much_is_confirmed(scene: Scene) -> None:
     kinds = dense(scene, in_lowest(0.5), **COMPLETE).facts["points_by_kind"]
     assert kinds["confirmed"] > 0
     assert kinds["filled"] > 0
 
 
-def test_where_little_is_confirmed_matched_features_are_the_points(
+def test_matched_features_replace_points_if_little_is_confirmed(
     scene: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
@@ -76,7 +74,7 @@ def test_where_little_is_confirmed_matched_features_are_the_points(
     assert len(few) == 50
 
 
-def test_how_much_is_confirmed_does_not_depend_on_which_guesses_are_wanted(
+def test_the_confirmed_share_does_not_depend_on_fill_shown(
     scene: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
     for fill_shown in (True, False):
@@ -86,7 +84,7 @@ def test_how_much_is_confirmed_does_not_depend_on_which_guesses_are_wanted(
     assert said[0] == said[1]
 
 
-def test_confirmed_points_stay_where_hardly_any_feature_is_matched(
+def test_confirmed_points_stay_if_few_features_match(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     every = dense(scene, in_lowest(0.15), **COMPLETE).facts["points_by_kind"]
@@ -126,7 +124,7 @@ def test_nothing_is_guessed_where_a_pixel_shows_the_background(scene: Scene) -> 
     assert ((layers.colors[guessed:] - 1).abs() > 2 / 255).any(dim=1).all()
 
 
-def test_a_backdrop_may_miss_the_background_by_a_few_levels(scene: Scene) -> None:
+def test_background_range_is_the_tolerance_of_the_background(scene: Scene) -> None:
     def nearly_white_within(view: View) -> View:
         image = view.image.clone()
         image[60:120, 150:230] = 1 - 10 / 255
@@ -145,7 +143,7 @@ def test_a_backdrop_may_miss_the_background_by_a_few_levels(scene: Scene) -> Non
     assert shares[2] == pytest.approx(shares[0] - 60 * 80 / (189 * 252), abs=0.01)
 
 
-def test_what_another_view_shows_need_not_be_guessed(scene: Scene) -> None:
+def test_fill_shown_false_skips_what_another_view_shows(scene: Scene) -> None:
     first = scene.train[0].name
 
     def right_half_unknown(view: View) -> Tensor:
@@ -165,7 +163,7 @@ def test_what_another_view_shows_need_not_be_guessed(scene: Scene) -> None:
     assert counts[0]["filled"] > counts[1]["filled"]
 
 
-def test_before_a_plain_background_of_any_color_nothing_is_spread(
+def test_nothing_is_guessed_on_a_plain_background_of_any_color(
     scene: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
     backdrop = torch.ones(189, 252, dtype=torch.bool)
@@ -202,7 +200,7 @@ def test_before_a_plain_background_of_any_color_nothing_is_spread(
 
 
 @pytest.mark.parametrize("plain_background", [True, False])
-def test_on_objects_a_guess_needs_a_color_that_other_views_show(
+def test_on_objects_guesses_need_a_color_that_other_views_show(
     scene: Scene, plain_background: bool
 ) -> None:
     backdrop = torch.zeros(189, 252, dtype=torch.bool)

@@ -1,4 +1,4 @@
-"""The kind of scene, and which points its silhouettes refute."""
+"""Kinds of scene, and points that silhouettes refute."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import torch
 
 from core_rasterizer import Camera
 from registry import View
-from stereogs_plugins.initializers.consistency_dense.understanding.plain_background import (
-    PlainAreas,
+from stereogs_plugins.initializers.consistency_dense.scene_analysis.analysis import (
+    SceneAnalysis,
+    safely_inside,
+    scene_kind,
 )
-from stereogs_plugins.initializers.consistency_dense.understanding.scene_kind import scene_kind
-from stereogs_plugins.initializers.consistency_dense.understanding.silhouettes import safely_inside
-from stereogs_plugins.initializers.consistency_dense.understanding.understanding import (
-    Understanding,
+from stereogs_plugins.initializers.consistency_dense.scene_analysis.plain_background import (
+    PlainAreas,
 )
 
 RADIUS = 0.5
@@ -41,12 +41,12 @@ def ball(degrees: float) -> View:
 
 
 @pytest.fixture(scope="module")
-def balls() -> Understanding:
+def balls() -> SceneAnalysis:
     views = [ball(degrees) for degrees in (0, 60, 120)]
-    return Understanding.at_first_sight(views, PlainAreas.of(views))
+    return SceneAnalysis.without_depths(views, PlainAreas.of(views))
 
 
-def test_kinds_are_told_by_background_and_viewing_directions() -> None:
+def test_kind_depends_on_background_and_viewing_directions() -> None:
     half = np.ones_like(NOTHING)
     half[:24] = False
     near, wide = [around(0), around(20)], [around(0), around(90)]
@@ -55,15 +55,15 @@ def test_kinds_are_told_by_background_and_viewing_directions() -> None:
     assert scene_kind(near, [half, half]) == scene_kind(wide, [half, half]) == "object"
 
 
-def test_what_is_understood_is_told(balls: Understanding) -> None:
+def test_facts_and_summary(balls: SceneAnalysis) -> None:
     share = 1 - math.pi * (80 * RADIUS / 4) ** 2 / (48 * 64)
     assert balls.facts()["scene_kind"] == "object"
     assert balls.facts()["plain_background"] == pytest.approx(share, abs=0.06)
-    assert "object" in balls.sentence
-    assert "% of the pixels" in balls.sentence
+    assert "object" in balls.summary
+    assert "% of the pixels" in balls.summary
 
 
-def test_silhouettes_refute_what_stands_beside_the_object(balls: Understanding) -> None:
+def test_silhouettes_refute_points_next_to_the_object(balls: SceneAnalysis) -> None:
     generator = np.random.default_rng(0)
     directions = generator.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -74,7 +74,7 @@ def test_silhouettes_refute_what_stands_beside_the_object(balls: Understanding) 
         assert balls.refutes(behind, guessed=guessed).all()
 
 
-def test_a_guess_falls_by_one_view_and_what_is_confirmed_by_two(balls: Understanding) -> None:
+def test_one_view_refutes_a_guess_and_two_a_confirmed_point(balls: SceneAnalysis) -> None:
     only_first = replace(balls, safe=(balls.safe[0], NOTHING, NOTHING))
     beside, outside_all_images = np.array([[0.8, 0.0, 0.0]]), np.array([[0.0, 2.2, 0.0]])
     assert only_first.refutes(beside, guessed=True).all()
@@ -82,14 +82,14 @@ def test_a_guess_falls_by_one_view_and_what_is_confirmed_by_two(balls: Understan
     assert not balls.refutes(outside_all_images, guessed=True).any()
 
 
-def test_depths_on_plain_background_go(balls: Understanding) -> None:
+def test_depths_on_plain_background_are_removed(balls: SceneAnalysis) -> None:
     depths = balls.without_background([np.full((48, 64), 3.0, dtype=np.float32)] * 3)
     for depth, safe in zip(depths, balls.safe, strict=True):
         assert np.array_equal(depth > 0, ~safe)
         assert (depth[18:30, 26:38] == 3).all()
 
 
-def test_a_strip_along_silhouettes_and_borders_is_not_believed() -> None:
+def test_a_strip_along_silhouettes_and_borders_is_ignored() -> None:
     background = np.ones((200, 300), dtype=np.bool_)
     background[:, 150:] = False
     safe = safely_inside(background)

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from registry import View
-from stereogs_plugins.initializers.consistency_dense.completing.shown_elsewhere import (
+from stereogs_plugins.initializers.consistency_dense.completion.guesses import (
     shown_elsewhere,
 )
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage, Mask
-from stereogs_plugins.initializers.consistency_dense.understanding.contradictions import Evidence
+from stereogs_plugins.initializers.consistency_dense.scene_analysis.contradictions import Evidence
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, view_of
 
 HERE, THERE = camera_at(0.0), camera_at(0.2)
@@ -39,7 +39,7 @@ def test_a_patch_is_shown_moved_by_its_disparity() -> None:
     assert (found == expected).all()
 
 
-def test_nothing_is_shown_in_another_color_or_by_views_without_depth() -> None:
+def test_other_colors_and_views_without_depth_show_nothing() -> None:
     here, there = view_of(HERE), view_of(THERE)
     black = view_of(THERE, torch.zeros_like(there.image))
     assert not shown(here, black, patch()).any()

@@ -1,7 +1,8 @@
-"""What the first points are where other views confirm too little: features that photographs share."""
+"""Triangulated features as initial points where other views confirm too little."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,30 +19,33 @@ if TYPE_CHECKING:
     from registry import PointCloud, TrainingScene
 
 FEWEST = 0.1
-"""Of the number of confirmed points: with fewer, matched features leave most of the scene out."""
+"""Least number of matched features relative to the confirmed points; fewer miss most of the scene."""
+
+_log = logging.getLogger(__name__)
 
 
-def matched_points(
+def matched_or_confirmed(
     scene: TrainingScene, confirmed: PointCloud, seed: int, choose: Callable[[int], Tensor]
-) -> PointCloud | None:
-    """Points as `sfm` triangulates them, in place of the confirmed ones; None if they are too few.
+) -> PointCloud:
+    """Points triangulated as in `sfm`, or `confirmed` if there are too few.
 
-    A feature is told apart by its whole neighbourhood, a depth by a few pixels that happen to look alike; of
-    views that are far apart two may well confirm a wrong one. Sizes and opacities are those of `sfm` too: as
-    opaque as dense points, few and large ones would hide each other.
+    A feature is matched by its whole neighbourhood, a depth by a few pixels that may look alike by chance:
+    views far apart can confirm a wrong one. Scales and opacities are those of `sfm` too: few large points
+    would hide each other if they were as opaque as dense ones.
 
     Args:
-        confirmed: with the facts, pictures and maps that are kept.
+        confirmed: its facts, pictures and maps are kept.
         seed: of the triangulation.
-        choose: the indices that are kept of so many points.
+        choose: returns the indices to keep of a number of points.
     """
     try:
         found = triangulated_points(scene, seed=seed)
     except SceneError:
-        return None
+        return confirmed
     if len(found) < FEWEST * len(confirmed):
-        return None
+        return confirmed
     chosen = choose(len(found))
+    _log.info("%s: training starts from %d matched features instead", scene.name, len(chosen))
     return replace(
         confirmed,
         positions=found.positions[chosen],

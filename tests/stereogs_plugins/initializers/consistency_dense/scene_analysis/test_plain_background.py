@@ -1,4 +1,4 @@
-"""Plain background: what counts, and what of an object never does."""
+"""Plain background is found around objects and never inside."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from registry import View
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage, Mask
-from stereogs_plugins.initializers.consistency_dense.understanding.plain_background import (
+from stereogs_plugins.initializers.consistency_dense.scene_analysis.plain_background import (
     PlainAreas,
 )
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at, view_of
@@ -48,20 +48,20 @@ def test_a_backdrop_of_any_color_is_found_and_the_object_is_not(
         assert mask.mean() > 0.6
 
 
-def test_a_textured_backdrop_is_none() -> None:
+def test_a_textured_backdrop_is_not_background() -> None:
     assert not any(m.any() for m in found([photograph((0.5, 0.5, 0.5), s, 0.3) for s in range(3)]))
 
 
-def test_a_color_at_the_border_of_one_view_is_none() -> None:
+def test_a_color_at_the_border_of_one_view_is_not_background() -> None:
     views = [photograph((0.5, 0.5, 0.5), 0), *(photograph((0.5,) * 3, s, 0.3) for s in (1, 2))]
     assert not any(mask.any() for mask in found(views))
 
 
-def test_what_views_agree_on_is_a_surface() -> None:
+def test_a_confirmed_area_is_a_surface() -> None:
     assert not any(m.any() for m in found([photograph((0.2, 0.2, 0.2), s) for s in range(3)], 5.0))
 
 
-def test_alpha_says_where_the_background_is() -> None:
+def test_alpha_gives_the_background() -> None:
     alpha = torch.zeros(HEIGHT, WIDTH)
     alpha[10:30] = 1.0
     views = [replace(photograph((1.0, 1.0, 1.0), seed), alpha=alpha) for seed in range(2)]

@@ -1,8 +1,7 @@
 """Plain background: areas of one colour, without texture, that reach the border of the photographs.
 
-Nothing can be matched there, so whatever depth two views agree on is chance. An area counts if its colour
-is at the borders of most views; inside an object nothing counts, however plain, since areas are followed
-from the image border inwards.
+Nothing can be matched there, so depths agree only by chance. An area counts if its colour is at the borders
+of most views. Plain areas inside an object do not count: areas grow from the image border inwards.
 """
 
 from __future__ import annotations
@@ -17,37 +16,33 @@ from ..image_filters import lowest_and_highest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from registry import TrainingView
 
-    from ..projection import DepthImage, Mask
-
-    Colors = NDArray[np.float32]
+    from ..projection import Colors, DepthImage, Mask
 
 TRANSPARENT = 0.02
-"""Alpha below which a pixel shows nothing of the object."""
+"""Alpha below which a pixel does not show the object."""
 FLAT_WINDOW, FLAT_RANGE = 5, 16 / 255
-"""A pixel is flat if each channel varies by less than the range in a window of so many pixels."""
+"""A pixel is flat if each channel varies by less than the range in a square window of this width."""
 COLOR_RANGE = 16 / 255
-"""Difference of each channel up to which a colour is the background's."""
+"""Largest difference of each channel from the background's colour."""
 RING = 0.02
-"""Width of the image border, as a part of the shorter side."""
+"""Width of the image border relative to the shorter side."""
 LEAST_RING = 0.2
-"""Part of a view's border that a colour must fill to be that view's background."""
+"""Least share of a view's border that its background colour fills."""
 MOST_COLORS = 2
-"""Table and backdrop; more would be guessing."""
+"""Number of background colours: table and backdrop."""
 MOST_CONFIRMED = 0.3
-"""Of an area's pixels: where views agree on more, there is a surface that can be matched."""
+"""Largest confirmed share of an area; where views agree on more, it is a surface that can be matched."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlainAreas:
-    """What photographs alone tell of plain background; which of it counts, depths decide.
+    """Candidates for plain background; depths decide which of them count.
 
     Args:
         by_color: for each colour the area `[H, W]` of each view.
-        transparent: `[H, W]` for each view that has `alpha`, None for others.
+        transparent: `[H, W]` for each view with `alpha`, None for others.
     """
 
     by_color: tuple[tuple[Mask, ...], ...]
@@ -55,7 +50,7 @@ class PlainAreas:
 
     @classmethod
     def of(cls, views: Sequence[TrainingView]) -> Self:
-        """The areas in some views' photographs."""
+        """Find the areas in the photographs."""
         images = [view.image.numpy() for view in views]
         flats = [_flat(image) for image in images]
         return cls(
@@ -67,12 +62,12 @@ class PlainAreas:
         )
 
     def backgrounds(self, confirmed: Sequence[DepthImage]) -> list[Mask]:
-        """For each view, the pixels `[H, W]` that show plain background; all False where there is none.
+        """For each view, the pixels `[H, W]` that show plain background.
 
-        With `alpha` a view's background is where it is transparent; nothing is guessed then.
+        If a view has `alpha`, these are its transparent pixels.
 
         Args:
-            confirmed: `[H, W]` the depths of each view that others agree with, 0 elsewhere.
+            confirmed: `[H, W]` confirmed depths of each view, 0 elsewhere.
         """
         masks: list[Mask] = [np.zeros(depth.shape, dtype=np.bool_) for depth in confirmed]
         for areas in self.by_color:
@@ -93,7 +88,7 @@ def _flat(image: Colors) -> Mask:
 
 
 def _border_colors(images: Sequence[Colors], flats: Sequence[Mask]) -> list[Colors]:
-    """Colours `[3]` that fill much of the border of at least half of the views, the most frequent first."""
+    """Colours `[3]` that fill much of the border of at least half of the views, most frequent first."""
     rings = []
     for image, flat in zip(images, flats, strict=True):
         ring = _ring(flat.shape)
@@ -121,7 +116,7 @@ def _ring(shape: tuple[int, ...]) -> Mask:
 
 
 def _mode(colors: Colors) -> Colors:
-    """The median of the fullest cell of a grid over colours `[P, 3]`, and of those around it."""
+    """Median of the colours `[P, 3]` around the fullest cell of a grid over them."""
     cells = np.floor(colors / COLOR_RANGE).astype(np.int64)
     places, counts = np.unique(cells, axis=0, return_counts=True)
     fullest = (places[np.argmax(counts)] + 0.5) * COLOR_RANGE
@@ -135,7 +130,7 @@ def _alike(colors: Colors, color: Colors) -> Mask:
 
 
 def _area(image: Colors, flat: Mask, color: Colors) -> Mask:
-    """The flat pixels of a colour that are joined to the image border by such pixels."""
+    """Flat pixels of a colour that are connected to the image border."""
     import cv2
 
     _, labels = cv2.connectedComponents(

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from registry import Scene
-from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
+from stereogs_plugins.initializers.consistency_dense.geometric_consistency import (
     Limits,
     consistent_depths,
     default_min_consistent,
+    most_confirmed,
     without_small_patches,
 )
 from stereogs_plugins.initializers.consistency_dense.projection import (
@@ -36,7 +37,7 @@ def confirmed(
     return consistent_depths(
         [view.camera for view in scene.train],
         depths,
-        Limits(reprojection=pixels, depth=relative, views=1, bounds=BOUNDS),
+        Limits(pixels, relative, 1, BOUNDS),
     )
 
 
@@ -89,7 +90,7 @@ def test_a_frontal_plane_is_exact_with_off_center_principal_points() -> None:
     first, second = consistent_depths(
         cameras,
         depths,
-        Limits(reprojection=1e-6, depth=1e-6, views=1, bounds=BOUNDS),
+        Limits(1e-6, 1e-6, 1, BOUNDS),
     )
     # A point moves by f * baseline / depth = 4 pixels, and with the principal point by 19 and -11.5.
     u, v = pixel_centers(cameras[0])
@@ -99,7 +100,7 @@ def test_a_frontal_plane_is_exact_with_off_center_principal_points() -> None:
     assert np.array_equal(second > 0, (u + 4 - 19 >= 0) & (u + 4 - 19 < 60) & (v + 11.5 < 40))
 
 
-def test_depths_that_differ_are_told_apart_by_both_limits() -> None:
+def test_both_limits_separate_different_depths() -> None:
     cameras = [camera_at(0.0), camera_at(0.5)]
     depths = [np.full((40, 60), z, dtype=np.float32) for z in (5.0, 5.1)]
 
@@ -107,7 +108,7 @@ def test_depths_that_differ_are_told_apart_by_both_limits() -> None:
         found, _ = consistent_depths(
             cameras,
             depths,
-            Limits(reprojection=pixels, depth=relative, views=1, bounds=BOUNDS),
+            Limits(pixels, relative, 1, BOUNDS),
         )
         return float((found > 0).mean())
 
@@ -122,18 +123,18 @@ def test_fused_depth_is_the_mean() -> None:
     found, _ = consistent_depths(
         [camera_at(0.0), camera_at(0.5)],
         depths,
-        Limits(reprojection=1.0, depth=0.05, views=1, bounds=BOUNDS),
+        Limits(1.0, 0.05, 1, BOUNDS),
     )
     np.testing.assert_allclose(found[found > 0], 5.05, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("needed", "kept"), [(1, True), (2, False)])
-def test_so_many_views_must_agree(needed: int, kept: bool) -> None:
+def test_min_consistent_views_must_agree(needed: int, kept: bool) -> None:
     depths = [np.full((40, 60), z, dtype=np.float32) for z in (5.0, 5.0, 0.0)]
     found = consistent_depths(
         [camera_at(x) for x in (0.0, 0.2, 0.4)],
         depths,
-        Limits(reprojection=1.0, depth=0.01, views=needed, bounds=BOUNDS),
+        Limits(1.0, 0.01, needed, BOUNDS),
     )
     assert (found[0] > 0).any() == kept
     assert not found[2].any()
@@ -143,7 +144,7 @@ def test_default_number_of_views_that_must_agree() -> None:
     assert [default_min_consistent(n) for n in (2, 3, 4, 5, 6, 7, 12)] == [1, 1, 2, 2, 3, 3, 3]
 
 
-def test_small_patches_go() -> None:
+def test_small_patches_are_removed() -> None:
     depth = np.zeros((20, 20), dtype=np.float32)
     depth[1:4, 1:4] = 2.0
     depth[8:18, 2:12] = 2.0
@@ -153,3 +154,61 @@ def test_small_patches_go() -> None:
     expected[8:18, 2:12] = 2.0
     assert np.array_equal(found, expected)
     assert np.array_equal(without_small_patches(depth, min_pixels=9, max_step=0.05), depth)
+
+
+ROW_OF_CAMERAS = [camera_at(x) for x in (0.0, 0.2, 0.4)]
+TIGHT = Limits(0.1, 0.01, 1, BOUNDS)
+
+
+def plane(depth: float) -> DepthImage:
+    return np.full((40, 60), depth, dtype=np.float32)
+
+
+def test_a_later_prior_fills_holes_of_the_first() -> None:
+    upper, lower = plane(5.0), plane(5.0)
+    upper[20:] = lower[:20] = 0
+    first, _, _ = most_confirmed(ROW_OF_CAMERAS, [[upper] * 3, [lower] * 3], TIGHT)
+    seen = (slice(None), slice(10, 60))  # another view looks there too
+    np.testing.assert_allclose(first.confirmed[seen], 5.0, rtol=1e-6)
+    assert (first.depth[seen] == 5).all()
+    assert (first.prior[:19, 10:] == 0).all()
+    assert (first.prior[21:, 10:] == 1).all()
+
+
+def test_the_depth_that_more_views_confirm_wins_in_either_order() -> None:
+    # One prior is wrong in the last view, so that only two views agree; the other has all three agree.
+    worse, better = [plane(4.0), plane(4.0), plane(8.0)], [plane(5.0)] * 3
+    for answers, right in (([worse, better], 1), ([better, worse], 0)):
+        found = most_confirmed(ROW_OF_CAMERAS, answers, TIGHT)[0]
+        assert (found.prior[:, 25:] == right).all()
+        np.testing.assert_allclose(found.confirmed[:, 25:], 5.0, rtol=1e-6)
+
+
+def test_the_first_prior_wins_ties() -> None:
+    for nearer, farther in ((4.0, 5.0), (5.0, 4.0)):
+        found = most_confirmed(ROW_OF_CAMERAS, [[plane(nearer)] * 3, [plane(farther)] * 3], TIGHT)[
+            1
+        ]
+        inner = found.confirmed[:, 15:45]
+        np.testing.assert_allclose(inner, nearer, rtol=1e-6)
+
+
+def test_unconfirmed_pixels_keep_the_depth_of_the_first_prior() -> None:
+    answers = [[plane(z) for z in (3.0, 4.0, 5.0)], [plane(z) for z in (6.0, 7.0, 8.0)]]
+    for found, shown in zip(most_confirmed(ROW_OF_CAMERAS, answers, TIGHT), (3, 4, 5), strict=True):
+        assert not found.confirmed.any()
+        assert (found.depth == shown).all()
+
+
+def test_one_prior_gives_the_plain_filter() -> None:
+    generator = np.random.default_rng(0)
+    depths = [
+        plane(5.0) * generator.normal(1, 0.004, (40, 60)).astype(np.float32) for _ in ROW_OF_CAMERAS
+    ]
+    alone = consistent_depths(ROW_OF_CAMERAS, depths, TIGHT)
+    for found, expected, depth in zip(
+        most_confirmed(ROW_OF_CAMERAS, [depths], TIGHT), alone, depths, strict=True
+    ):
+        assert 0 < (expected > 0).mean() < 1
+        assert np.array_equal(found.confirmed, expected)
+        assert np.array_equal(found.depth, depth)

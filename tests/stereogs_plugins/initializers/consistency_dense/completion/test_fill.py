@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereogs_plugins.initializers.consistency_dense.completing.fill import (
+from stereogs_plugins.initializers.consistency_dense.completion.fill import (
     fill_holes,
     nearest_known,
 )
@@ -13,7 +13,7 @@ from tests.stereogs_plugins.initializers.depth_scenes import camera_at
 GREY = np.full((40, 60, 3), 0.5, dtype=np.float32)
 
 
-def test_a_plane_goes_on_behind_a_hole() -> None:
+def test_a_plane_continues_across_a_hole() -> None:
     u, _ = pixel_centers(camera_at(0.0))
     truth = (1 / (0.2 + 0.001 * u)).astype(np.float32)
     depth = truth.copy()
@@ -35,14 +35,14 @@ def test_a_hole_joins_the_surface_of_its_color(seen_through: float) -> None:
     np.testing.assert_allclose(filled[side], seen_through)
 
 
-def test_without_a_hint_a_hole_is_background() -> None:
+def test_a_hole_without_matching_color_is_background() -> None:
     depth = np.full((40, 60), 2.0, dtype=np.float32)
     depth[:, 40:] = 6.0
     depth[10:30, 33:43] = 0
     assert fill_holes(GREY, depth)[20, 38] == 6.0
 
 
-def test_nothing_is_guessed_from_nothing() -> None:
+def test_holes_without_known_depths_stay_empty() -> None:
     assert not fill_holes(GREY, np.zeros((40, 60), dtype=np.float32)).any()
     depth = np.zeros((40, 60), dtype=np.float32)
     depth[20, 30] = 4.0

@@ -1,4 +1,4 @@
-"""Depths fall that more views contradict than confirm; guesses fall by one view of another colour."""
+"""Views outvote contradicted depths; one view of another colour drops a guess."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 
 from registry import View
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage
-from stereogs_plugins.initializers.consistency_dense.understanding.contradictions import (
+from stereogs_plugins.initializers.consistency_dense.scene_analysis.contradictions import (
     Evidence,
     miscolored,
     without_outvoted,
@@ -74,14 +74,14 @@ def test_a_color_may_lie_a_few_pixels_off() -> None:
     assert not seen_with_dot_at(34)
 
 
-def test_a_view_from_another_side_says_nothing_of_colors() -> None:
+def test_colors_of_a_view_from_another_side_are_ignored() -> None:
     evidence = Evidence.of(view_of(CAMERA), wall(0.0))
     for sideways, expected in ((1.9, True), (2.1, False)):
         beside = camera_at(sideways)  # the first point is at a distance of 2: 45 degrees between
         assert miscolored(POINTS[:1], grey(0.0)[:1], beside, [evidence])[0] == expected
 
 
-def test_a_chance_agreement_before_a_surface_of_two_views_falls() -> None:
+def test_a_chance_agreement_in_front_of_a_confirmed_surface_is_dropped() -> None:
     depths = [wall() for _ in range(4)]
     depths[0][PATCH] = 2.0
     kept = without_outvoted(row_of_views(), depths, BOUNDS)
@@ -92,13 +92,13 @@ def test_a_chance_agreement_before_a_surface_of_two_views_falls() -> None:
     assert all((depth == 4).all() for depth in kept[1:])
 
 
-def test_as_many_confirming_as_contradicting_views_let_a_depth_stand() -> None:
+def test_a_tied_vote_keeps_the_depth() -> None:
     views, depths = row_of_views(3), [wall(), wall(), wall(6.0)]
     kept = without_outvoted(views, depths, BOUNDS)
     assert (kept[0] == 4).all()
 
 
-def test_a_depth_falls_where_views_without_depth_show_another_color() -> None:
+def test_another_color_in_views_without_depth_drops_a_depth() -> None:
     views = row_of_views()
     views[0] = black(views[0])
     depths = [wall(), wall(0.0), wall(0.0), wall(0.0)]
@@ -108,7 +108,7 @@ def test_a_depth_falls_where_views_without_depth_show_another_color() -> None:
     assert (kept[2][:, :2] == 4).all()
 
 
-def test_colors_that_never_match_are_not_believed() -> None:
+def test_colors_are_ignored_if_none_match() -> None:
     views = row_of_views(2)
     views[0] = black(views[0])
     depths = [wall(), wall(0.0)]
@@ -117,5 +117,5 @@ def test_colors_that_never_match_are_not_believed() -> None:
     assert np.array_equal(kept[0], depths[0])
 
 
-def test_no_evidence_refutes_nothing() -> None:
+def test_without_evidence_no_point_is_miscolored() -> None:
     assert not miscolored(POINTS, grey(), CAMERA, []).any()

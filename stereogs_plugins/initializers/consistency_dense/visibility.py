@@ -1,0 +1,86 @@
+"""Tests of points against the depth maps of other views.
+
+Each test takes world points `[..., 3]` and the cameras and depths of some views, and returns a mask `[...]`
+that is True where the test holds for at least one view. Depths are 0 where unknown.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from core_rasterizer.matching import source_views
+
+from .projection import DepthImage, Floats, Mask, inside, look_up, project
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from core_rasterizer import Camera
+
+MAX_SOURCES = 8
+"""Source views per view; more cost time and confirm hardly more."""
+FREE_SPACE = 0.05
+"""A point is in free space if a surface behind it is farther by more than this, relative to the point."""
+SAME_SURFACE = 0.02
+"""A point is on a surface if their depths differ by less than this, relative to the point's."""
+
+
+def source_indices(cameras: Sequence[Camera], index: int, bounds: tuple[float, float]) -> list[int]:
+    """Sorted indices of the source views of one view, chosen by triangulation angle and overlap.
+
+    Args:
+        bounds: (near, far) z-depth of the scene's content, world units.
+    """
+    return sorted(source_views(cameras, index, MAX_SOURCES, bounds))
+
+
+def in_free_space(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+    """Points in front of a surface that a view sees, which they would hide."""
+    return _any(
+        points,
+        ((z > 0) & (seen > (1 + FREE_SPACE) * z) for z, seen in _depths(points, cameras, depths)),
+    )
+
+
+def on_surface(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+    """Points on a surface that a view sees."""
+    return _any(
+        points,
+        (np.abs(seen - z) < SAME_SURFACE * z for z, seen in _depths(points, cameras, depths)),
+    )
+
+
+def onto_known_depth(
+    points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]
+) -> Mask:
+    """Points that project onto a pixel whose depth is known."""
+    return _any(points, (seen > 0 for _, seen in _depths(points, cameras, depths)))
+
+
+def visible(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+    """Points inside a view's image and not behind the surface that it sees there."""
+
+    def sees(camera: Camera, depth: DepthImage) -> Mask:
+        u, v, z = project(camera, points)
+        seen = look_up(depth, u, v)
+        return inside(depth.shape, u, v) & ((seen == 0) | (seen >= z))
+
+    return _any(points, map(sees, cameras, depths))
+
+
+def _depths(
+    points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]
+) -> Iterator[tuple[Floats, Floats]]:
+    """For each view the points' depths and the depths of the pixels that they project onto."""
+    for camera, depth in zip(cameras, depths, strict=True):
+        u, v, z = project(camera, points)
+        yield z, look_up(depth, u, v)
+
+
+def _any(points: Floats, masks: Iterator[Mask]) -> Mask:
+    result = np.zeros(points.shape[:-1], dtype=np.bool_)
+    for mask in masks:
+        result |= mask
+    return result
