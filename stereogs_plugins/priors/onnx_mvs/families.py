@@ -1,4 +1,4 @@
-"""Multi-view depth networks: what each family's ONNX file is called inside, and its cameras' form."""
+"""Multi-view depth networks: names of each family's inputs and outputs, and format of its cameras."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _MVSFORMER_DEPTHS = 192
 
 @dataclass(frozen=True)
 class MvsFamily:
-    """One family; view 0 is the one whose depth is asked.
+    """One family; view 0 is the reference view.
 
     Args:
         images: name of the input `[1, V, 3, H, W]`.
         depth: name of the output `[1, 1, H, W]` or `[1, H, W]`, z-depth in the cameras' units.
-        confidence: name of an output like it in [0, 1], used if the graph has it.
+        confidence: name of an output of the same shape in [0, 1], used if the graph has it.
         camera_inputs: names of inputs that every graph of the family has.
-        multiple: H and W must be a multiple of this where the graph leaves them open.
-        cameras: the other inputs by name: of a graph, for cameras of the size of the images, near and
-            far z-depth and the factor from the images' intrinsics to the network's.
+        multiple: H and W must be a multiple of this if the graph's size is dynamic.
+        cameras: function that returns the other inputs by name, from the graph, cameras of the images'
+            size, (near, far) z-depth, and the factor from the images' intrinsics to the network's.
     """
 
     images: str
@@ -47,7 +47,7 @@ class MvsFamily:
 def _posed(
     model: OnnxModel, cameras: Cameras, bounds: Bounds, intrinsics_scale: float
 ) -> dict[str, Tensor]:
-    """`K` `[1, V, 3, 3]`, `cam_T_world` `[1, V, 4, 4]` and, if wanted, `depth_range` `[1, 2]`."""
+    """`K` `[1, V, 3, 3]`, `cam_T_world` `[1, V, 4, 4]` and, if an input, `depth_range` `[1, 2]`."""
     import torch
 
     inputs = {
@@ -64,7 +64,7 @@ def _staged(
 ) -> dict[str, Tensor]:
     """`stage1` to `stage4` `[1, V, 2, 4, 4]`, pose and intrinsics; `depth_values` `[1, D]`.
 
-    The stages work at 1/8, 1/4, 1/2 and the full size of the images.
+    The stages have 1/8, 1/4, 1/2 and the full size of the images.
     """
     import torch
 
@@ -80,7 +80,7 @@ def _staged(
 
 
 def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
-    """`[V, 3, 3]` on a grid whose sides are `factor` times the images'."""
+    """`[V, 3, 3]` for images scaled by `factor`."""
     import torch
 
     matrices = torch.stack([camera.intrinsics for camera in cameras])
@@ -89,7 +89,7 @@ def _intrinsics(cameras: Cameras, factor: float) -> Tensor:
 
 
 def _poses(cameras: Cameras) -> Tensor:
-    """World to camera, `[V, 4, 4]`."""
+    """World-to-camera matrices, `[V, 4, 4]`."""
     import torch
 
     return torch.stack([camera.world_to_camera for camera in cameras]).float()

@@ -28,38 +28,44 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
+    from core_rasterizer import Camera
     from registry.image_fitting import Fit
+
+_GRID = (24, 18)
+"""Columns and rows of the grid on which the overlap of two views is counted."""
+_DEPTHS = 6
+"""Number of depths for that, evenly spaced in inverse depth."""
 
 _log = logging.getLogger("stereogs.onnx_mvs")
 
 
 class OnnxMvsSettings(OnnxModelSettings):
     family: FamilyName = "mvsanywhere"
-    """What the graph's inputs and outputs are (docs/prior_models.md)."""
+    """Network family; defines the graph's inputs and outputs (docs/prior_models.md)."""
     value_range: ValueRange | None = None
-    """The numbers for black and white that the graph takes; null: the family's."""
+    """Range of the graph's pixel values, from black to white; null: the family's."""
     multiple: int | None = Field(None, ge=1)
-    """Both sides must be a multiple of this where the graph leaves them open; null: the family's."""
+    """Both sides are rounded to a multiple of this, if the graph's size is dynamic; null: the family's."""
     size: tuple[int, int] | None = None
-    """[width, height] given to a graph that leaves both open; null: the images' own, rounded."""
+    """[width, height] of the input of a graph with dynamic size; null: the image's own, rounded."""
     max_side: int = Field(1024, ge=1)
-    """Images whose longer side has more pixels are shrunk, where neither the graph nor `size` says how
-    large they are: memory and time grow with the pixels (docs/prior_models.md)."""
+    """Shrink images whose longer side has more pixels, if neither the graph nor `size` gives a size; memory
+    and time grow with the pixels (docs/prior_models.md)."""
     intrinsics: Literal["full", "quarter"] = "full"
-    """The grid that the graph's intrinsics belong to: the images', or a quarter of their width."""
+    """Scale of the graph's intrinsics: for the full image, or for a quarter of its width."""
     max_sources: int = Field(7, ge=1)
-    """At most this many other views, the nearest, help each view; a graph may insist on its number."""
+    """Largest number of source views per view, nearest first; a graph may have a fixed number."""
     min_overlap: float = Field(0.2, ge=0, le=1)
-    """Only views help that may show at least this share of what a view does, as far as the cameras tell."""
+    """Least share of a view's pixels that a source view may see, computed from the cameras alone."""
     min_confidence: float = Field(0.0, ge=0, le=1)
-    """Where the graph's confidence is below this, the depth counts as unknown (IterMVS: 0.3)."""
+    """Depths with a lower confidence of the graph are unknown (IterMVS: 0.3)."""
 
 
 class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
-    """A multi-view network's depth, asked once for each view with those near it that show the same.
+    """Depth of a multi-view network, run once per view with nearby overlapping views.
 
     Raises:
-        PluginError: see `OnnxModel`; or a graph that does not have the family's form.
+        PluginError: see `OnnxModel`; or the graph does not have the family's form.
     """
 
     def __init__(self, settings: OnnxMvsSettings, context: Context) -> None:
@@ -74,9 +80,9 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         images = self._model.input(family.images)
         if len(images.shape) != 5:
             raise PluginError(
-                f"the input {images} takes no set of images; expected [1, V, 3, H, W]",
+                f"the input {images} is not a set of images; expected [1, V, 3, H, W]",
                 where=str(self._model.path),
-                fix="choose the `family` that the file belongs to",
+                fix="set `family` to the family of the file",
             )
         self._views, self._frozen = images.shape[1], (images.shape[3], images.shape[4])
         self._model.output(family.depth)
@@ -85,7 +91,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """The family that the graph has the names of, with both grids for intrinsics."""
+        """Families whose names the graph has, with both scales of intrinsics."""
         inputs, outputs = ([spec.name for spec in specs] for specs in (model.inputs, model.outputs))
         return [
             {**OnnxMvsSettings.naming(model), "family": name, "intrinsics": grid}
@@ -95,47 +101,45 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         ]
 
     def fingerprint(self) -> str:
-        """The model file's hash and what runs it."""
+        """Hash of the model file, and its execution provider."""
         return self._model.fingerprint
 
     def estimate(
         self, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> list[DepthMap]:
-        """One depth map for each view.
+        """Return one depth map for each view.
 
-        Not valid where the network's depth is not finite or not above 0, or its confidence too low;
-        nowhere in a view that no other overlaps.
+        Depths are invalid where they are not finite, not above 0, or of low confidence, and in views
+        without overlap.
 
         Raises:
-            PluginError: fewer views than the graph insists on, or an answer of the wrong shape.
+            PluginError: fewer views than the graph's fixed number, or an output of the wrong shape.
         """
         if self._views is not None and len(views) < self._views:
             raise PluginError(
-                f"the graph takes {self._views} views at once, there are {len(views)}",
+                f"the graph takes {self._views} views, but there are {len(views)}",
                 where=str(self._model.path),
-                fix="use more training views, or export the graph with an open number of views",
+                fix="use more training views, or export the graph with a dynamic number of views",
             )
         return [self.depth_of(view, views, bounds) for view in views]
 
     def depth_of(
         self, view: TrainingView, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> DepthMap:
-        """The depth of one view, with the help of those among `views` that overlap it; see `estimate`."""
+        """Depth of one view from those among `views` that overlap it; see `estimate`."""
         import torch
 
-        from .sources import sorted_by_use
-
-        helping, others = sorted_by_use(view, views, bounds, self.settings.min_overlap)
+        sources, others = by_overlap(view, views, bounds, self.settings.min_overlap)
         if self._views is not None:
-            return self._depth([view, *[*helping, *others][: self._views - 1]], bounds)
-        if helping:
-            return self._depth([view, *helping[: self.settings.max_sources]], bounds)
-        _log.warning("no other view shows what %s does: it has no depth", view.name)
+            return self._depth([view, *[*sources, *others][: self._views - 1]], bounds)
+        if sources:
+            return self._depth([view, *sources[: self.settings.max_sources]], bounds)
+        _log.warning("no other view overlaps %s: it has no depth", view.name)
         nothing = torch.zeros(view.image.shape[:2])
         return DepthMap(nothing, nothing > 0, nothing)
 
     def _depth(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> DepthMap:
-        """The depth of the first view."""
+        """Depth of the first view."""
         import torch
 
         from registry.image_fitting import in_range
@@ -182,6 +186,42 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
 
 def _batch(view: TrainingView) -> Tensor:
     return view.image.permute(2, 0, 1)[None]
+
+
+def by_overlap(
+    view: TrainingView,
+    views: Sequence[TrainingView],
+    bounds: tuple[float, float],
+    min_overlap: float,
+) -> tuple[list[TrainingView], list[TrainingView]]:
+    """The other views with at least `min_overlap`, and those with less; nearest cameras first."""
+    center = view.camera.center
+    others = sorted(
+        (other for other in views if other is not view),
+        key=lambda other: float((other.camera.center - center).norm()),
+    )
+    sources = [o for o in others if overlap(view.camera, o.camera, bounds) >= min_overlap]
+    return sources, [other for other in others if other not in sources]
+
+
+def overlap(camera: Camera, other: Camera, bounds: tuple[float, float]) -> float:
+    """Share of a camera's pixels in [0, 1] that another may see too, over depths between the bounds.
+
+    Occlusion is unknown, so this is an upper bound.
+    """
+    import torch
+
+    from core_rasterizer.matching import seen_by_any
+
+    columns, rows = _GRID
+    small = camera.resized(columns, rows)
+    near, far = bounds
+    inverse_depths = torch.linspace(1 / near, 1 / far, _DEPTHS, dtype=torch.float64).tolist()
+    shares = [
+        float(seen_by_any(torch.full((rows, columns), 1 / inverse), small, [other]).float().mean())
+        for inverse in inverse_depths
+    ]
+    return sum(shares) / len(shares)
 
 
 @hookimpl

@@ -29,7 +29,7 @@ from registry.photos import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .poses import PoseRow
+    from .files import PoseRow
 
 
 class LLFFSettings(SplitSettings, ImageSourceSettings):
@@ -64,8 +64,7 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             SceneError: a missing folder or file, a number of poses that is not the number of images, an
                 image of another size, a pose that is not finite, more training views than there are.
         """
-        from .points import read_points
-        from .poses import read_poses
+        from .files import read_points, read_poses
 
         settings = self.settings
         folder = settings.path.expanduser()

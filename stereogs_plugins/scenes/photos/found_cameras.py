@@ -21,11 +21,9 @@ from registry import KeypointNetworks
 from registry.cache import Cache, content_key, source_digest
 from registry.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .image_names import image_name
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
 from .structure_from_motion import Reconstruction, reconstruct
-from .support import agreeing_share
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
@@ -72,10 +70,8 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         source_digest(
             reconstruct,
             place_cameras,
-            agreeing_share,
             add_learned_matches,
             KeypointNetworks,
-            image_name,
             UnposedPhoto,
             Decoder,
             longest_side,

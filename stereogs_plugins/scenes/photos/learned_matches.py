@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from registry import KeypointNetworks, OnnxModel
 
-from .image_names import image_index, image_name
+from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
     import numpy as np

@@ -114,7 +114,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
-    from .image_names import image_index
+    from .unposed_photos import image_index
 
     names = _names(found)
     return [

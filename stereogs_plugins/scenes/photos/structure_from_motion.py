@@ -18,9 +18,9 @@ from PIL import Image
 
 from registry.photos import Decoder, import_pycolmap, in_parallel
 
-from .image_names import image_index, image_name
 from .learned_matches import FEWEST, add_learned_matches, known_files
 from .mapping import MAX_ERROR, SEED, Piece, place_cameras, worth
+from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from registry import SceneError
@@ -14,7 +15,6 @@ from .picture_files import readable_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from PIL import Image
 
@@ -137,3 +137,13 @@ def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
         where=str(folder),
         fix=f"take out of the folder: {', '.join(photo.name for photo in copies)}",
     )
+
+
+def image_name(index: int) -> str:
+    """What a photograph is called inside a model."""
+    return f"{index:04d}.png"
+
+
+def image_index(name: str) -> int:
+    """The inverse of `image_name`."""
+    return int(PurePath(name).stem)

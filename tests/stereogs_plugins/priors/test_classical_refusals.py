@@ -21,7 +21,7 @@ both = pytest.mark.parametrize("prior", [PatchMatchPrior, PlaneSweep])
 def test_cameras_in_one_place_are_refused(prior: type[MultiViewDepthPrior[Any]]) -> None:
     scene = tiny_scene()
     views = (scene.train[0], replace(scene.train[0], name="twin"))
-    with pytest.raises(PluginError, match="2 cameras stand in one place"):
+    with pytest.raises(PluginError, match="2 cameras are at the same position"):
         build(prior).depths(views, scene.bounds)
 
 

@@ -129,9 +129,9 @@ def test_features_from_a_file_compare_pixels(room: Scene, tmp_path: Path) -> Non
 
 
 def test_settings_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(pydantic.ValidationError, match="go together"):
+    with pytest.raises(pydantic.ValidationError, match="require each other"):
         build(PlaneSweep, cost="features")
-    with pytest.raises(pydantic.ValidationError, match="go together"):
+    with pytest.raises(pydantic.ValidationError, match="require each other"):
         build(PlaneSweep, features=tmp_path / "model.onnx")
     with pytest.raises(pydantic.ValidationError, match="at least `small_penalty`"):
         build(PlaneSweep, small_penalty=20, large_penalty=10)

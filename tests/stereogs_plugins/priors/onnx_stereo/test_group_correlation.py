@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from stereogs_plugins.priors.onnx_stereo.group_correlation import group_correlation
+from stereogs_plugins.priors.onnx_stereo.networks import group_correlation
 
 
 @pytest.mark.parametrize("normalized", [False, True])

@@ -163,7 +163,7 @@ def test_two_graphs_must_fit_together(tmp_path: Path) -> None:
     other = graphs.matcher(tmp_path / "m.onnx")
     with pytest.raises(PluginError, match="no output 'features_left_04'"):
         stereo(other, family=family, second_model=second)
-    with pytest.raises(PluginError, match=r"wants \['left', 'right'\]"):
+    with pytest.raises(PluginError, match=r"takes \['left', 'right'\]"):
         stereo(first, family=family, second_model=other)
     with pytest.raises(PluginError, match="SHA-256"):
         stereo(first, family=family, second_model=second, second_sha256="0" * 64)
@@ -283,7 +283,7 @@ def test_files_and_names_are_checked_when_the_prior_is_built(tmp_path: Path) -> 
         stereo(path, family="raft_stereo", confidences=("trust",))
     with pytest.raises(PluginError, match="a stereo pair needs two"):
         stereo(graphs.mono(tmp_path / "mono.onnx"))
-    with pytest.raises(PluginError, match="takes no images"):
+    with pytest.raises(PluginError, match="is not an image"):
         stereo(graphs.pick(tmp_path / "mvs.onnx", "K", (0, 0, 0)))
     with pytest.raises(ValueError, match="sha256"):
         stereo(path, sha256="abc")

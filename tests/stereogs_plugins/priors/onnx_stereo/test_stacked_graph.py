@@ -58,7 +58,7 @@ def test_both_directions_go_at_once_where_the_graph_allows_it(
 
 def test_a_graph_that_takes_no_stacked_pair_is_refused(tmp_path: Path) -> None:
     mono = graphs.mono(tmp_path / "mono.onnx")
-    with pytest.raises(PluginError, match="takes no stacked pair"):
+    with pytest.raises(PluginError, match="is not a stacked pair"):
         stereo(mono, family="hitnet")
     apart = graphs.matcher(tmp_path / "apart.onnx")
     with pytest.raises(PluginError, match="2 inputs"):

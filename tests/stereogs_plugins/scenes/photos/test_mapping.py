@@ -7,9 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from registry.photos import Decoder, import_pycolmap, longest_side
-from stereogs_plugins.scenes.photos.mapping import LEAST_SUPPORT, MAX_ERROR, Piece, worth
+from stereogs_plugins.scenes.photos.mapping import (
+    LEAST_SUPPORT,
+    MAX_ERROR,
+    Piece,
+    agreeing_share,
+    worth,
+)
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.support import agreeing_share
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 

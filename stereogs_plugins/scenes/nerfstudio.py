@@ -1,16 +1,27 @@
-"""`nerfstudio`: a capture in nerfstudio's format, `transforms.json` (Tancik et al. 2023)."""
+"""`nerfstudio`: a capture in nerfstudio's format, `transforms.json` (Tancik et al. 2023).
+
+Lens fields are at the top level for all frames, or in a frame. Poses are camera-to-world with OpenGL axes.
+The world is that of the file: `applied_transform`, which relates it to COLMAP's, is not undone, because the
+points of `ply_file_path` have it applied too.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, Literal
 
+import pydantic
 from pydantic import Field
 
 from registry import Fact, PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 from registry.photos import (
     Decoder,
+    Distortion,
+    Finite,
+    Lens,
     LoadedPhotos,
+    Matrix4x4,
+    MatrixRow,
     PosedPhoto,
     ResizeFilter,
     SplitSettings,
@@ -19,15 +30,13 @@ from registry.photos import (
     evenly_spaced,
     inside,
     pose_from_opengl,
+    read_document,
     split,
     split_rule,
     view_names,
 )
 
-from .transforms import Transforms, lens_of, read_transforms
-
-if TYPE_CHECKING:
-    pass
+_FIX = "write transforms.json as nerfstudio's ns-process-data does"
 
 
 class NerfstudioSettings(SplitSettings):
@@ -62,7 +71,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         settings = self.settings
         folder = settings.path.expanduser()
         path = folder / "transforms.json"
-        transforms = read_transforms(path)
+        transforms = _read_transforms(path)
         all_photos = _photos(folder, path, transforms)
         train, test, rule = self._split(transforms, str(path))
         photos = [all_photos[index] for index in train + test]
@@ -74,7 +83,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         facts = (*loaded.split_facts(rule, len(all_photos)), seen_by)
         return loaded.scene("nerfstudio", folder, bounds, points, facts)
 
-    def _split(self, transforms: Transforms, where: str) -> tuple[list[int], list[int], str]:
+    def _split(self, transforms: _Transforms, where: str) -> tuple[list[int], list[int], str]:
         """Indices into the frames, sorted by file name, and the rule behind them."""
         settings = self.settings
         names = sorted(frame.file_path for frame in transforms.frames)
@@ -101,7 +110,106 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         )
 
 
-def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto]:
+class _LensFields(pydantic.BaseModel):
+    """Lens fields, of a frame or of the whole file."""
+
+    camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE"] | None = None
+    fl_x: Finite | None = None
+    fl_y: Finite | None = None
+    cx: Finite | None = None
+    cy: Finite | None = None
+    w: Finite | None = None
+    h: Finite | None = None
+    k1: Finite | None = None
+    k2: Finite | None = None
+    k3: Finite | None = None
+    k4: Finite | None = None
+    p1: Finite | None = None
+    p2: Finite | None = None
+
+
+class _Frame(_LensFields):
+    """One photograph: its file, its camera-to-world matrix, and an optional mask file."""
+
+    file_path: str
+    transform_matrix: Matrix4x4
+    mask_path: str | None = None
+
+
+class _Transforms(_LensFields):
+    """The whole file, as far as it is used."""
+
+    frames: tuple[_Frame, ...]
+    train_filenames: tuple[str, ...] | None = None
+    test_filenames: tuple[str, ...] | None = None
+    ply_file_path: str | None = None
+    applied_transform: tuple[MatrixRow, MatrixRow, MatrixRow] | None = None
+
+
+def _read_transforms(path: Path) -> _Transforms:
+    """Read the file.
+
+    Raises:
+        SceneError: it is missing, damaged, or has a field that is not what it should be.
+    """
+    transforms = read_document(path, _Transforms, _FIX)
+    if not transforms.frames:
+        raise SceneError("the camera file has no frame", where=str(path), fix=_FIX)
+    return transforms
+
+
+def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
+    """The lens of a frame.
+
+    Raises:
+        SceneError: a focal length or size is missing, or the distortion has a k4 that two programs
+            would read in two ways.
+    """
+
+    def given(name: str) -> float | None:
+        value = getattr(frame, name)
+        found: float | None = getattr(transforms, name) if value is None else value
+        return found
+
+    def needed(name: str) -> float:
+        value = given(name)
+        if value is None:
+            raise SceneError(f"the field {name!r} is missing", where=where, fix=_FIX)
+        return value
+
+    def coefficients(*names: str) -> tuple[float, ...]:
+        return tuple(given(name) or 0.0 for name in names)
+
+    model: Distortion = "PINHOLE"
+    distortion: tuple[float, ...] = ()
+    kind = frame.camera_model or transforms.camera_model
+    if kind == "OPENCV_FISHEYE":
+        model, distortion = "OPENCV_FISHEYE", coefficients("k1", "k2", "k3", "k4")
+    elif kind in (None, "OPENCV"):
+        if given("k4"):
+            raise SceneError(
+                "k4 is not 0: for nerfstudio it belongs to the eighth power of the radius, for "
+                "OpenCV to a denominator",
+                where=where,
+                fix="set k4 to 0, or undistort the photographs beforehand",
+            )
+        model = "FULL_OPENCV"
+        distortion = (*coefficients("k1", "k2", "p1", "p2", "k3"), 0.0, 0.0, 0.0)
+    focal_x, width, height = needed("fl_x"), needed("w"), needed("h")
+    focal_y, cx, cy = given("fl_y"), given("cx"), given("cy")
+    return Lens(
+        fx=focal_x,
+        fy=focal_x if focal_y is None else focal_y,
+        cx=width / 2 if cx is None else cx,
+        cy=height / 2 if cy is None else cy,
+        width=width,
+        height=height,
+        model=model,
+        distortion=distortion,
+    )
+
+
+def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhoto]:
     """The photographs of all frames, sorted by file name."""
     frames = sorted(enumerate(transforms.frames), key=lambda item: item[1].file_path)
     names = view_names([frame.file_path for _, frame in frames])
@@ -113,7 +221,7 @@ def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto
                 name=name,
                 path=inside(folder, frame.file_path, where),
                 world_to_camera=pose_from_opengl(frame.transform_matrix, where),
-                lens=lens_of(frame, transforms, where),
+                lens=_lens_of(frame, transforms, where),
                 where=where,
                 mask=inside(folder, frame.mask_path, where) if frame.mask_path else None,
             )
@@ -121,7 +229,7 @@ def _photos(folder: Path, path: Path, transforms: Transforms) -> list[PosedPhoto
     return photos
 
 
-def _read_points(folder: Path, transforms: Transforms, path: Path) -> PointCloud | None:
+def _read_points(folder: Path, transforms: _Transforms, path: Path) -> PointCloud | None:
     from core_rasterizer import load_points
 
     if transforms.ply_file_path is None:
