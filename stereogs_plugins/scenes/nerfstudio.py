@@ -41,37 +41,39 @@ _FIX = "write transforms.json as nerfstudio's ns-process-data does"
 
 class NerfstudioSettings(SplitSettings):
     path: Path
-    """The scene's folder; it holds transforms.json."""
+    """Path of the scene's folder with transforms.json."""
     downsample: int = Field(1, ge=1)
-    """Photographs are reduced this much on each side."""
+    """Factor by which each side of the photographs is reduced."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for that."""
+    """Pillow filter for resizing."""
     points: bool = False
-    """Take the points of `ply_file_path`. The file does not tell which photographs saw a point, so
-    points of test views come along; not for numbers that are compared with others."""
+    """Use the points of `ply_file_path`. They include points seen only by test views, so scores are not
+    comparable with other methods."""
 
 
 class NerfstudioScene(SceneLoader[NerfstudioSettings]):
-    """Reads `transforms.json`. Distorted photographs are undistorted; the world stays the file's."""
+    """Loader of `transforms.json`. Photographs are undistorted; the world is the file's."""
 
     recognized_by: ClassVar[str] = "transforms.json"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether the folder holds transforms.json."""
+        """Return True if the folder contains transforms.json."""
         return (folder / "transforms.json").is_file()
 
     def load(self) -> Scene:
-        """Return the scene; split as the file says, or like LLFF if it does not.
+        """Return the scene, with the split of the file if it has one, otherwise that of LLFF.
 
         Raises:
-            SceneError: a missing or damaged file, a field that is missing or not finite, a photograph
-                that is missing or has another shape than its camera.
+            SceneError: a missing or damaged file, a field that is missing or not finite, or a photograph
+                that is missing or differs in shape from its camera.
         """
         settings = self.settings
         folder = settings.path.expanduser()
         path = folder / "transforms.json"
-        transforms = _read_transforms(path)
+        transforms = read_document(path, _Transforms, _FIX)
+        if not transforms.frames:
+            raise SceneError("the camera file has no frame", where=str(path), fix=_FIX)
         all_photos = _photos(folder, path, transforms)
         train, test, rule = self._split(transforms, str(path))
         photos = [all_photos[index] for index in train + test]
@@ -96,9 +98,9 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         pool = [index[name] for name in transforms.train_filenames if name in index]
         if unknown or (settings.train_views or 1) > len(pool):
             raise SceneError(
-                f"the split names {unknown[0]!r}, which is no frame"
+                f"the split lists {unknown[0]!r}, which is not a frame"
                 if unknown
-                else f"{settings.train_views or 1} training views are wanted, the file lists {len(pool)}",
+                else f"`train_views` is {settings.train_views or 1}, but the file lists {len(pool)}",
                 where=where,
                 fix="correct train_filenames and test_filenames, or lower `train_views`",
             )
@@ -111,8 +113,6 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
 
 
 class _LensFields(pydantic.BaseModel):
-    """Lens fields, of a frame or of the whole file."""
-
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE"] | None = None
     fl_x: Finite | None = None
     fl_y: Finite | None = None
@@ -129,16 +129,12 @@ class _LensFields(pydantic.BaseModel):
 
 
 class _Frame(_LensFields):
-    """One photograph: its file, its camera-to-world matrix, and an optional mask file."""
-
     file_path: str
     transform_matrix: Matrix4x4
     mask_path: str | None = None
 
 
 class _Transforms(_LensFields):
-    """The whole file, as far as it is used."""
-
     frames: tuple[_Frame, ...]
     train_filenames: tuple[str, ...] | None = None
     test_filenames: tuple[str, ...] | None = None
@@ -146,25 +142,8 @@ class _Transforms(_LensFields):
     applied_transform: tuple[MatrixRow, MatrixRow, MatrixRow] | None = None
 
 
-def _read_transforms(path: Path) -> _Transforms:
-    """Read the file.
-
-    Raises:
-        SceneError: it is missing, damaged, or has a field that is not what it should be.
-    """
-    transforms = read_document(path, _Transforms, _FIX)
-    if not transforms.frames:
-        raise SceneError("the camera file has no frame", where=str(path), fix=_FIX)
-    return transforms
-
-
 def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
-    """The lens of a frame.
-
-    Raises:
-        SceneError: a focal length or size is missing, or the distortion has a k4 that two programs
-            would read in two ways.
-    """
+    """Lens of a frame; raise SceneError if a focal length or size is missing, or k4 is ambiguous."""
 
     def given(name: str) -> float | None:
         value = getattr(frame, name)
@@ -188,8 +167,8 @@ def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
     elif kind in (None, "OPENCV"):
         if given("k4"):
             raise SceneError(
-                "k4 is not 0: for nerfstudio it belongs to the eighth power of the radius, for "
-                "OpenCV to a denominator",
+                "k4 is not 0: nerfstudio multiplies it by the eighth power of the radius, OpenCV uses it in "
+                "a denominator",
                 where=where,
                 fix="set k4 to 0, or undistort the photographs beforehand",
             )
@@ -210,7 +189,7 @@ def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
 
 
 def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhoto]:
-    """The photographs of all frames, sorted by file name."""
+    """Photographs of all frames, sorted by file name."""
     frames = sorted(enumerate(transforms.frames), key=lambda item: item[1].file_path)
     names = view_names([frame.file_path for _, frame in frames])
     photos = []

@@ -1,4 +1,4 @@
-"""`llff`: real captures with `poses_bounds.npy` (Mildenhall et al. 2019), Mip-NeRF 360 in this form too."""
+"""`llff`: captures with `poses_bounds.npy` (Mildenhall et al. 2019), also Mip-NeRF 360 in this format."""
 
 from .loader import LLFFScene, stereogs_register_scenes
 

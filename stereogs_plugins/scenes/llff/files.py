@@ -1,9 +1,9 @@
-"""The camera file of LLFF data sets, `poses_bounds.npy`.
+"""Files of an LLFF scene: cameras in `poses_bounds.npy`, points as an archive or a COLMAP model.
 
-Each row holds 17 numbers: a 3x5 matrix `[R | t | (height, width, focal)]`, row by row, and the near
-and far depth of what the camera sees. `[R | t]` is camera-to-world with the camera's axes in the order
-(down, right, backwards); height, width and focal length are those of the full-size photograph. Rows
-follow the sorted file names.
+Each row of `poses_bounds.npy` has 17 numbers: a row-major 3x5 matrix `[R | t | (height, width, focal)]`, and
+the near and far depth of the view's content. `[R | t]` is camera-to-world with camera axes (down, right,
+backwards); height, width and focal length are those of the full-size photograph. Rows are in the order of the
+sorted file names.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_FIX = "point `path` at the folder of one whole LLFF scene, for example .../llff_fern"
+_FIX = "set `path` to the folder of one complete LLFF scene, for example .../llff_fern"
 
 _ARRAYS = ("xyz", "rgb", "track_len", "track_image_ids")
 
 
 @dataclass(frozen=True)
 class PoseRow:
-    """One row, in the conventions of `Camera`.
+    """One row in the conventions of `Camera`.
 
     Args:
         world_to_camera: `[4, 4]` float64, camera axes (right, down, forward).
-        lens: of the full-size photograph; principal point at its centre.
+        lens: lens of the full-size photograph; principal point at its centre.
         near, far: z-depths, world units, 0 < near < far.
         where: file and row, for error messages.
     """
@@ -55,18 +55,18 @@ class PoseRow:
 
 
 def read_poses(path: Path) -> list[PoseRow]:
-    """Read every row of a `poses_bounds.npy`.
+    """Read all rows of a `poses_bounds.npy`.
 
     Raises:
-        SceneError: the file is missing, unreadable or of another shape; a row that is not finite, has a
-            size or focal length that is not positive, or depth bounds out of order.
+        SceneError: the file is missing, unreadable or of another shape; or a row is not finite, has a size
+            or focal length that is not positive, or depth bounds out of order.
     """
     rows = read_array(path, "the camera file poses_bounds.npy", _FIX)
     with decoding("the camera file", path, _FIX):
         rows = np.asarray(rows, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
         raise SceneError(
-            f"the camera file has shape {rows.shape}; an LLFF file has (number of images, 17)",
+            f"the camera file has shape {rows.shape}, expected (number of images, 17)",
             where=str(path),
             fix="check that this is the poses_bounds.npy of an LLFF scene",
         )
@@ -79,7 +79,7 @@ def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
         raise SceneError(
             f"the pose contains {row[column]:g} in column {column}",
             where=where,
-            fix="this photograph could not be posed: remove it and its row, or estimate poses again",
+            fix="remove this photograph and its row, or estimate the poses again",
         )
     matrix = row[:15].reshape(3, 5)
     height, width, focal = (float(value) for value in matrix[:, 4])
@@ -88,14 +88,14 @@ def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
             raise SceneError(
                 f"the {name} is {value:g}; it must be positive",
                 where=where,
-                fix="a negative focal length is a mirrored pose: flip the axes instead",
+                fix="check the file; a mirrored pose needs flipped axes, not a negative focal length",
             )
     near, far = row[15:]
     if not 0 < near < far:
         raise SceneError(
             f"the depth bounds are {near:g} .. {far:g}; they must satisfy 0 < near < far",
             where=where,
-            fix="estimate the bounds again from the depths of the points that this camera sees",
+            fix="estimate the bounds again from the depths of the points in this view",
         )
     down, right, backwards, center = matrix[:, :4].T
     return PoseRow(
@@ -108,17 +108,17 @@ def _parse(row: NDArray[np.float64], where: str) -> PoseRow:
 
 
 def read_points(folder: Path, image_count: int, training: list[int]) -> PointCloud | None:
-    """The points seen by at least two of the training views; None if there are none.
+    """Read the points that at least two training views see; None if the scene has no points.
 
-    Reads `points3d.npz` or, failing that, the COLMAP model in `sparse/0`.
+    Reads `points3d.npz` if it exists, otherwise the COLMAP model in `sparse/0`.
 
     Args:
-        folder: of the scene.
-        image_count: how many photographs the scene has.
+        folder: folder of the scene.
+        image_count: number of photographs in the scene.
         training: indices of the training views in the sorted list of photographs.
 
     Raises:
-        SceneError: a file of points that is there but cannot be used.
+        SceneError: a file of points exists but cannot be used.
     """
     archive, model = folder / "points3d.npz", folder / "sparse" / "0"
     if archive.is_file():
@@ -146,9 +146,9 @@ def _read_colmap(folder: Path, image_count: int) -> Tracks:
     model = read_colmap_model(folder, POINTS_FIX)
     if len(model.images) != image_count:
         raise SceneError(
-            f"the COLMAP model knows {len(model.images)} images, the scene has {image_count}",
+            f"the COLMAP model has {len(model.images)} images, the scene has {image_count}",
             where=str(folder),
             fix=POINTS_FIX,
         )
-    # The resized photographs may be renamed, but never reordered: the sorted lists correspond.
+    # Resized photographs may be renamed but not reordered, so the sorted lists correspond.
     return model.tracks()

@@ -1,6 +1,6 @@
-"""The furniture of the `procedural` scene: where things stand and which photograph covers them.
+"""The furniture of the `procedural` scene and its textures.
 
-World units are metres; +x right, +y down, +z away from the cameras, which stand around the origin.
+World units are metres; +x right, +y down, +z away from the cameras, which are near the origin.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ CEILING, FLOOR = -1.3, 1.15
 FRONT, BACK = -1.5, 4.6
 
 TYPICAL_DEPTH = 3.5
-"""Textures are reduced so that a texel spans half a pixel at this depth: sharp, but without aliasing."""
+"""Depth at which a texel spans half a pixel: sharp without aliasing."""
 
 POSTERS = ("astronaut.png", "chelsea.png", "rocket.jpg", "coffee.png")
 WARM, COOL, CREAM = (1.0, 0.86, 0.72), (0.78, 0.88, 1.0), (1.0, 0.97, 0.9)
 
 
 class Photographs:
-    """The photographs that scikit-image carries, reduced to the resolution that the camera can see.
+    """Textures from the photographs in scikit-image, resized to the cameras' resolution.
 
     Args:
         texel: side of a texel on a surface, world units.
@@ -48,14 +48,14 @@ class Photographs:
         gain: float = 1.0,
         contrast: float = 1.0,
     ) -> Texture:
-        """A texture for a surface of `width` x `height`.
+        """Texture for a surface of `width` x `height`.
 
         Args:
             name: file name in the folder `skimage.data`.
-            tile: width of one copy where the photograph repeats; 0 stretches one copy over all.
-            tint: factor a colour channel.
+            tile: width of one copy if the photograph repeats; 0 stretches one copy over the surface.
+            tint: factor per colour channel.
             gain: brightness factor.
-            contrast: below 1 mixes the photograph with its mean colour.
+            contrast: values below 1 mix the photograph with its mean colour.
         """
         with as_file(files("skimage.data") / name) as path, Image.open(path) as file:
             picture = file.convert("RGB")
@@ -77,8 +77,8 @@ def furnish(focal: float, generator: np.random.Generator) -> list[Surface]:
     """All surfaces of the room.
 
     Args:
-        focal: focal length in pixels of the cameras that will look at it.
-        generator: moves and turns the furniture a little and hangs the posters in another order.
+        focal: focal length of the cameras, pixels.
+        generator: shifts and rotates the furniture slightly and permutes the posters.
     """
     photographs = Photographs(texel=0.5 * TYPICAL_DEPTH / focal)
     posters = list(generator.permutation(POSTERS))
@@ -169,7 +169,7 @@ def _posters(photographs: Photographs, names: list[str]) -> list[Surface]:
 def _screen(
     photographs: Photographs, name: str, place: tuple[float, float], yaw: float
 ) -> Rectangle:
-    """A free-standing picture."""
+    """A freestanding picture."""
     width, height = 1.0, 0.7
     across = width * _vector(np.cos(yaw), 0, np.sin(yaw))
     corner = _vector(place[0], FLOOR - height, place[1]) - across / 2
@@ -187,10 +187,10 @@ def _box(
     yaw: float,
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> list[Surface]:
-    """A box on the floor, the same photograph on its four sides and its top.
+    """A box on the floor with the same photograph on its four sides and its top.
 
     Args:
-        center: (x, z) of its middle.
+        center: (x, z) of its centre.
         size: width, height, depth.
         yaw: rotation about the vertical axis, radians.
     """

@@ -115,7 +115,7 @@ def test_bad_input_is_explained(
 
 
 def test_numbers_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"\[77, 78\] are not there"):
+    with pytest.raises(SceneError, match=r"\[77, 78\] are missing"):
         load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
 
 

@@ -55,10 +55,10 @@ def test_the_files_own_split_comes_first(tmp_path: Path) -> None:
     scene = load(folder)
     assert [view.name[-1] for view in scene.train] == ["0", "2", "4"]
     assert [view.name[-1] for view in scene.test] == ["7", "8"]
-    with pytest.raises(SceneError, match="6 training views are wanted, the file lists 5"):
+    with pytest.raises(SceneError, match="`train_views` is 6, but the file lists 5"):
         load(folder, train_views=6)
     edit(folder, lambda content: content["test_filenames"].append("images/other.png"))
-    with pytest.raises(SceneError, match=r"'images/other.png', which is no frame"):
+    with pytest.raises(SceneError, match=r"'images/other.png', which is not a frame"):
         load(folder)
 
 

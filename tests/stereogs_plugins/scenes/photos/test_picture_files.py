@@ -24,7 +24,7 @@ FOCAL_35MM = 0xA405
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_photographs(count: int, tmp_path: Path) -> None:
     write_pictures(tmp_path, count)
-    with pytest.raises(SceneError, match=f"at least 3 photographs; here are {count}"):
+    with pytest.raises(SceneError, match=f"at least 3 photographs; the folder has {count}"):
         load(tmp_path)
 
 
@@ -62,7 +62,7 @@ def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
     assert caught.value.what.splitlines()[1:] == [
         *("  2 (1).jpg is 2.jpg", "  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg")
     ]
-    assert caught.value.fix == "take out of the folder: 2 (1).jpg, copy.jpg, in/1.jpg"
+    assert caught.value.fix == "remove from the folder: 2 (1).jpg, copy.jpg, in/1.jpg"
 
 
 def test_pictures_of_a_kind_that_is_not_read_are_not_left_out(tmp_path: Path) -> None:
