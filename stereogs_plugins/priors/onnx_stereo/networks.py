@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import torch
 from torch.nn.functional import normalize
@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 from registry import OnnxModel, PluginError, grey
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from torch import Tensor
 
@@ -26,26 +26,35 @@ _VOLUME = "gwc_volume"
 _FEATURES = ("features_left_04", "features_right_04")
 
 
-class StereoNetwork(Protocol):
-    """Interface of a network.
+class StereoNetwork:
+    """Base of the networks.
+
+    Args:
+        models: the graphs; the first takes the images, the last returns the disparity.
+        image: name of an image input `[N, C, H, W]`.
+        max_disparity: see `StereoFamily`.
 
     Attributes:
         last: graph that returns the disparity.
-        frozen: fixed height and width of the input; None where dynamic.
+        frozen: fixed height and width of the images; None where dynamic.
         batchable: True if one call can take several pairs.
-        max_disparity: see `StereoFamily`.
     """
 
-    last: OnnxModel
-    frozen: FrozenSize
-    batchable: bool
-    max_disparity: float | None
+    def __init__(
+        self, models: Sequence[OnnxModel], image: str, max_disparity: float | None
+    ) -> None:
+        self.last = models[-1]
+        shape = models[0].input(image).shape
+        self.frozen: FrozenSize = (shape[2], shape[3])
+        self.batchable = all(spec.shape[0] is None for model in models for spec in model.inputs)
+        self.max_disparity = max_disparity
 
     def __call__(self, left: Tensor, right: Tensor) -> dict[str, Tensor]:
-        """Outputs of the graph for pairs `[N, 3, H, W]` in the network's value range."""
+        """Outputs of the last graph for pairs `[N, 3, H, W]` in the network's value range."""
+        raise NotImplementedError
 
 
-class OneGraph:
+class OneGraph(StereoNetwork):
     """A graph from two images to the disparity.
 
     Raises:
@@ -53,18 +62,15 @@ class OneGraph:
     """
 
     def __init__(self, model: OnnxModel, family: StereoFamily) -> None:
-        self.last = model
         self._left, self._right = image_inputs(model, family)
-        self.frozen = frozen_size(model, self._left)
-        self.batchable = open_batch(model)
-        self.max_disparity = family.max_disparity
+        super().__init__([model], self._left, family.max_disparity)
 
     def __call__(self, left: Tensor, right: Tensor) -> dict[str, Tensor]:
         """See `StereoNetwork`."""
         return self.last.run({self._left: left, self._right: right})
 
 
-class StackedGraph:
+class StackedGraph(StereoNetwork):
     """A graph that takes both images in one tensor, left channels first, as circulating HITNet files do.
 
     Images are grey if the graph takes two channels.
@@ -74,7 +80,6 @@ class StackedGraph:
     """
 
     def __init__(self, model: OnnxModel, family: StereoFamily) -> None:
-        self.last = model
         pair = model.input()
         if len(pair.shape) != 4 or pair.shape[1] not in (_GREY, _COLOUR):
             raise PluginError(
@@ -83,9 +88,7 @@ class StackedGraph:
                 fix="set `family`, or `stacked: false`, for a graph with separate image inputs",
             )
         self._input, self._grey = pair.name, pair.shape[1] == _GREY
-        self.frozen = frozen_size(model, pair.name)
-        self.batchable = open_batch(model)
-        self.max_disparity = family.max_disparity
+        super().__init__([model], pair.name, family.max_disparity)
 
     def __call__(self, left: Tensor, right: Tensor) -> dict[str, Tensor]:
         """See `StereoNetwork`."""
@@ -95,7 +98,7 @@ class StackedGraph:
         return self.last.run({self._input: torch.cat(images, dim=1)})
 
 
-class TwoGraphs:
+class TwoGraphs(StereoNetwork):
     """A graph from two images to features, and one from features and correlation volume to the disparity.
 
     The volume is computed here because plain ONNX operators cannot express it. The second graph takes
@@ -120,7 +123,7 @@ class TwoGraphs:
         groups: int,
         normalized: bool,
     ) -> None:
-        self._first, self.last = first, second
+        self._first = first
         self._left, self._right = image_inputs(first, family)
         self._normalized = normalized
         for name in _FEATURES:
@@ -149,9 +152,7 @@ class TwoGraphs:
                 where=str(second.path),
                 fix="set `max_disparity`",
             )
-        self.max_disparity: float | None = float(self._candidates * _REDUCTION)
-        self.frozen = frozen_size(first, self._left)
-        self.batchable = open_batch(first) and open_batch(second)
+        super().__init__([first, second], self._left, float(self._candidates * _REDUCTION))
 
     def __call__(self, left: Tensor, right: Tensor) -> dict[str, Tensor]:
         """See `StereoNetwork`.
@@ -232,14 +233,3 @@ def image_inputs(model: OnnxModel, family: StereoFamily) -> tuple[str, str]:
                 fix="set `left` and `right` to the image inputs",
             )
     return specs[0].name, specs[1].name
-
-
-def frozen_size(model: OnnxModel, name: str) -> FrozenSize:
-    """Fixed height and width of an input `[N, 3, H, W]`; None where dynamic."""
-    shape = model.input(name).shape
-    return shape[2], shape[3]
-
-
-def open_batch(model: OnnxModel) -> bool:
-    """True if the batch size of every input is dynamic."""
-    return all(spec.shape[0] is None for spec in model.inputs)

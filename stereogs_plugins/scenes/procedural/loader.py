@@ -74,25 +74,16 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
 
         settings = self.settings
         generator = np.random.default_rng(settings.seed)
-        focal = settings.width / 2 / math.tan(FIELD_OF_VIEW / 2)
-        surfaces = furnish(focal, generator)
+        surfaces = furnish(_focal(settings.width), generator)
         train = [
             self._view(f"train_{k:02d}", surfaces, self._train_camera(k))
             for k in range(settings.train_views)
         ]
-        test = [
-            self._view(
-                f"test_{k:02d}",
-                surfaces,
-                _camera_on_arc(
-                    _angle(k, settings.test_views, 0.8),
-                    -_lift(k) / 2,
-                    settings.width,
-                    settings.height,
-                ),
-            )
-            for k in range(settings.test_views)
-        ]
+        test = []
+        for k in range(settings.test_views):
+            angle, size = _angle(k, settings.test_views, 0.8), (settings.width, settings.height)
+            camera = _camera_on_arc(angle, -_lift(k) / 2, *size)
+            test.append(self._view(f"test_{k:02d}", surfaces, camera))
         depths = torch.cat([view.depth[view.depth > 0] for view in train if view.depth is not None])
         points = _sample_points(train, settings.points, settings.point_noise, generator)
         return validate(
@@ -129,6 +120,10 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
         )
 
 
+def _focal(width: int) -> float:
+    return width / 2 / math.tan(FIELD_OF_VIEW / 2)
+
+
 def _angle(index: int, count: int, part: float) -> float:
     """Angles evenly spread over `part` of the arc; a single camera is in the middle."""
     return 0.0 if count == 1 else part * ARC_HALF_ANGLE * (2 * index / (count - 1) - 1)
@@ -155,7 +150,7 @@ def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
-    focal = width / 2 / math.tan(FIELD_OF_VIEW / 2)
+    focal = _focal(width)
     return Camera(torch.from_numpy(pose), focal, focal, width / 2, height / 2, width, height)
 
 
@@ -167,7 +162,7 @@ def _camera_in_row(place: float, width: int, height: int) -> Camera:
 
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, 3] = torch.tensor([-place, -EYE_LEVEL, 0.0])
-    return Camera.centered(pose, width / 2 / math.tan(FIELD_OF_VIEW / 2), width, height)
+    return Camera.centered(pose, _focal(width), width, height)
 
 
 def _sample_points(

@@ -7,7 +7,7 @@ parameter t of a hit o + t d is its z-depth.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -59,27 +59,6 @@ def _mix(first: Array, second: Array, weight: Array) -> Array:
     return first + weight[:, None] * (second - first)
 
 
-class Surface(Protocol):
-    """Interface of a surface."""
-
-    @property
-    def texture(self) -> Texture:
-        """Texture of the surface."""
-        ...
-
-    def hull(self) -> Array:
-        """`[K, 3]` points whose convex hull contains the surface."""
-        ...
-
-    def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
-        """Inverse depth (0 where missed), u and v in [0, 1], each `[H, W]`, for rays `[H, W, 3]`."""
-        ...
-
-    def shade(self, u: Array, v: Array) -> Array:
-        """Brightness factors `[P]` at surface coordinates."""
-        ...
-
-
 LIGHT = np.array([-0.45, -0.75, -0.5]) / np.linalg.norm([-0.45, -0.75, -0.5])
 """Direction towards the light: left, above and behind the camera."""
 AMBIENT = 0.6
@@ -108,10 +87,12 @@ class Rectangle:
         return np.asarray(normal / np.linalg.norm(normal))
 
     def hull(self) -> Array:
+        """`[K, 3]` points whose convex hull contains the surface."""
         offsets = [0 * self.across, self.across, self.down, self.across + self.down]
         return np.asarray(self.corner + np.array(offsets))
 
     def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """Inverse depth (0 where missed), u and v in [0, 1], each `[H, W]`, for rays `[H, W, 3]`."""
         offset = self.corner - origin
         if offset @ self.normal >= 0:
             missed = np.zeros(directions.shape[:2])
@@ -131,6 +112,7 @@ class Rectangle:
         return inverse, u_over_t * depth, v_over_t * depth
 
     def shade(self, u: Array, v: Array) -> Array:
+        """Brightness factors `[P]` at surface coordinates."""
         return np.full(u.shape, AMBIENT + (1 - AMBIENT) * max(0.0, float(self.normal @ LIGHT)))
 
 
@@ -149,10 +131,12 @@ class Sphere:
     texture: Texture
 
     def hull(self) -> Array:
+        """See `Rectangle.hull`."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(self.center + self.radius * signs)
 
     def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """See `Rectangle.hit`."""
         offset = origin - self.center
         a = np.einsum("hwk,hwk->hw", directions, directions)
         half_b = directions @ offset
@@ -165,11 +149,15 @@ class Sphere:
         return np.where(inside, 1 / np.where(inside, depth, 1), 0), longitude, latitude
 
     def shade(self, u: Array, v: Array) -> Array:
+        """See `Rectangle.shade`."""
         longitude, latitude = (u - 0.5) * 2 * np.pi, v * np.pi
         level = np.sin(latitude)
         x, y, z = level * np.sin(longitude), -np.cos(latitude), -level * np.cos(longitude)
         facing = x * LIGHT[0] + y * LIGHT[1] + z * LIGHT[2]
         return np.asarray(AMBIENT + (1 - AMBIENT) * np.maximum(facing, 0))
+
+
+Surface = Rectangle | Sphere
 
 
 def cast(surfaces: Sequence[Surface], camera: Camera) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ def points(scene: Scene) -> PointCloud:
     return build(SfmInitializer, source="triangulate").initialize(scene, {})
 
 
-def test_is_offered_as_sfm() -> None:
+def test_registers_as_sfm() -> None:
     assert offered(stereogs_register_initializers) == {"sfm": SfmInitializer}
 
 

@@ -1,4 +1,4 @@
-"""The page on model files: its pipelines are understood, and its tables are those of the code."""
+"""The page on model files: its pipelines are valid, and its tables match the code."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def plugins() -> Plugins:
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
+def test_its_pipelines_are_valid(plugins: Plugins, example: str) -> None:
     pipeline = parse_pipeline(example, plugins, source=PAGE.name)
     networks = [prior for prior in pipeline.items["priors"] if prior.offer.name in NAMES]
     assert len(networks) == 1
 
 
-def test_there_is_an_example_of_each_prior() -> None:
+def test_each_prior_has_an_example() -> None:
     assert sorted(set(re.findall(r"use: (onnx_\w+)", TEXT))) == sorted(NAMES)
 
 
@@ -50,7 +50,7 @@ def row(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", list(stereo_families.FAMILIES))
-def test_stereo_families_are_described_as_they_are(name: stereo_families.FamilyName) -> None:
+def test_descriptions_of_stereo_families_match_the_code(name: stereo_families.FamilyName) -> None:
     family, text = stereo_families.FAMILIES[name], row(name)
     assert family.value_range in text
     assert f"`{family.output}`" in text or family.output is None
@@ -61,7 +61,7 @@ def test_stereo_families_are_described_as_they_are(name: stereo_families.FamilyN
         assert f"`{confidence}`" in TEXT
 
 
-def test_other_families_are_described_as_they_are() -> None:
+def test_descriptions_of_other_families_match_the_code() -> None:
     for name, mvs in mvs_families.FAMILIES.items():
         assert f"`{mvs.images}`" in row(name)
         assert f"multiples of {mvs.multiple} " in row(name)

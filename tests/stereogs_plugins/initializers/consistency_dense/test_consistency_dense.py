@@ -111,9 +111,7 @@ def test_views_that_agree_on_nothing_are_explained(scene: Scene) -> None:
     assert "overlap" in caught.value.fix
 
 
-def test_an_unconfirmed_view_is_reported(
-    scene: Scene, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unconfirmed_view_is_reported(scene: Scene, caplog: pytest.LogCaptureFixture) -> None:
     lost = scene.train[1].name
 
     def depth_of(view: View) -> Tensor:
@@ -219,9 +217,7 @@ def fan_of_views(widest: float) -> Scene:
 
 
 @pytest.mark.parametrize(("widest", "stays"), [(30.0, True), (44.0, False)])
-def test_surrounding_views_outvote_a_chance_agreement(
-    widest: float, stays: bool
-) -> None:
+def test_surrounding_views_outvote_a_chance_agreement(widest: float, stays: bool) -> None:
     def depth_of(view: View) -> Tensor:
         wall = plane_depth(view.camera, 0.0)
         if view.name not in ("view1", "view2"):
