@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from registry.photos import Decoder, evenly_spaced, longest_side
 from registry.photos import read_colmap_model as read_model
 from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
-from stereogs_plugins.scenes.llff.files import read_poses
+from stereogs_plugins.scenes.llff import read_poses
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, image_index, read_folder
 

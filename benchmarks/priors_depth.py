@@ -36,7 +36,7 @@ from stereogs_plugins.initializers.consistency_dense.geometric_consistency impor
     consistent_depths,
     without_small_patches,
 )
-from stereogs_plugins.priors.onnx_mvs.prior import OnnxMvs, OnnxMvsSettings
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs, OnnxMvsSettings
 from stereogs_plugins.priors.patch_match import PatchMatchPrior, PatchMatchSettings
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, PlaneSweepSettings
 from stereogs_plugins.scenes.procedural import ProceduralScene

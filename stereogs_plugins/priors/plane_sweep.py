@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from core_rasterizer import Camera
     from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
 
@@ -114,24 +113,32 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         """
         import torch
 
-        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any
+        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any, source_views
 
         planes = self.settings.planes
         near, far = bounds[0] * self.settings.near_margin, bounds[1] * self.settings.far_margin
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
         inverse_depths = farthest + step * torch.arange(planes, dtype=torch.float64)
         cameras = [view.camera for view in views]
+        sources = [
+            source_views(cameras, index, self.settings.max_sources, (near, far))
+            for index in range(len(views))
+        ]
+        if not all(sources):
+            raise PluginError(
+                f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",
+                fix="use views from different positions, or check the poses",
+            )
         greys = [grey(view.image) for view in views]
         sweep = self._sweep(views, greys, inverse_depths)
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []
         for index, camera in enumerate(cameras):
-            sources = _sources(cameras, index, self.settings.max_sources, (near, far))
-            costs = sweep.costs(index, sources)
+            costs = sweep.costs(index, sources[index])
             sums = aggregate(self.context.device, costs, greys[index], penalties)
             plane, confidence = pick(self.context.device, sums, planes)
             depth = 1 / (farthest + step * plane.double())
-            valid = seen_by_any(depth, camera, [cameras[k] for k in sources])
+            valid = seen_by_any(depth, camera, [cameras[k] for k in sources[index]])
             maps.append(DepthMap(depth.float(), valid, confidence))
         return maps
 
@@ -147,21 +154,6 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
             return FeatureSweep(device, features, cameras, inverse_depths, second_share=share)
         radius = self.settings.radius
         return ZnccSweep(device, greys, cameras, inverse_depths, radius=radius, second_share=share)
-
-
-def _sources(
-    cameras: Sequence[Camera], reference: int, count: int, bounds: tuple[float, float]
-) -> list[int]:
-    """Source views of a view, without those at the same position."""
-    from core_rasterizer.matching import source_views
-
-    sources = source_views(cameras, reference, count, bounds)
-    if not sources:
-        raise PluginError(
-            f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",
-            fix="use views from different positions, or check the poses",
-        )
-    return sources
 
 
 @hookimpl

@@ -1,7 +1,7 @@
 """Tests of points against the depth maps of other views.
 
-Each test takes world points `[..., 3]` and the cameras and depths of some views, and returns a mask `[...]`
-that is True where the test holds for at least one view. Depths are 0 where unknown.
+Each test takes world points `[..., 3]` and (camera, depth) of some views, and returns a mask `[...]` that is
+True where the test holds for at least one view. Depths are 0 where unknown.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from core_rasterizer.matching import source_views
 from .projection import DepthImage, Floats, Mask, inside, look_up, project
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from core_rasterizer import Camera
+
+    Views = Iterable[tuple[Camera, DepthImage]]
 
 MAX_SOURCES = 8
 """Source views per view; more cost time and confirm hardly more."""
@@ -36,45 +38,42 @@ def source_indices(cameras: Sequence[Camera], index: int, bounds: tuple[float, f
     return sorted(source_views(cameras, index, MAX_SOURCES, bounds))
 
 
-def in_free_space(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+def in_free_space(points: Floats, views: Views) -> Mask:
     """Points in front of a surface that a view sees, which they would hide."""
     return _any(
         points,
-        ((z > 0) & (seen > (1 + FREE_SPACE) * z) for z, seen in _depths(points, cameras, depths)),
+        ((z > 0) & (seen > (1 + FREE_SPACE) * z) for z, seen in _depths(points, views)),
     )
 
 
-def on_surface(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+def on_surface(points: Floats, views: Views) -> Mask:
     """Points on a surface that a view sees."""
     return _any(
         points,
-        (np.abs(seen - z) < SAME_SURFACE * z for z, seen in _depths(points, cameras, depths)),
+        (np.abs(seen - z) < SAME_SURFACE * z for z, seen in _depths(points, views)),
     )
 
 
-def onto_known_depth(
-    points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]
-) -> Mask:
+def onto_known_depth(points: Floats, views: Views) -> Mask:
     """Points that project onto a pixel whose depth is known."""
-    return _any(points, (seen > 0 for _, seen in _depths(points, cameras, depths)))
+    return _any(points, (seen > 0 for _, seen in _depths(points, views)))
 
 
-def visible(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]) -> Mask:
+def visible(points: Floats, views: Views) -> Mask:
     """Points inside a view's image and not behind the surface that it sees there."""
 
     def sees(camera: Camera, depth: DepthImage) -> Mask:
         u, v, z = project(camera, points)
         seen = look_up(depth, u, v)
-        return inside(depth.shape, u, v) & ((seen == 0) | (seen >= z))
+        result: Mask = inside(depth.shape, u, v) & ((seen == 0) | (seen >= z))
+        return result
 
-    return _any(points, map(sees, cameras, depths))
+    return _any(points, (sees(*view) for view in views))
 
 
-def _depths(
-    points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthImage]
-) -> Iterator[tuple[Floats, Floats]]:
+def _depths(points: Floats, views: Views) -> Iterator[tuple[Floats, Floats]]:
     """For each view the points' depths and the depths of the pixels that they project onto."""
-    for camera, depth in zip(cameras, depths, strict=True):
+    for camera, depth in views:
         u, v, z = project(camera, points)
         yield z, look_up(depth, u, v)
 

@@ -139,19 +139,17 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         """Positive disparity; NaN where unknown or not confident."""
         import torch
 
-        disparity = self._map(self._output, answers, shape)
+        from registry.image_fitting import full_size_maps
+
+        path = self._network.last.path
+        disparity = full_size_maps(self._output, answers, shape, path)
         if self._family.negated:
             disparity = -disparity
         known = torch.isfinite(disparity) & (disparity > 0)
         for confidence in self._family.confidences:
-            trust = self._map(confidence, answers, shape)
-            known &= trust >= self.settings.min_confidence
+            reliable = full_size_maps(confidence, answers, shape, path)
+            known &= reliable >= self.settings.min_confidence
         return torch.where(known, disparity, torch.nan)
-
-    def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
-        from registry.image_fitting import full_size_maps
-
-        return full_size_maps(name, answers, shape, self._network.last.path)
 
 
 def _family(settings: OnnxStereoSettings) -> StereoFamily:

@@ -11,8 +11,7 @@ import torch
 
 from core_rasterizer import Camera
 from registry import DepthMap, PluginError, View
-from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
-from stereogs_plugins.priors.onnx_mvs.prior import overlap
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs, overlap, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 
 from . import graphs

@@ -67,8 +67,7 @@ def guesses(
         depth = fill_holes(image, confirmed[index])
         points = lift(camera, *pixel_centers(camera), depth)
         others = source_indices(cameras, index, scene.bounds)
-        other_cameras, other_depths = [cameras[k] for k in others], [confirmed[k] for k in others]
-        depth[in_free_space(points, other_cameras, other_depths)] = 0
+        depth[in_free_space(points, [(cameras[k], confirmed[k]) for k in others])] = 0
         evidence = [all_evidence[k] for k in others] if all_evidence else []
         if analysis.wide:
             depth[miscolored(points, image, camera, evidence)] = 0

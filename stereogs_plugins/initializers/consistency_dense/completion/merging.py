@@ -32,9 +32,10 @@ def surfaces(
         layer = surface(views[index], views[index].confirmed > 0, stride)
         if not merge:
             return layer
-        earlier = [views[k] for k in _source_indices(views, index, bounds) if k < index]
-        cameras, depths = [o.camera for o in earlier], [o.confirmed for o in earlier]
-        return layer.without(on_surface(layer.positions, cameras, depths))
+        earlier = [o for k, o in _sources(views, index, bounds).items() if k < index]
+        return layer.without(
+            on_surface(layer.positions, [(o.camera, o.confirmed) for o in earlier])
+        )
 
     def filled(view: ViewDepth) -> Layer:
         return surface(view, view.filled > 0, stride)
@@ -50,12 +51,11 @@ def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Laye
 
     def remaining(index: int) -> Layer:
         layer = back_layer(views[index])
-        others = [views[k] for k in _source_indices(views, index, bounds)]
-        cameras = [other.camera for other in others]
+        others = _sources(views, index, bounds).values()
         layer = layer.without(
-            in_free_space(layer.positions, cameras, [o.confirmed for o in others])
+            in_free_space(layer.positions, [(o.camera, o.confirmed) for o in others])
         )
-        return layer.without(on_surface(layer.positions, cameras, [o.completed for o in others]))
+        return layer.without(on_surface(layer.positions, [(o.camera, o.completed) for o in others]))
 
     return joined(in_parallel(remaining, range(len(views))))
 
@@ -65,19 +65,20 @@ def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
 
     def remaining(index: int) -> Layer:
         layer = margin(views[index])
-        others = [views[k] for k in _source_indices(views, index, bounds)]
-        cameras, depths = [o.camera for o in others], [o.completed for o in others]
-        return layer.without(onto_known_depth(layer.positions, cameras, depths))
+        others = _sources(views, index, bounds).values()
+        known = onto_known_depth(layer.positions, [(o.camera, o.completed) for o in others])
+        return layer.without(known)
 
     return joined(in_parallel(remaining, range(len(views))))
 
 
 def hidden(points: Floats, views: Sequence[ViewDepth]) -> Mask:
     """World points `[P, 3]` that no view can see."""
-    return ~visible(points, [view.camera for view in views], [view.completed for view in views])
+    return ~visible(points, [(view.camera, view.completed) for view in views])
 
 
-def _source_indices(
+def _sources(
     views: Sequence[ViewDepth], index: int, bounds: tuple[float, float]
-) -> list[int]:
-    return source_indices([view.camera for view in views], index, bounds)
+) -> dict[int, ViewDepth]:
+    cameras = [view.camera for view in views]
+    return {k: views[k] for k in source_indices(cameras, index, bounds)}

@@ -27,23 +27,23 @@ POINTS = np.array(
 
 
 def test_points_against_a_wall() -> None:
-    assert in_free_space(POINTS, [CAMERA], [WALL]).tolist() == [True, False, False, False, False]
-    assert on_surface(POINTS, [CAMERA], [WALL]).tolist() == [False, True, False, False, False]
-    assert onto_known_depth(POINTS, [CAMERA], [WALL]).tolist() == [True, True, True, False, False]
-    assert visible(POINTS, [CAMERA], [WALL]).tolist() == [True, True, False, False, False]
+    assert in_free_space(POINTS, [(CAMERA, WALL)]).tolist() == [True, False, False, False, False]
+    assert on_surface(POINTS, [(CAMERA, WALL)]).tolist() == [False, True, False, False, False]
+    assert onto_known_depth(POINTS, [(CAMERA, WALL)]).tolist() == [True, True, True, False, False]
+    assert visible(POINTS, [(CAMERA, WALL)]).tolist() == [True, True, False, False, False]
 
 
 def test_unknown_depth_excludes_no_point() -> None:
     unknown = np.zeros_like(WALL)
     for question in (in_free_space, on_surface, onto_known_depth):
-        assert not question(POINTS, [CAMERA], [unknown]).any()
-    assert visible(POINTS, [CAMERA], [unknown]).tolist() == [True, True, True, False, False]
+        assert not question(POINTS, [(CAMERA, unknown)]).any()
+    assert visible(POINTS, [(CAMERA, unknown)]).tolist() == [True, True, True, False, False]
 
 
 def test_one_view_of_several_is_enough() -> None:
     unknown = np.zeros_like(WALL)
-    assert in_free_space(POINTS, [CAMERA, CAMERA], [unknown, WALL])[0]
-    assert not in_free_space(POINTS, [], []).any()
+    assert in_free_space(POINTS, [(CAMERA, unknown), (CAMERA, WALL)])[0]
+    assert not in_free_space(POINTS, []).any()
 
 
 def test_few_views_are_all_source_views() -> None:

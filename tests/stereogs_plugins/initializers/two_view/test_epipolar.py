@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from core_rasterizer import Camera
-from stereogs_plugins.initializers.two_view.epipolar import intersect
+from stereogs_plugins.initializers.two_view import intersect
 
 FIRST = Camera.look_at((0, 0, 0), (0.2, 0.1, 5), 60, 80, 60)
 SECOND = Camera.look_at((1.0, -0.3, 0.2), (0, 0, 6), 75, 100, 70)
