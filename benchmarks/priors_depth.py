@@ -33,12 +33,12 @@ from registry.priors import MultiViewDepthPrior
 from registry.session import build_pipeline, load_scene
 from registry.toolkit.drawing import grey
 from registry.toolkit.views.triangulation import triangulate
-from stereogs_plugins.initializers.consistency_dense.confirming.geometric_filter import (
+from stereogs_plugins.initializers.consistency_dense.geometric_consistency import (
     Limits,
     consistent_depths,
     without_small_patches,
 )
-from stereogs_plugins.priors.onnx_mvs.prior import OnnxMvs, OnnxMvsSettings
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs, OnnxMvsSettings
 from stereogs_plugins.priors.patch_match import PatchMatchPrior, PatchMatchSettings
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, PlaneSweepSettings
 from stereogs_plugins.scenes.procedural import ProceduralScene
@@ -131,7 +131,7 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
     kept = consistent_depths(
         [view.camera for view in scene.train],
         depths,
-        Limits(reprojection=2, depth=0.05, views=1, bounds=scene.bounds),
+        Limits(2, 0.05, 1, scene.bounds),
     )
     return [without_small_patches(depth, min_pixels=100, max_step=0.05) for depth in kept]
 

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 class PlySettings(Settings):
     path: Path
-    """A point cloud with colours, or a Gaussian scene, in the scene's own coordinates."""
+    """Path of a point cloud with colours, or of a Gaussian scene, in the scene's coordinates."""
 
 
 class PlyInitializer(Initializer[PlySettings]):
-    """The points of a PLY file; of a Gaussian scene, its centres and constant colours.
+    """Points of a PLY file; for a Gaussian scene, its means and constant colours.
 
-    Nothing checks where the points come from: a cloud made from all photographs knows the test views.
+    The origin of the points is not checked: a cloud made from all photographs contains the test views.
     """
 
     ablation_baseline = "sfm"
@@ -38,7 +38,7 @@ class PlyInitializer(Initializer[PlySettings]):
 
         Raises:
             PlyError: the file cannot be read, or has no colours.
-            SceneError: it holds no point.
+            SceneError: it contains no points.
         """
         from core_rasterizer import load_points
 
@@ -46,9 +46,9 @@ class PlyInitializer(Initializer[PlySettings]):
         positions, colors = load_points(path)
         if not len(positions):
             raise SceneError(
-                "the PLY file holds no points",
+                "the PLY file contains no points",
                 where=str(path),
-                fix="make it again, or use the initializer `sfm` or `random`",
+                fix="create it again, or use the initializer `sfm` or `random`",
             )
         return PointCloud(positions, colors)
 

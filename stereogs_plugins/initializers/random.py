@@ -1,4 +1,4 @@
-"""`random`: points anywhere that a training camera can see; needs no features and cannot fail."""
+"""`random`: points anywhere that a training camera can see; needs no image features."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
 
 class RandomSettings(Settings):
     count: int = Field(10_000, ge=1)
-    """How many points."""
+    """Number of points."""
 
 
 class RandomInitializer(Initializer[RandomSettings]):
-    """Points in the frusta of the training cameras, each with the colour of the pixel before it.
+    """Points in the frusta of the training cameras, with the colours of the pixels that they project onto.
 
-    A point takes a random training camera, a random place in its image, and an inverse depth uniform
-    between those of the scene's bounds, so that near things get their share.
+    Each point has a random training camera, a random pixel position, and an inverse depth that is uniform
+    between the scene's bounds.
     """
 
     ablation_baseline = "sfm"
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return `count` points; the component's generator decides where."""
+        """Return `count` points."""
         import torch
 
         count = self.settings.count

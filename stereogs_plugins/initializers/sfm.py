@@ -1,4 +1,4 @@
-"""`sfm`: sparse points that the training photographs agree on (structure from motion, poses known)."""
+"""`sfm`: sparse points by structure from motion with known poses."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ if TYPE_CHECKING:
 
 class SfmSettings(Settings):
     source: Literal["auto", "scene", "triangulate"] = "auto"
-    """Where points come from: the scene's own, the training photographs, or whichever is there first."""
+    """Source of the points: the scene's points, triangulation from the training photographs, or `auto`: the
+    former if the scene has any."""
     max_reprojection_error: float = Field(2.0, gt=0)
-    """Pixels; a point that misses its features by more is dropped, and so is a match off its line."""
+    """Largest reprojection error of a point, and largest distance of a match from its epipolar line, in
+    pixels."""
     min_triangulation_angle: float = Field(1.5, gt=0, lt=90)
-    """Degrees; points whose rays are more parallel than this are dropped."""
+    """Smallest angle between the rays of a point, degrees."""
 
 
 class SfmInitializer(Initializer[SfmSettings]):
-    """The scene's own points, or points triangulated at the known poses from the training views."""
+    """The scene's points, or points triangulated from the training views at the known poses."""
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point.
 
         Raises:
-            SceneError: the scene has no points, or the training views agree on none.
+            SceneError: the scene has no points, or no match between training views fits the poses.
         """
         source = self.settings.source
         has_points = scene.points is not None and len(scene.points) > 0
@@ -54,7 +56,7 @@ class SfmInitializer(Initializer[SfmSettings]):
             )
         if scene.points is None or not has_points:
             raise SceneError(
-                "the scene brings no points that its training views see",
+                "the scene has no points that its training views see",
                 where=scene.name,
                 fix="use `source: triangulate`, or the initializer `random`",
             )

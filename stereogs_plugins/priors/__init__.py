@@ -1,1 +1,1 @@
-"""Prior models: frozen estimators of depth and disparity."""
+"""Priors: frozen estimators of depth, disparity, optical flow and matches."""

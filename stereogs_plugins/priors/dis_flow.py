@@ -1,8 +1,7 @@
-"""`dis_flow`: optical flow by dense inverse search, without any model file.
+"""`dis_flow`: optical flow by dense inverse search; needs no model file.
 
-Patches of one image are looked for in the other from coarse to fine, and the field that they vote for is
-refined (Kroeger et al., ECCV 2016), in OpenCV's implementation. It stands in where a method asks for a
-flow network and no weights are at hand.
+Patches of one image are searched in the other from coarse to fine and the resulting flow is refined (Kroeger
+et al., ECCV 2016, OpenCV's implementation). A substitute for a flow network without weights.
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SMALLEST = 16
-"""Pixels of the shorter side: two patches. On smaller images OpenCV 5.0 fails, or ends the process."""
+"""Least shorter side in pixels: two patches. On smaller images OpenCV 5.0 fails or crashes."""
 
 
 class DisFlowSettings(Settings):
     max_cycle_error: float | None = Field(1.0, gt=0)
-    """A vector is unknown where the flow back ends farther than this from where it began, pixels; null
-    keeps all, also those of pixels that the other image does not show."""
+    """Largest distance in pixels between a pixel and the end of the flow there and back; larger ones are
+    unknown. null keeps all vectors, including those of occluded pixels."""
 
 
 class DisFlow(OpticalFlowPrior[DisFlowSettings]):
-    """OpenCV's DIS optical flow, on one thread: its answer depends on how many there are."""
+    """OpenCV's DIS optical flow, on one thread because the result depends on the number of threads."""
 
     def fingerprint(self) -> str:
-        """OpenCV's version."""
+        """Version of OpenCV."""
         import cv2
 
         return f"OpenCV {cv2.__version__}"
 
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
-        """Flow `[H, W, 2]`, pixels; not finite where it does not come back."""
+        """Flow `[H, W, 2]` in pixels; not finite where it fails the cycle check."""
         import torch
 
         height, width = first.shape[:2]
@@ -74,7 +73,7 @@ class DisFlow(OpticalFlowPrior[DisFlowSettings]):
 
 
 def _grey(image: Tensor, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Brightness in 0..255 at a size (width, height)."""
+    """Grey image in 0..255, resized to (width, height)."""
     import cv2
     import numpy as np
 

@@ -1,7 +1,7 @@
 """`onnx_flow`: optical flow from a network in an ONNX file.
 
-Written after RAFT's interface (Teed and Deng, ECCV 2020), which FlowFormer++ and SEA-RAFT share. It was
-only ever run on graphs of that form whose answer is known, on no network's weights.
+Follows RAFT's interface (Teed and Deng, ECCV 2020), which FlowFormer++ and SEA-RAFT share. Tested on
+synthetic graphs of that form only, not with the weights of a network.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 
 class OnnxFlowSettings(OnnxModelSettings):
     first: str | None = None
-    """The graph's name for the first image; null: its first input."""
+    """Input for the first image; null: the graph's first input."""
     second: str | None = None
-    """The graph's name for the second image; null: its second input."""
+    """Input for the second image; null: the graph's second input."""
     output: str | None = None
-    """The graph's name for the flow; null: its only output."""
+    """Output with the flow; null: the graph's only output."""
     value_range: ValueRange = "0..255"
-    """The numbers for black and white that the graph takes."""
+    """Range of the graph's pixel values, from black to white."""
     multiple: int = Field(8, ge=1)
-    """Both sides of an image must be a multiple of this, where the graph leaves them open."""
+    """Both sides of an image are padded to a multiple of this, if the graph's size is dynamic."""
     max_cycle_error: float | None = Field(1.0, gt=0)
-    """A vector is unknown where the flow back ends farther than this from where it began, pixels; null
-    keeps all, also those of pixels that the other image does not show, and asks the graph once."""
+    """Largest distance in pixels between a pixel and the end of the flow there and back; larger ones are
+    unknown. null keeps all vectors, including those of occluded pixels, and runs the graph once."""
 
 
 class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
-    """A flow network's answer; images are padded, and shrunk for a graph of a smaller frozen size.
+    """Flow of a network; images are padded, and shrunk for a graph with a smaller fixed size.
 
     Raises:
-        PluginError: see `OnnxModel`; or a graph that does not take two images.
+        PluginError: see `OnnxModel`; or the graph does not take two images.
     """
 
     def __init__(self, settings: OnnxFlowSettings, context: Context) -> None:
@@ -60,15 +60,15 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         for spec in (self._first, self._second):
             if len(spec.shape) != 4 or spec.shape[1] not in (None, 3):
                 raise PluginError(
-                    f"the input {spec} takes no image; expected [1, 3, H, W]",
+                    f"the input {spec} is not an image; expected [1, 3, H, W]",
                     where=str(self._model.path),
-                    fix="name the right inputs with `first` and `second`",
+                    fix="set `first` and `second` to the image inputs",
                 )
         self._output = self._model.output(settings.output)
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """Two images to two numbers a pixel, in all meanings of black and white."""
+        """All value ranges, for a graph that maps two images to two numbers per pixel."""
         images = [len(spec.shape) == 4 and spec.shape[1] == 3 for spec in model.inputs]
         flows = [s.name for s in model.outputs if len(s.shape) == 4 and s.shape[1] == 2]
         if images != [True, True]:
@@ -80,29 +80,29 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
         ]
 
     def fingerprint(self) -> str:
-        """The model file's hash and what runs it."""
+        """Hash of the model file, and its execution provider."""
         return self._model.fingerprint
 
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
-        """Flow `[H, W, 2]`, pixels; not finite where it does not come back.
+        """Flow `[H, W, 2]` in pixels; not finite where it fails the cycle check.
 
         Raises:
-            PluginError: the graph answers anything but two maps of its input's size.
+            PluginError: the graph does not return two maps of its input's size.
         """
         from registry.toolkit.networks.image_fitting import stretched
 
         size, other = ((int(image.shape[0]), int(image.shape[1])) for image in (first, second))
-        # The second image is looked at in the size of the first.
+        # The second image is resized to the size of the first.
         there = stretched(other, size, 1).apply(second.permute(2, 0, 1)[None])
         here = first.permute(2, 0, 1)[None]
-        flow = self._asked(here, there)
+        flow = self._infer(here, there)
         if self.settings.max_cycle_error is not None:
-            error = flow_cycle_error(flow, self._asked(there, here))
+            error = flow_cycle_error(flow, self._infer(there, here))
             flow = flow.where(error[..., None] <= self.settings.max_cycle_error, float("nan"))
         return flow if other == size else flow_in_size(flow, other).float()
 
-    def _asked(self, first: Tensor, second: Tensor) -> Tensor:
-        """The flow `[H, W, 2]` between images `[1, 3, H, W]`."""
+    def _infer(self, first: Tensor, second: Tensor) -> Tensor:
+        """Flow `[H, W, 2]` between images `[1, 3, H, W]`."""
         import torch
 
         from registry.toolkit.networks.image_fitting import in_range, padded
@@ -120,7 +120,7 @@ class OnnxFlow(OpticalFlowPrior[OnnxFlowSettings]):
                 f"the output {self._output.name!r} has the shape {list(answer.shape)}, "
                 f"expected [1, 2, {fit.target[0]}, {fit.target[1]}]",
                 where=str(self._model.path),
-                fix="name the flow at full size with `output`",
+                fix="set `output` to the flow at full size",
             )
         along_rows, along_columns = fit.undo(answer[0])
         return torch.stack(

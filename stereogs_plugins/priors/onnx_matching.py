@@ -1,6 +1,6 @@
-"""`onnx_matching`: points of two images that show the same, by two networks in ONNX files.
+"""`onnx_matching`: matches between two images by two networks in ONNX files.
 
-See `registry.KeypointNetworks`; XFeat and LighterGlue are such networks.
+See `registry.KeypointNetworks`, for example XFeat and LighterGlue.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ if TYPE_CHECKING:
 
 class OnnxMatchingSettings(OnnxModelSettings):
     matcher: Path
-    """The second ONNX file: it matches what `model`, the first, has found."""
+    """Path of the second ONNX file, which matches the keypoints of the first (`model`)."""
     matcher_sha256: Sha256 | None = None
-    """The hash that the second file must have; null takes any file."""
+    """Required hash of the second file; null accepts any file."""
     value_range: ValueRange = "0..1"
-    """The numbers for black and white that the first graph takes."""
+    """Range of the first graph's pixel values, from black to white."""
     multiple: int = Field(32, ge=1)
-    """Both sides of an image must be a multiple of this, where the first graph leaves them open."""
+    """Both sides of an image are resized to a multiple of this, if the first graph's size is dynamic."""
     size: tuple[int, int] | None = None
-    """[width, height] given to a graph that leaves both open; null: the images' own, rounded."""
+    """[width, height] of the input of a graph with dynamic size; null: the image's own, rounded."""
     min_score: float = Field(0.1, ge=0, le=1)
-    """Matches with a lower score are left out."""
+    """Drop matches with a lower score."""
     max_epipolar_distance: float | None = Field(3.0, gt=0)
-    """Between two photographs, whose cameras are known: matches farther than this from their epipolar
-    line, in pixels, are left out; null keeps them."""
+    """Between photographs with known cameras, drop matches farther than this from their epipolar line, in
+    pixels; null keeps them."""
 
 
 class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
-    """Keypoints and their matches, by two graphs; images are stretched to the size of the first.
+    """Keypoints and their matches by two graphs; images are stretched to the size of the first.
 
-    A graph that is frozen to the other orientation is shown both images turned by a quarter.
+    Both images are rotated by 90 degrees for a graph whose fixed size has the other orientation.
 
     Raises:
-        PluginError: see `OnnxModel`; or graphs of another form.
+        PluginError: see `OnnxModel`; or the graphs have another form.
     """
 
     def __init__(self, settings: OnnxMatchingSettings, context: Context) -> None:
@@ -60,19 +60,19 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """A file that finds keypoints; its `matcher` has to be said."""
+        """Settings for a file that finds keypoints; `matcher` must be added."""
         recognized = KeypointNetworks.recognizes(model)
         return [OnnxMatchingSettings.naming(model)] if recognized else []
 
     def fingerprint(self) -> str:
-        """Both files' hashes and what runs them."""
+        """Hashes of both files, and their execution provider."""
         return self._networks.fingerprint
 
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
-        """The matches whose score suffices, in the matcher's order.
+        """Matches with at least `min_score`, in the matcher's order.
 
         Raises:
-            PluginError: keypoints without descriptors, or matches of keypoints that there are not.
+            PluginError: keypoints without descriptors, or matches of keypoints that do not exist.
         """
         turned = self._networks.turns(first)
         here, there = (self._networks.keypoints(x, turned=turned) for x in (first, second))
@@ -80,7 +80,7 @@ class OnnxMatching(MatchingPrior[OnnxMatchingSettings]):
         return Matches(here.points[pairs[:, 0]], there.points[pairs[:, 1]], scores)
 
     def matches_between(self, first: TrainingView, second: TrainingView) -> Matches:
-        """The matches of two photographs that keep to the epipolar lines of their cameras.
+        """Matches of two photographs that are close to the epipolar lines of their cameras.
 
         Raises:
             PluginError: see `MatchingPrior.matches`.

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 FamilyName = Literal["dpt", "depth_anything_v2"]
 Answer = Literal["inverse_depth", "depth"]
 SMALLEST_DEPTH = 1e-3
-"""Of the median of a network's depths; what is less, or not above 0, counts as this much."""
+"""Least depth relative to the median of a network's depths; smaller ones are clamped."""
 
 
 @dataclass(frozen=True)
 class MonoFamily:
-    """How a family wants its image, its numbers, short side in pixels and whole multiples; its answer."""
+    """Input and output format of a family: pixel values, short side and its multiple in pixels, output."""
 
     value_range: ValueRange
     short_side: int
@@ -41,26 +41,26 @@ FAMILIES: dict[FamilyName, MonoFamily] = {
 
 class OnnxMonoSettings(OnnxModelSettings):
     family: FamilyName = "depth_anything_v2"
-    """What the network is; the settings below that are null take its values (docs/prior_models.md)."""
+    """Network family; gives the values of settings below that are null (docs/prior_models.md)."""
     input: str | None = None
-    """The graph's name for the image; null: its only input."""
+    """Input for the image; null: the graph's only input."""
     output: str | None = None
-    """The graph's name for the map; null: its only output."""
+    """Output with the map; null: the graph's only output."""
     short_side: int | None = Field(None, ge=1)
-    """Pixels of the image's shorter side, where the graph leaves it open."""
+    """Shorter side of the input in pixels, if the graph's size is dynamic."""
     multiple: int | None = Field(None, ge=1)
-    """Both sides must be a multiple of this, where the graph leaves them open."""
+    """Both sides are rounded to a multiple of this, if the graph's size is dynamic."""
     value_range: ValueRange | None = None
-    """The numbers for black and white that the graph takes."""
+    """Range of the graph's pixel values, from black to white."""
     answers: Answer | None = None
-    """What the graph says of a pixel: relative inverse depth, or depth in any unit, larger = farther."""
+    """Output of the graph: relative inverse depth, or depth in any unit, larger = farther."""
 
 
 class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
-    """A network's relative inverse depth, asked at the network's size, answered at the image's.
+    """Relative inverse depth of a network, inferred at the network's size and resized to the image's.
 
     Raises:
-        PluginError: see `OnnxModel`; or a graph that does not take one image.
+        PluginError: see `OnnxModel`; or the graph does not take one image.
     """
 
     def __init__(self, settings: OnnxMonoSettings, context: Context) -> None:
@@ -71,14 +71,14 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         self._output = self._model.output(settings.output)
         if len(self._input.shape) != 4 or self._input.shape[1] not in (None, 3):
             raise PluginError(
-                f"the input {self._input} takes no image; expected [1, 3, H, W]",
+                f"the input {self._input} is not an image; expected [1, 3, H, W]",
                 where=str(self._model.path),
-                fix="name the right one with `input`",
+                fix="set `input` to the image input",
             )
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """Each family, as depth and as inverse depth, and other numbers, for one image to one map."""
+        """Each family and value range, as depth and as inverse depth, for a graph from one image to maps."""
         image = model.inputs[0]
         maps = [{"output": spec.name} for spec in model.outputs if _is_map(spec)]
         outputs: list[dict[str, str]] = [{}] if len(model.outputs) == len(maps) == 1 else maps
@@ -94,14 +94,14 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         ]
 
     def fingerprint(self) -> str:
-        """The model file's hash and what runs it."""
+        """Hash of the model file, and its execution provider."""
         return self._model.fingerprint
 
     def estimate(self, image: Tensor) -> Tensor:
         """Relative inverse depth `[H, W]`, larger = nearer.
 
         Raises:
-            PluginError: the graph answers anything but one map, or depths none of which is above 0.
+            PluginError: the graph does not return one map, or returns no depth above 0.
         """
         from torch.nn.functional import interpolate
 
@@ -121,11 +121,11 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 f"the output {self._output.name!r} has the shape {list(answer.shape)}, "
                 "expected [1, H, W] or [1, 1, H, W]",
                 where=str(self._model.path),
-                fix="name the map with `output`",
+                fix="set `output` to the map",
             )
         if self._family.answers == "depth":
             answer = self._inverted(answer)
-        # Values have no unit, so a network may answer at a size of its own.
+        # Values have no unit, so the output may have any size.
         maps = answer.reshape(1, 1, *answer.shape[-2:])
         return interpolate(maps, size, mode="bilinear")[0, 0]
 
@@ -135,9 +135,9 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         known = depth[torch.isfinite(depth) & (depth > 0)]
         if not len(known):
             raise PluginError(
-                "no depth that the graph answers is above 0",
+                "the graph returned no depth above 0",
                 where=str(self._model.path),
-                fix="leave `answers` out if the graph answers inverse depth; check `value_range`",
+                fix="remove `answers` if the graph returns inverse depth; check `value_range`",
             )
         return 1 / depth.clamp(min=SMALLEST_DEPTH * float(known.median()))
 
@@ -147,13 +147,13 @@ def _is_map(spec: OnnxTensor) -> bool:
 
 
 def _family(settings: OnnxMonoSettings) -> MonoFamily:
-    """The family with what the settings say otherwise."""
-    said = {
+    """The family, overridden by the settings that are not null."""
+    overrides = {
         field.name: value
         for field in fields(MonoFamily)
         if (value := getattr(settings, field.name)) is not None
     }
-    return replace(FAMILIES[settings.family], **said)
+    return replace(FAMILIES[settings.family], **overrides)
 
 
 @hookimpl

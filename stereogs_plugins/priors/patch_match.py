@@ -1,8 +1,7 @@
-"""`patch_match`: depth of posed views by slanted planes that spread over the image; needs no model file.
+"""`patch_match`: depth of posed views by slanted-plane PatchMatch; needs no model file.
 
-Each pixel has a plane of its own, found by trying those of other pixels and random changes, so that
-surfaces seen at an angle and from far apart match as well as those that face the camera. Views are drawn
-towards agreeing with each other.
+Each pixel has its own plane, found by trying the planes of other pixels and random changes. Slanted surfaces
+and wide baselines therefore match as well as frontal ones. A consistency term draws views towards each other.
 """
 
 from __future__ import annotations
@@ -21,25 +20,25 @@ if TYPE_CHECKING:
 
 
 _NO_MATCH = 0.9
-"""Cost from which on the windows are as good as uncorrelated: nothing was found there."""
+"""Cost from which on windows count as uncorrelated."""
 
 
 class PatchMatchSettings(Settings):
     near_margin: float = Field(0.9, gt=0, le=1)
-    """Nothing is nearer than so many times the scene's near bound."""
+    """Least depth as a multiple of the scene's near bound."""
     far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
-    """Nothing is farther than so many times the scene's far bound."""
+    """Largest depth as a multiple of the scene's far bound."""
     max_sources: int = Field(5, ge=1, le=MOST_PATCH_SOURCES)
-    """Each view is compared with so many others at most: those that see the same under a good angle."""
+    """Largest number of source views per view, chosen by overlap and triangulation angle."""
     radius: int = Field(3, ge=1, le=12)
-    """Radius of the windows that are compared, pixels; every second pixel counts."""
+    """Radius of the compared windows in pixels; every second pixel is used."""
 
 
 class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
     """Slanted-plane PatchMatch over several source views, coarse to fine."""
 
     def fingerprint(self) -> str:
-        """The device, since another may round a sample differently."""
+        """The device; another one may round differently."""
         device = self.context.device
         return f"{device.platform} {device.name} {device.driver} {device.variant}"
 
@@ -48,12 +47,12 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
     ) -> list[DepthMap]:
         """Return one depth map for each view.
 
-        A depth is valid where its window matches at all and the point projects into another view that it
-        was compared with. The confidence is 1 less the cost: of windows that do not match, and of views
-        that disagree. Random planes are the same for every run: the pipeline's seed changes nothing.
+        A depth is valid where its windows correlate and the point projects into a source view. The
+        confidence is 1 minus the cost of mismatch and of disagreement between views. Random planes do not
+        depend on the pipeline's seed.
 
         Raises:
-            PluginError: all cameras stand in one place.
+            PluginError: all cameras are at the same position.
         """
         from core_rasterizer.matching import PatchMatch, seen_by_any, source_views
 
@@ -65,8 +64,8 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
         ]
         if not all(sources):
             raise PluginError(
-                f"the {len(cameras)} cameras stand in one place, from where no depth can be seen",
-                fix="use views from different places, or check the poses",
+                f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",
+                fix="use views from different positions, or check the poses",
             )
         greys = [grey(view.image) for view in views]
         matcher = PatchMatch(self.context.device, greys, cameras, reach, radius=settings.radius)

@@ -1,8 +1,8 @@
-"""`plane_sweep`: depth of posed views by classical matching over planes; needs no model file.
+"""`plane_sweep`: depth of posed views by plane sweep; needs no model file.
 
-For each view, planes parallel to its image are swept through the scene; every other view, warped over a
-plane, matches where the plane passes through the surface. Costs are aggregated semi-globally and the
-cheapest plane is refined between its neighbours.
+Planes parallel to each view's image are swept through the scene; source views warped over a plane match
+where it intersects the surface. Costs are aggregated semi-globally, and the cheapest plane is refined
+between its neighbours.
 """
 
 from __future__ import annotations
@@ -23,48 +23,48 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from core_rasterizer import Camera
     from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
 
 class PlaneSweepSettings(Settings):
     planes: int = Field(192, ge=4, le=1024)
-    """How many planes, equally spaced in inverse depth."""
+    """Number of planes, equally spaced in inverse depth."""
     near_margin: float = Field(0.9, gt=0, le=1)
-    """The nearest plane lies at so many times the scene's near bound."""
+    """Depth of the nearest plane as a multiple of the scene's near bound."""
     far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
-    """The farthest plane lies at so many times the scene's far bound."""
+    """Depth of the farthest plane as a multiple of the scene's far bound."""
     max_sources: int = Field(6, ge=1, le=16)
-    """Each view is compared with so many others at most: those that see the same under a good angle."""
+    """Largest number of source views per view, chosen by overlap and triangulation angle."""
     cost: Literal["zncc", "features"] = "zncc"
-    """How pixels are compared: correlation of grey windows, or learned features from a file."""
+    """Matching cost: correlation of grey windows, or learned features from a file."""
     radius: int = Field(2, ge=1, le=MAX_SWEEP_RADIUS)
     """Radius of the windows of `zncc`, pixels."""
     features: Path | None = None
-    """For `features`: a local ONNX file of the form of MC-CNN fast."""
+    """For `features`: path of an ONNX file in the format of MC-CNN fast."""
     sha256: Sha256 | None = None
-    """The hash that the file must have; null takes any file."""
+    """Required hash of the file; null accepts any file."""
     second_share: float = Field(0.25, ge=0, le=1)
-    """Weight of the view that matches second best; the best has the rest, since others may be hidden."""
+    """Weight of the source view with the second lowest cost; the lowest has the rest. Other views are
+    ignored because they may be occluded."""
     small_penalty: int = Field(10, ge=0, le=LARGEST_PENALTY)
-    """Cost of a step to the next plane between two pixels (P1); a match costs 0 to 255."""
+    """Penalty P1 for a step of one plane between two pixels; a match costs 0 to 255."""
     large_penalty: int = Field(4000, ge=0, le=LARGEST_PENALTY)
-    """Cost of a larger step (P2); it is divided by the difference of the two grey levels."""
+    """Penalty P2 for a larger step; it is divided by the difference of the two grey levels."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if (self.cost == "features") != (self.features is not None):
-            raise ValueError("`cost: features` and a file in `features` go together")
+            raise ValueError("`cost: features` and a file in `features` require each other")
         if self.large_penalty < self.small_penalty:
             raise ValueError("`large_penalty` must be at least `small_penalty`")
         return self
 
 
 class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
-    """Plane sweep, semi-global aggregation, the cheapest plane.
+    """Plane sweep with semi-global aggregation.
 
     Raises:
-        PluginError: the file of features cannot be used, see `LearnedFeatures`.
+        PluginError: the file in `features` cannot be used, see `LearnedFeatures`.
     """
 
     def __init__(self, settings: PlaneSweepSettings, context: Context) -> None:
@@ -77,7 +77,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """The cost `features`, for a file of learned features."""
+        """The cost `features`, for a file with learned features."""
         from registry.toolkit.networks import LearnedFeatures
 
         if not LearnedFeatures.recognizes(model):
@@ -85,7 +85,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         return [{"cost": "features", "features": str(model.path), "sha256": model.sha256}]
 
     def fingerprint(self) -> str:
-        """The device, since another may round a sample differently, and the file of features."""
+        """The device, as another one may round differently, and the file in `features`."""
         device = self.context.device
         model = self._features.fingerprint if self._features else ""
         return f"{device.platform} {device.name} {device.driver} {device.variant} {model}"
@@ -95,33 +95,41 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
     ) -> list[DepthMap]:
         """Return one depth map for each view.
 
-        A depth is valid where the point projects into another view that it was compared with. No view
-        was asked whether it agrees: that is for whoever needs to know.
+        A depth is valid where the point projects into a source view; consistency between views is not
+        checked.
 
         Raises:
-            PluginError: all cameras stand in one place.
-            MemoryBudgetError: a view's cost volume would take more than half of the device's memory.
+            PluginError: all cameras are at the same position.
+            MemoryBudgetError: a view's cost volume needs more than half of the device's memory.
         """
         import torch
 
-        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any
+        from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any, source_views
 
         planes = self.settings.planes
         near, far = bounds[0] * self.settings.near_margin, bounds[1] * self.settings.far_margin
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
         inverse_depths = farthest + step * torch.arange(planes, dtype=torch.float64)
         cameras = [view.camera for view in views]
+        sources = [
+            source_views(cameras, index, self.settings.max_sources, (near, far))
+            for index in range(len(views))
+        ]
+        if not all(sources):
+            raise PluginError(
+                f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",
+                fix="use views from different positions, or check the poses",
+            )
         greys = [grey(view.image) for view in views]
         sweep = self._sweep(views, greys, inverse_depths)
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []
         for index, camera in enumerate(cameras):
-            sources = _sources(cameras, index, self.settings.max_sources, (near, far))
-            costs = sweep.costs(index, sources)
+            costs = sweep.costs(index, sources[index])
             sums = aggregate(self.context.device, costs, greys[index], penalties)
             plane, confidence = pick(self.context.device, sums, planes)
             depth = 1 / (farthest + step * plane.double())
-            valid = seen_by_any(depth, camera, [cameras[k] for k in sources])
+            valid = seen_by_any(depth, camera, [cameras[k] for k in sources[index]])
             maps.append(DepthMap(depth.float(), valid, confidence))
         return maps
 
@@ -137,21 +145,6 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
             return FeatureSweep(device, features, cameras, inverse_depths, second_share=share)
         radius = self.settings.radius
         return ZnccSweep(device, greys, cameras, inverse_depths, radius=radius, second_share=share)
-
-
-def _sources(
-    cameras: Sequence[Camera], reference: int, count: int, bounds: tuple[float, float]
-) -> list[int]:
-    """The views to compare one of them with, without those that stand in the same place."""
-    from core_rasterizer.matching import source_views
-
-    sources = source_views(cameras, reference, count, bounds)
-    if not sources:
-        raise PluginError(
-            f"the {len(cameras)} cameras stand in one place, from where no depth can be seen",
-            fix="use views from different places, or check the poses",
-        )
-    return sources
 
 
 @hookimpl

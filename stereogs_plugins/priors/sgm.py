@@ -1,7 +1,7 @@
-"""`sgm`: disparity of rectified pairs by semi-global matching, without any model file.
+"""`sgm`: disparity of rectified pairs by semi-global matching; needs no model file.
 
-Matching costs of all disparities (census, correlation, or a network's features) are aggregated along
-eight paths (Hirschmüller, PAMI 2008); the cheapest disparity is refined between pixels.
+Matching costs (census, correlation, or features of a network) are aggregated along eight paths
+(Hirschmüller, PAMI 2008); the cheapest disparity is refined to subpixel precision.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 
 class SgmSettings(Settings):
     max_disparity: int = Field(192, ge=1, le=1024)
-    """The largest disparity that is looked for, pixels; time and memory grow with it."""
+    """Largest disparity searched, pixels; time and memory grow with it."""
     cost: Literal["census", "zncc", "features"] = "census"
-    """Signs of 9x7 windows, correlation of square windows, or a network's features."""
+    """Matching cost: census of 9x7 windows, correlation of square windows, or features of a network."""
     radius: int = Field(2, ge=1, le=MAX_RADIUS)
     """Radius of the windows of `zncc`, pixels."""
     features: Path | None = None
-    """For the cost `features`: a local ONNX file that turns a grey image `[N, 1, H, W]` of mean 0 and
-    deviation 1 into feature vectors `[N, C, H, W]`, as MC-CNN fast does."""
+    """For the cost `features`: path of an ONNX file that maps a grey image `[N, 1, H, W]` with mean 0 and
+    standard deviation 1 to feature vectors `[N, C, H, W]`, as MC-CNN fast does."""
     sha256: Sha256 | None = None
-    """The hash that the file must have; null takes any file."""
+    """Required hash of the file; null accepts any file."""
     provider: OnnxProvider | None = None
-    """What runs the network; null: the first of this list that is installed."""
+    """Execution provider of the network; null: the first of this list that is installed."""
     small_penalty: int = Field(80, ge=0, le=LARGEST_PENALTY)
-    """Price of a change by one pixel of disparity between two pixels (P1); a match costs 0 to 255."""
+    """Penalty P1 for a disparity change of one between two pixels; a match costs 0 to 255."""
     large_penalty: int = Field(6000, ge=0, le=LARGEST_PENALTY)
-    """Price of a larger change (P2); divided by the difference of the two grey levels, at least P1."""
+    """Penalty P2 for a larger change; divided by the difference of the two grey levels, at least P1."""
     median: bool = True
     """Replace each disparity by the median of its 3x3 neighbourhood."""
 
@@ -49,13 +49,12 @@ class SgmSettings(Settings):
 class SgmPrior(StereoPrior[SgmSettings]):
     """Semi-global matching.
 
-    Every pixel gets a disparity, also one that the other image does not show: what its surroundings
-    suggest, which may lead out of the other image. Ask for both images' disparities and compare them to
-    find those. A disparity of 0, which flat images have everywhere, counts as unknown.
+    Every pixel gets a disparity. Occluded pixels get one that fits their surroundings and may point outside
+    the other image; a left-right check finds them. A disparity of 0, as in flat images, counts as unknown.
 
     Raises:
-        PluginError: the penalties are in the wrong order, `cost: features` has no file or another
-            cost has one; see `LearnedFeatures` for the file.
+        PluginError: `small_penalty` exceeds `large_penalty`, `cost: features` has no file, or another cost
+            has one; see `LearnedFeatures` for the file.
     """
 
     def __init__(self, settings: SgmSettings, context: Context) -> None:
@@ -67,11 +66,11 @@ class SgmPrior(StereoPrior[SgmSettings]):
             raise PluginError(
                 f"small_penalty {settings.small_penalty} is more than "
                 f"large_penalty {settings.large_penalty}",
-                fix="a large change of disparity must cost at least what a small one does",
+                fix="set `large_penalty` to at least `small_penalty`",
             )
         if (settings.cost == "features") != (settings.features is not None):
             raise PluginError(
-                f"the cost is {settings.cost!r} and the file of features {settings.features}",
+                f"the cost is {settings.cost!r} but `features` is {settings.features}",
                 fix="set `features` to an ONNX file together with `cost: features`, or neither",
             )
         self._penalties = Penalties(settings.small_penalty, settings.large_penalty)
@@ -81,7 +80,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """The cost `features`, for a file of learned features."""
+        """The cost `features`, for a file with learned features."""
         from registry.toolkit.networks import LearnedFeatures
 
         if not LearnedFeatures.recognizes(model):
@@ -90,19 +89,19 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     @property
     def max_disparity(self) -> float:
-        """The setting: larger disparities are not looked for."""
+        """The setting of that name."""
         return float(self.settings.max_disparity)
 
     def estimate(self, left: Tensor, right: Tensor) -> Tensor:
         """Return the left image's disparity `[H, W]`, pixels; 0 where unknown.
 
         Raises:
-            MemoryBudgetError: the cost volumes would take more than half of the device's memory.
+            MemoryBudgetError: the cost volumes need more than half of the device's memory.
         """
         return self._cheapest(self._costs(left, right), left)
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Both images' disparities, from one computation of the matching costs."""
+        """Disparities of both images from one computation of the matching costs."""
         from core_rasterizer.matching import right_costs
 
         costs = self._costs(left, right)
@@ -110,7 +109,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
         return self._cheapest(costs, left), self._cheapest(mirrored, right)
 
     def _planes(self, image: Tensor) -> int:
-        """Disparities 0, 1, ...; none is as large as the image is wide."""
+        """Number of disparities 0, 1, ...; at most the image's width."""
         return min(self.settings.max_disparity + 1, image.shape[1])
 
     def _costs(self, left: Tensor, right: Tensor) -> CostVolume:
@@ -138,7 +137,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
 
 def _median_of_neighbours(values: Tensor) -> Tensor:
-    """The median of 3x3 pixels; beyond the edge they are as at it."""
+    """Median of 3x3 pixels, with a repeated border."""
     from torch.nn.functional import pad
 
     padded = pad(values[None], (1, 1, 1, 1), mode="replicate")[0]

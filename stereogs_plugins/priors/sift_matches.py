@@ -1,7 +1,7 @@
-"""`sift_matches`: points of two images that show the same, by SIFT features, without any model file.
+"""`sift_matches`: matches between two images by SIFT features; needs no model file.
 
-Features (Lowe, IJCV 2004) whose descriptors are each other's nearest and clearly nearer than the second
-nearest, found by pycolmap on the CPU. They stand in where a method asks for a matching network.
+SIFT features (Lowe, IJCV 2004) that are mutual nearest neighbours and pass the ratio test, by pycolmap on the
+CPU. A substitute for a matching network.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 
 class SiftMatchesSettings(Settings):
     contrast: float = Field(0.002, gt=0)
-    """Least contrast of a feature; COLMAP's own, 0.0067, is made for dozens of photographs."""
+    """Least contrast of a feature; COLMAP's default, 0.0067, is meant for dozens of photographs."""
     max_features: int = Field(8192, ge=1)
-    """Of an image; those of the largest scale are kept."""
+    """Largest number of features per image; those of the largest scale are kept."""
     max_ratio: float = Field(0.8, gt=0, le=1)
-    """Largest distance of a match's descriptors, relative to the second nearest (Lowe's ratio)."""
+    """Largest distance of a match's descriptors relative to the second nearest (Lowe's ratio)."""
 
 
 class SiftMatches(MatchingPrior[SiftMatchesSettings]):
-    """SIFT and mutual nearest neighbours. A match's score is the cosine of its descriptors."""
+    """SIFT with mutual nearest neighbours; the score of a match is the cosine of its descriptors."""
 
     def fingerprint(self) -> str:
-        """pycolmap's version."""
+        """Version of pycolmap."""
         from importlib.metadata import version
 
         return f"pycolmap {version('pycolmap')}"
 
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
-        """The matches, in the order of the first image's features."""
+        """Matches in the order of the first image's features."""
         import torch
 
         from registry.toolkit.photos import import_pycolmap
@@ -60,7 +60,7 @@ class SiftMatches(MatchingPrior[SiftMatchesSettings]):
         )
 
     def _features(self, colmap: Any, image: Tensor) -> tuple[Any, Any]:
-        """pycolmap's keypoints and descriptors."""
+        """Keypoints and descriptors of pycolmap."""
         import torch
 
         from registry.toolkit.drawing import grey
@@ -75,7 +75,7 @@ class SiftMatches(MatchingPrior[SiftMatchesSettings]):
 
 
 def _descriptors(words: Any) -> Tensor:
-    """`[F, 128]`, of length 1."""
+    """Unit vectors `[F, 128]`."""
     import torch
     from torch.nn.functional import normalize
 
@@ -83,7 +83,7 @@ def _descriptors(words: Any) -> Tensor:
 
 
 def _pixels(colmap: Any, keypoints: Any) -> Tensor:
-    """`[F, 2]` columns and rows; the middle of the first pixel is (0.5, 0.5), as in COLMAP."""
+    """Columns and rows `[F, 2]`; the centre of the first pixel is (0.5, 0.5), as in COLMAP."""
     import torch
 
     return torch.from_numpy(colmap.keypoints_to_matrix(keypoints)[:, :2].astype("float32"))

@@ -1,1 +1,1 @@
-"""Scene loaders: photographs and cameras in, a `Scene` out."""
+"""Scene loaders: from photographs and cameras to a `Scene`."""

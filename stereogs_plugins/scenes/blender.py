@@ -1,7 +1,7 @@
-"""`blender`: the synthetic scenes of NeRF (Mildenhall et al. 2020), `transforms_train.json` and so on.
+"""`blender`: the synthetic scenes of NeRF (Mildenhall et al. 2020), with `transforms_train.json`.
 
-A photograph's number is the one at the end of its file's name: 26 for `./train/r_26`. Names of views
-carry the split, for both splits have a r_0.
+The number of a photograph is at the end of its file name: 26 for `./train/r_26`. Names of views include the
+split because both splits have an r_0.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with
 
 class BlenderSettings(Settings):
     path: Path
-    """The scene's folder; it holds transforms_train.json and transforms_test.json."""
+    """Path of the scene's folder with transforms_train.json and transforms_test.json."""
     train_ids: tuple[int, ...] | None = STANDARD_VIEWS
     """Numbers of the training photographs; null takes all of transforms_train.json."""
     test_every: int = Field(8, ge=1)
     """Test views are the photographs of transforms_test.json with a number divisible by this."""
     background: Literal["white", "black"] = "white"
-    """What transparent pixels are laid on, and the scene's background; part of the protocol."""
+    """Colour behind transparent pixels, and the scene's background; part of the protocol."""
     width: int = Field(400, ge=1)
-    """Wider photographs are reduced to this width; the published half of 800."""
+    """Wider photographs are resized to this width; 400 is the published half of 800."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for that."""
+    """Pillow filter for resizing."""
     near: float = Field(2.0, gt=0)
     """Near depth bound; 2 and 6 are the published bounds of these scenes."""
     far: float = Field(6.0, gt=0)
@@ -57,21 +57,20 @@ class BlenderSettings(Settings):
 
 
 class BlenderScene(SceneLoader[BlenderSettings]):
-    """Reads a NeRF synthetic scene: transparent renders with exact cameras."""
+    """Loader of NeRF's synthetic scenes: transparent renders with exact cameras."""
 
     recognized_by: ClassVar[str] = "transforms_train.json"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether the folder holds transforms_train.json."""
+        """Return True if the folder contains transforms_train.json."""
         return (folder / "transforms_train.json").is_file()
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: a missing or damaged file, an asked-for photograph that is not there, a pose
-                that is none.
+            SceneError: a missing or damaged file, a missing photograph, or an invalid pose.
         """
         settings = self.settings
         folder = settings.path.expanduser()
@@ -82,9 +81,9 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         missing = [number for number in train_ids if number not in train]
         if missing:
             raise SceneError(
-                f"the training photographs {missing} are not there",
+                f"the training photographs {missing} are missing",
                 where=str(folder / "transforms_train.json"),
-                fix="set `train_ids` to numbers of photographs that are, or to null for all",
+                fix="set `train_ids` to numbers of existing photographs, or to null for all",
             )
         photos = [train[k] for k in train_ids] + [test[k] for k in test_ids]
         decoder = Decoder(
@@ -112,7 +111,7 @@ class _Transforms(pydantic.BaseModel):
 
 
 def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
-    """The photographs of one split by number, in the order of the file."""
+    """Photographs of one split by number, in the order of the file."""
     path = folder / f"transforms_{split}.json"
     content = read_document(path, _Transforms, _FIX)
     photos: dict[int, PosedPhoto] = {}
@@ -123,7 +122,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
         number = re.search(r"(\d+)$", image.stem, re.ASCII)
         if number is None or int(number[1]) in photos:
             raise SceneError(
-                f"the file name {frame.file_path!r} has no number of its own at its end",
+                f"the file name {frame.file_path!r} does not end in a unique number",
                 where=where,
                 fix="name photographs like r_0, r_1, ...",
             )
@@ -139,7 +138,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
 
 
 def _lens(angle: float, image: Path) -> Lens:
-    """A field of view `angle` radians wide; square pixels, principal point at the centre."""
+    """Lens with a horizontal field of view in radians, square pixels and a centred principal point."""
     width, height = stored_size(image)
     focal = width / 2 / math.tan(angle / 2)
     return Lens(focal, focal, width / 2, height / 2, width, height)

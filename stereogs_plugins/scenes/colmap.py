@@ -1,4 +1,4 @@
-"""`colmap`: a COLMAP model, binary or text, with its photographs; Mip-NeRF 360 as published."""
+"""`colmap`: a COLMAP model, binary or text, with its photographs, for example Mip-NeRF 360 as published."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from registry.toolkit.photos import (
     view_names,
 )
 
-_FIX = "point `path` at a folder with images and a whole COLMAP model (see `model`)"
+_FIX = "set `path` to a folder with images and a complete COLMAP model (see `model`)"
 
 
 class ColmapSettings(SplitSettings, ImageSourceSettings):
     path: Path
-    """The scene's folder; it holds the photographs and the model."""
+    """Path of the scene's folder with the photographs and the model."""
     model: str = "sparse/0"
-    """The model's folder inside the scene's: cameras, images and points3D as .bin or .txt."""
+    """Folder of the model within the scene's: cameras, images and points3D as .bin or .txt."""
     downsample: int = Field(1, ge=1)
-    """Training photographs are this much smaller than the full-size ones, on each side."""
+    """Factor by which each side of the full-size photographs is reduced for training."""
     points: bool = True
-    """Take the model's points; only those that the training views see."""
+    """Use those points of the model that the training views see."""
 
 
 class ColmapScene(SceneLoader[ColmapSettings]):
-    """Reads a COLMAP model. Distorted photographs are undistorted; principal points stay off-centre."""
+    """Loader of COLMAP models. Photographs are undistorted; principal points stay off-centre."""
 
     recognized_by: ClassVar[str] = "sparse/0 with a COLMAP model"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether the folder holds a COLMAP model in sparse/0."""
+        """Return True if the folder contains a COLMAP model in sparse/0."""
         return has_colmap_model(folder / "sparse" / "0")
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: a missing, truncated or inconsistent file, an unknown camera model, a photograph
-                that is missing or has another shape than its camera.
+            SceneError: a missing, truncated or inconsistent file, an unknown camera model, or a photograph
+                that is missing or differs in shape from its camera.
         """
         settings = self.settings
         folder = settings.path.expanduser()

@@ -1,4 +1,4 @@
-"""Filters of photographs, by OpenCV: scipy.ndimage does the same and takes 0.4 s to import."""
+"""Image filters by OpenCV. They match `scipy.ndimage`, which takes 0.4 s to import."""
 
 from __future__ import annotations
 
@@ -7,41 +7,35 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Colors = NDArray[np.float32]
+    from .projection import Colors
 
 KERNEL_REACH = 4.0
-"""Standard deviations after which a Gaussian counts as 0."""
+"""Standard deviations at which the Gaussian is cut off."""
 
 
 def blurred(image: Colors, sigma: float, *, outside: Literal["mirrored", "border"]) -> Colors:
-    """The image `[H, W, 3]` under a Gaussian.
+    """Gaussian blur of an image `[H, W, 3]`.
 
     Args:
         sigma: standard deviation, pixels.
-        outside: what stands beyond the image: the image mirrored at its border, or the border going on.
+        outside: values beyond the border: the mirrored image or the repeated border.
     """
     import cv2
 
     reach = int(KERNEL_REACH * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     weights /= weights.sum()
-    alone = np.ones(1)
-    beyond = cv2.BORDER_REFLECT if outside == "mirrored" else cv2.BORDER_REPLICATE
-    # Single precision only between the directions: sums in it would depend on the processor's vectors.
-    for along_rows, along_columns in ((alone, weights), (weights, alone)):
-        sums = cv2.sepFilter2D(image, cv2.CV_64F, along_rows, along_columns, borderType=beyond)
+    one = np.ones(1)
+    border = cv2.BORDER_REFLECT if outside == "mirrored" else cv2.BORDER_REPLICATE
+    # Sums in double precision: in single they would depend on the processor's vector width.
+    for along_rows, along_columns in ((one, weights), (weights, one)):
+        sums = cv2.sepFilter2D(image, cv2.CV_64F, along_rows, along_columns, borderType=border)
         image = sums.astype(np.float32)
     return image
 
 
 def lowest_and_highest(image: Colors, window: int) -> tuple[Colors, Colors]:
-    """The least and the largest value of each channel `[H, W, 3]` around each pixel.
-
-    Args:
-        window: width of the square around the pixel, odd.
-    """
+    """Minimum and maximum of each channel `[H, W, 3]` in a square of odd width `window` around each pixel."""
     import cv2
 
     square = np.ones((window, window), dtype=np.uint8)

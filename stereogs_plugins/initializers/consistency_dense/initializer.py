@@ -1,8 +1,9 @@
 """`consistency_dense`: a point for every pixel whose depth other training views confirm (StereoGS).
 
-One or more multi-view depth priors are asked for every training view's depth; what the views agree on is
-lifted to points. Three switches complete the picture where they do not: guessed depths in holes (`fill`),
-coarse points behind foreground edges (`back_layer`) and around each image (`margin`). The paper uses none.
+Depth priors estimate the depth of every training view; depths that pass the geometric consistency filter
+(geometric_consistency.py) are lifted to points. The paper uses nothing else. The folder completion/ adds
+guessed depths in holes (`fill`), coarse points behind foreground edges (`back_layer`) and around each image
+(`margin`), and merges duplicates (`merge`).
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from .confirming.several_priors import Choice
+    from .geometric_consistency import SelectedDepth
     from .layers import Layer
-    from .projection import DepthImage, Floats
-    from .understanding.plain_background import PlainAreas
-    from .understanding.understanding import Understanding
+    from .projection import DepthImage
+    from .scene_analysis.analysis import SceneAnalysis
+    from .scene_analysis.plain_background import PlainAreas
     from .view_depth import ViewDepth
 
 _log = logging.getLogger(__name__)
 
 PATCH_STEP = 0.05
-"""Relative depth difference from which on neighbouring pixels belong to different patches."""
+"""Relative depth difference between neighbouring pixels of different patches."""
 
 
 class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
-    """Points from a multi-view depth prior, filtered by agreement between the views."""
+    """Points from multi-view depth priors, filtered by geometric consistency between the views."""
 
     ablation_baseline = "sfm"
     needs_priors = ("multi_view_depth",)
@@ -44,101 +45,108 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
 
         Raises:
             PluginError: the pipeline has no multi-view depth prior of a name in `prior`, or `prior` is
-                null and there is none or more than one.
-            SceneError: one training view, fewer other views than must agree, or views that agree on
-                nothing.
+                null and the number of such priors is not one.
+            SceneError: one training view, fewer other views than must agree, or no confirmed depth.
         """
-        from .understanding.contradictions import without_outvoted
-        from .understanding.plain_background import PlainAreas
-        from .understanding.understanding import Understanding
+        import numpy as np
+
+        from .completion.guesses import guesses
+        from .completion.matched import matched_or_confirmed
+        from .scene_analysis.analysis import SceneAnalysis
+        from .scene_analysis.contradictions import without_outvoted
+        from .scene_analysis.plain_background import PlainAreas
         from .view_depth import ViewDepth
 
-        needed = self._min_consistent(scene)
+        settings = self.settings
+        min_consistent = self._min_consistent(scene)
         areas = PlainAreas.of(scene.train)
-        choices = self._choices(scene, priors, needed, areas)
-        confirmed = self._confirmed(scene, choices)
-        shown = Understanding.of(scene.train, areas, confirmed)
-        _log.info("%s: %s", scene.name, shown.sentence)
-        confirmed = shown.without_background(confirmed)
-        if shown.wide:
+        selected = self._selected_depths(scene, priors, min_consistent, areas)
+        confirmed = self._confirmed(scene, selected)
+        analysis = SceneAnalysis.of(scene.train, areas, confirmed)
+        _log.info("%s: %s", scene.name, analysis.summary)
+        confirmed = analysis.without_background(confirmed)
+        if analysis.wide:
             confirmed = without_outvoted(scene.train, confirmed, scene.bounds)
-        guessed = self._guessed(scene, confirmed, shown)
-        views = [
-            ViewDepth(view, choice.answer, sure, found)
-            for view, choice, sure, found in zip(
-                scene.train, choices, confirmed, guessed or _nothing(confirmed), strict=True
+        guessed = None
+        if settings.fill:
+            levels, also_shown = settings.background_range, settings.fill_shown
+            guessed = guesses(
+                scene, confirmed, analysis, background_range=levels, also_shown=also_shown
             )
+        filled = guessed or [np.zeros_like(depth) for depth in confirmed]
+        views = [
+            ViewDepth(view, choice.depth, *depths)
+            for view, choice, *depths in zip(scene.train, selected, confirmed, filled, strict=True)
         ]
-        points = self._point_cloud(self._layers(scene, views, shown), views, shown)
-        return self._matched(scene, points) if guessed is None else points
+        points = self._point_cloud(self._layers(scene, views, analysis), views, analysis)
+        if settings.fill and guessed is None:
+            return matched_or_confirmed(scene, points, self.context.seed, self._chosen)
+        return points
 
-    def _choices(
+    def _selected_depths(
         self,
         scene: TrainingScene,
         priors: Mapping[str, Prior[Any]],
-        needed: int,
+        min_consistent: int,
         areas: PlainAreas,
-    ) -> list[Choice]:
-        """Each view's depths, of the priors that are asked."""
+    ) -> list[SelectedDepth]:
         import numpy as np
 
-        from .confirming.geometric_filter import Limits
-        from .confirming.several_priors import most_confirmed
+        from .geometric_consistency import Limits, most_confirmed
 
-        settings, answers = self.settings, []
-        for name in self._names(scene, areas):
+        settings, depths_by_prior = self.settings, []
+        for name in self._prior_names(scene, areas):
             maps = MultiViewDepthPrior.choose(priors, name).depths(scene.train, scene.bounds)
-            answers.append(
+            depths_by_prior.append(
                 [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
             )
         limits = Limits(
-            reprojection=settings.max_reprojection_error,
-            depth=settings.max_depth_error,
-            views=needed,
-            bounds=scene.bounds,
+            settings.max_reprojection_error, settings.max_depth_error, min_consistent, scene.bounds
         )
-        return most_confirmed([view.camera for view in scene.train], answers, limits)
+        return most_confirmed([view.camera for view in scene.train], depths_by_prior, limits)
 
-    def _names(self, scene: TrainingScene, areas: PlainAreas) -> tuple[str | None, ...]:
-        """Of the priors that this scene's depths are asked of; None: the pipeline's only one."""
-        from .understanding.understanding import Understanding
+    def _prior_names(self, scene: TrainingScene, areas: PlainAreas) -> tuple[str | None, ...]:
+        """Names of the priors for this scene; None stands for the pipeline's only one."""
+        from .scene_analysis.analysis import SceneAnalysis
 
         names = self.settings.prior
         if isinstance(names, dict):
-            names = names[Understanding.at_first_sight(scene.train, areas).kind]
+            names = names[SceneAnalysis.without_depths(scene.train, areas).kind]
         return names if isinstance(names, tuple) else (names,)
 
     def _min_consistent(self, scene: TrainingScene) -> int:
-        from .confirming.geometric_filter import default_min_consistent
+        from .geometric_consistency import default_min_consistent
 
         others = len(scene.train) - 1
         if others < 1:
             raise SceneError(
-                "views cannot confirm each other's depth: there is one training view",
+                "depths cannot be confirmed: the scene has one training view",
                 where=scene.name,
                 fix="use two or more training views, or the initializer `random`",
             )
         needed = self.settings.min_consistent or default_min_consistent(len(scene.train))
         if needed > others:
             raise SceneError(
-                f"{needed} other views must confirm a depth (`min_consistent`), there are {others}",
+                f"{needed} other views must confirm a depth (`min_consistent`), but the scene has {others}",
                 where=scene.name,
                 fix=f"set `min_consistent` to at most {others}, or use more training views",
             )
         return needed
 
-    def _confirmed(self, scene: TrainingScene, choices: Sequence[Choice]) -> list[DepthImage]:
+    def _confirmed(
+        self, scene: TrainingScene, selected: Sequence[SelectedDepth]
+    ) -> list[DepthImage]:
         """Confirmed depths of each view, without small patches."""
         from registry.toolkit.photos import in_parallel
 
-        from .confirming.geometric_filter import without_small_patches
+        from .geometric_consistency import without_small_patches
 
         least = self.settings.min_component
         confirmed = in_parallel(
             lambda choice: without_small_patches(
                 choice.confirmed, min_pixels=least, max_step=PATCH_STEP
             ),
-            choices,
+            selected,
         )
         empty = [view.name for view, d in zip(scene.train, confirmed, strict=True) if not d.any()]
         if len(empty) == len(confirmed):
@@ -152,46 +160,11 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             _log.warning("no other view confirms any depth of %s; it gives no points", name)
         return confirmed
 
-    def _guessed(
-        self, scene: TrainingScene, confirmed: list[DepthImage], shown: Understanding
-    ) -> list[DepthImage] | None:
-        """Depths for the holes of each view, none if none are wanted; None: too little is confirmed."""
-        from .completing.guesses import guesses
-
-        if not self.settings.fill:
-            return _nothing(confirmed)
-        found = guesses(
-            scene,
-            confirmed,
-            shown,
-            background_range=self.settings.background_range,
-            also_shown=self.settings.fill_shown,
-        )
-        if found.worthwhile:
-            return found.depths
-        _log.warning(
-            "%s: other views confirm %.0f %% of the surface, too little to guess the rest from; more "
-            "photographs, or some nearer to each other, would help",
-            scene.name,
-            100 * found.confirmed_share,
-        )
-        return None
-
-    def _matched(self, scene: TrainingScene, points: PointCloud) -> PointCloud:
-        """Points of matched features in place of the few that are confirmed, if there are enough."""
-        from .matched import matched_points
-
-        found = matched_points(scene, points, self.context.seed, self._chosen)
-        if found is None:
-            return points
-        _log.info("%s: it starts from %d matched features instead", scene.name, len(found))
-        return found
-
     def _layers(
-        self, scene: TrainingScene, views: list[ViewDepth], shown: Understanding
+        self, scene: TrainingScene, views: list[ViewDepth], analysis: SceneAnalysis
     ) -> dict[str, Layer]:
-        """Points by kind, without those that the silhouettes refute."""
-        from .cloud import back_layers, margins, surfaces
+        """Points by kind, without those that silhouettes refute."""
+        from .completion.merging import back_layers, margins, surfaces
         from .layers import is_background
 
         settings, bounds = self.settings, scene.bounds
@@ -205,12 +178,12 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             empty = is_background(layer.colors, scene.background, settings.background_range)
             layers[kind] = layer.without(empty)
         return {
-            kind: layer.without(shown.refutes(layer.positions, guessed=kind != "confirmed"))
+            kind: layer.without(analysis.refutes(layer.positions, guessed=kind != "confirmed"))
             for kind, layer in layers.items()
         }
 
     def _chosen(self, count: int) -> Tensor:
-        """Indices of the points that are kept, in order."""
+        """Sorted indices of the points to keep."""
         import torch
 
         if self.settings.max_points is None or count <= self.settings.max_points:
@@ -219,12 +192,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         return shuffled[: self.settings.max_points].sort().values
 
     def _point_cloud(
-        self, layers: dict[str, Layer], views: list[ViewDepth], shown: Understanding
+        self, layers: dict[str, Layer], views: list[ViewDepth], analysis: SceneAnalysis
     ) -> PointCloud:
         import torch
 
         from registry.toolkit.photos import in_parallel
 
+        from .completion.merging import hidden
         from .layers import joined
         from .view_depth import PICTURE_COLUMNS, ViewDepth
 
@@ -234,54 +208,33 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         layer_of = torch.arange(len(layers)).repeat_interleave(sizes)[chosen]
         counts = torch.bincount(layer_of, minlength=len(layers)).tolist()
         kinds = {kind: layer_of == number for number, kind in enumerate(layers)}
-        if "back_layer" in layers and shown.kind != "object":
+        if "back_layer" in layers and analysis.kind != "object":
             behind = kinds["back_layer"]
             kinds["hidden"] = behind.clone()
-            kinds["hidden"][behind] = _hidden(points.positions[chosen[behind].numpy()], views)
-        scales = None
+            positions = points.positions[chosen[behind].numpy()]
+            kinds["hidden"][behind] = torch.from_numpy(hidden(positions, views))
+        scales = opacities = None
         if settings.sigma is not None:
             scales = (settings.sigma * torch.from_numpy(points.spacings)[chosen]).float()
-        opacities = None
         if settings.opacity is not None:
             opacities = torch.full((len(chosen),), settings.opacity)
+        names = [f"{view.view.name.removesuffix('.png')}_depth" for view in views]
         return PointCloud(
             positions=torch.from_numpy(points.positions)[chosen].float(),
             colors=torch.from_numpy(points.colors)[chosen].clamp(0, 1),
             scales=scales,
             opacities=opacities,
             facts={
-                **shown.facts(),
+                **analysis.facts(),
                 "points_by_kind": dict(zip(layers, counts, strict=True)),
                 "picture_columns": list(PICTURE_COLUMNS),
                 "views_without_confirmed_depth": sum(not v.confirmed.any() for v in views),
                 "views": {view.view.name: view.facts() for view in views},
             },
-            pictures=dict(
-                zip(
-                    (f"{view.view.name.removesuffix('.png')}_depth" for view in views),
-                    in_parallel(ViewDepth.picture, views),
-                    strict=True,
-                )
-            ),
+            pictures=dict(zip(names, in_parallel(ViewDepth.picture, views), strict=True)),
             maps={v.view.name: v.confirmed_map() for v in views} if settings.hand_on_depth else {},
             kinds=kinds,
         )
-
-
-def _hidden(points: Floats, views: Sequence[ViewDepth]) -> Tensor:
-    """Which world points `[P, 3]` no view can see, `[P]` bool."""
-    import torch
-
-    from .other_views import in_sight
-
-    cameras, depths = [view.camera for view in views], [view.completed for view in views]
-    return torch.from_numpy(~in_sight(points, cameras, depths))
-
-
-def _nothing(depths: Sequence[DepthImage]) -> list[DepthImage]:
-    import numpy as np
-
-    return [np.zeros_like(depth) for depth in depths]
 
 
 @hookimpl

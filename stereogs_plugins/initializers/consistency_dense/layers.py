@@ -1,4 +1,4 @@
-"""Points of one kind from one view: positions, colours and how far apart they are."""
+"""Points lifted from one view, with colours and spacings."""
 
 from __future__ import annotations
 
@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .projection import Floats, Indices, Mask, lift
+from .projection import Colors, Floats, Indices, Mask, lift
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from core_rasterizer import Camera
 
     from .view_depth import ViewDepth
 
 SAME_SURFACE = 0.05
-"""Relative depth difference up to which pixels of one cell show one surface."""
+"""Relative depth difference up to which pixels of one cell belong to one surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,25 +27,25 @@ class Layer:
     Args:
         positions: `[P, 3]` world units.
         colors: `[P, 3]` float32 in [0, 1].
-        spacings: `[P]` world units, the distance of neighbours as the view sees them.
+        spacings: `[P]` world units, distance of points that are neighbours in the image.
     """
 
     positions: Floats
-    colors: NDArray[np.float32]
+    colors: Colors
     spacings: Floats
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def without(self, dropped: Mask) -> Layer:
-        """The points that `dropped` `[P]` does not mark."""
+        """The points where `dropped` `[P]` is False."""
         return Layer(self.positions[~dropped], self.colors[~dropped], self.spacings[~dropped])
 
 
-def is_background(colors: NDArray[np.float32], background: Sequence[float], levels: int) -> Mask:
-    """Which colours `[..., 3]` are the scene's background, which is drawn where no Gaussian is.
+def is_background(colors: Colors, background: Sequence[float], levels: int) -> Mask:
+    """Colours `[..., 3]` equal to the scene's background, which is drawn where no Gaussian is.
 
-    A guess of that colour says nothing, and stands in front of what other views may know.
+    A guessed point of that colour adds nothing and may hide what other views see.
 
     Args:
         levels: of 255; each channel must differ by less.
@@ -67,14 +65,9 @@ def joined(layers: Sequence[Layer]) -> Layer:
 
 
 def layer_at(
-    camera: Camera,
-    u: Floats,
-    v: Floats,
-    depth: Floats,
-    colors: NDArray[np.float32],
-    pixels: float,
+    camera: Camera, u: Floats, v: Floats, depth: Floats, colors: Colors, pixels: float
 ) -> Layer:
-    """The layer of points behind pixel positions `[P]`, `pixels` apart in the image."""
+    """Points at pixel positions and depths `[P]`, `pixels` apart in the image."""
     spacings = pixels * depth / (0.5 * (camera.fx + camera.fy))
     return Layer(lift(camera, u, v, depth), colors, spacings)
 
@@ -88,9 +81,9 @@ def cell_middles(height: int, width: int, stride: int) -> tuple[Indices, Indices
 
 
 def surface(view: ViewDepth, wanted: Mask, stride: int) -> Layer:
-    """One point for each stride x stride cell whose middle pixel has a depth and is wanted.
+    """One point per stride x stride cell whose middle pixel is wanted and has a depth.
 
-    It takes the mean colour of those pixels of the cell that lie on the middle pixel's surface.
+    Its colour is the mean of the cell's pixels on the same surface.
     """
     image, depth = view.image, view.completed
     height, width = depth.shape

@@ -1,4 +1,4 @@
-"""What is known of one training view's depth, and how that is told to people."""
+"""Depths of one training view, with facts and a picture for the report."""
 
 from __future__ import annotations
 
@@ -14,26 +14,24 @@ from registry.priors import DepthMap
 from registry.toolkit.drawing import nearness_picture, side_by_side
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from core_rasterizer import Camera
 
-    from .projection import DepthImage
+    from .projection import Colors, DepthImage
 
 
 PICTURE_COLUMNS = ("photograph", "depth by the prior", "confirmed by other views", "completed")
-"""What `ViewDepth.picture` shows, from left to right."""
+"""Columns of `ViewDepth.picture`, from left to right."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewDepth:
-    """One training view's depths; 0 marks pixels without.
+    """Depths of one training view, `[H, W]` each, 0 where unknown.
 
     Args:
         view: the view.
-        prior: `[H, W]` what the prior answered.
-        confirmed: `[H, W]` what other views agree with.
-        filled: `[H, W]` guesses for pixels that are not confirmed.
+        prior: depths of the prior.
+        confirmed: depths that other views confirm.
+        filled: guesses for unconfirmed pixels.
     """
 
     view: TrainingView
@@ -43,21 +41,21 @@ class ViewDepth:
 
     @property
     def camera(self) -> Camera:
-        """The view's camera."""
+        """Camera of the view."""
         return self.view.camera
 
     @property
-    def image(self) -> NDArray[np.float32]:
-        """The photograph, `[H, W, 3]`."""
+    def image(self) -> Colors:
+        """Photograph `[H, W, 3]`."""
         return self.view.image.numpy()
 
     @property
     def completed(self) -> DepthImage:
-        """Confirmed depths, and guesses where there is none."""
+        """Confirmed depths, and guesses elsewhere."""
         return np.where(self.confirmed > 0, self.confirmed, self.filled)
 
     def confirmed_map(self) -> DepthMap:
-        """The confirmed depths of `solid` pixels for other components, all equally sure."""
+        """Confirmed depths of `solid` pixels, all with confidence 1, for other components."""
         depth = torch.from_numpy(self.confirmed)
         if self.view.solid is not None:
             depth = depth.where(self.view.solid, 0.0)
@@ -75,7 +73,7 @@ class ViewDepth:
         }
 
     def picture(self) -> Tensor:
-        """The `PICTURE_COLUMNS` side by side, one scale of colours for all depths."""
+        """The `PICTURE_COLUMNS` side by side; all depths share one colour scale."""
         depths = torch.from_numpy(
             np.concatenate([self.prior, self.confirmed, self.completed], axis=1)
         )

@@ -13,7 +13,7 @@ from registry.priors import StereoPrior
 from registry.toolkit.networks import OnnxModel, OnnxModelSettings, Sha256
 from registry.toolkit.networks.image_fitting import Padding, ValueRange
 
-from .families import FAMILIES, FamilyName, StereoFamily
+from .families import FAMILIES, FamilyName, StereoFamily, guesses
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,48 +25,48 @@ if TYPE_CHECKING:
 
 class OnnxStereoSettings(OnnxModelSettings):
     family: FamilyName = "generic"
-    """What the network is; the settings below that are null take its values (docs/prior_models.md)."""
+    """Network family; gives the values of settings below that are null (docs/prior_models.md)."""
     second_model: Path | None = None
-    """The second ONNX file of a family that has two (fast_foundation_stereo)."""
+    """Path of the second ONNX file of a family that has two (fast_foundation_stereo)."""
     second_sha256: Sha256 | None = None
-    """The hash that the second file must have; null takes any file."""
+    """Required hash of the second file; null accepts any file."""
     left: str | None = None
-    """The graph's name for the left image."""
+    """Input for the left image."""
     right: str | None = None
-    """The graph's name for the right image."""
+    """Input for the right image."""
     output: str | None = None
-    """The graph's name for the disparity."""
+    """Output with the disparity."""
     confidences: tuple[str, ...] | None = None
-    """Names of outputs in [0, 1] that say where the disparity can be trusted."""
+    """Names of outputs in [0, 1] with the reliability of the disparity."""
     min_confidence: float = Field(0.5, ge=0, le=1)
-    """Where one of the confidences is below this, the disparity counts as unknown."""
+    """Disparities are unknown where one of the confidences is lower."""
     value_range: ValueRange | None = None
-    """The numbers for black and white that the graph takes."""
+    """Range of the graph's pixel values, from black to white."""
     negated: bool | None = None
-    """The graph answers minus the disparity."""
+    """If true, the graph returns minus the disparity."""
     stacked: bool | None = None
-    """The graph's one input takes both images, the right one's channels behind the left one's."""
+    """If true, the graph has one input for both images: channels of the left one, then of the right one."""
     max_disparity: float | None = Field(None, gt=0)
-    """The largest disparity that the network can see, in its own pixels."""
+    """Largest disparity of the network, in its own pixels."""
     multiple: int | None = Field(None, ge=1)
-    """Both sides of an input must be a multiple of this, where the graph leaves them open."""
+    """Both sides of an input must be a multiple of this, if the graph's size is dynamic."""
     size: tuple[int, int] | None = None
-    """[width, height] given to the graph whatever the images' size; null: the graph's, or the images'."""
+    """[width, height] of the graph's input; null: the graph's size, or the image's."""
     resize: bool = False
-    """Stretch images to the size that is wanted instead of padding them; disparities are scaled back."""
+    """Stretch images to the input's size instead of padding them; disparities are scaled back."""
     padding: Padding = "replicate"
-    """What is put around an image that is too small."""
+    """Values around an image that is too small."""
     groups: int = Field(8, ge=1)
-    """Groups of the correlation volume between two graphs, if the second does not say."""
+    """Groups of the correlation volume between two graphs, if dynamic in the second."""
     normalize_groups: bool = True
     """Scale each group of features to unit length before the correlation."""
 
 
 class OnnxStereo(StereoPrior[OnnxStereoSettings]):
-    """A stereo network's disparity; images are padded or resized as the graph needs.
+    """Disparity of a stereo network; images are padded or resized to the graph's size.
 
     Raises:
-        PluginError: see `OnnxModel`; or a graph that does not have the family's form.
+        PluginError: see `OnnxModel`; or the graph does not have the family's form.
     """
 
     def __init__(self, settings: OnnxStereoSettings, context: Context) -> None:
@@ -79,25 +79,23 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
 
     @classmethod
     def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
-        """One for a family whose names the graph has, or else one for each meaning of its numbers."""
-        from .recognition import guesses
-
+        """The family whose names the graph has, otherwise each value range and sign."""
         return [{**OnnxStereoSettings.naming(model), **guess} for guess in guesses(model)]
 
     @property
     def max_disparity(self) -> float | None:
-        """The family's limit, or that of the pair of graphs, in the network's own pixels.
+        """Limit of the family or of the pair of graphs, in the network's pixels.
 
-        Images that are shrunk for the network have a larger limit, stretched ones a smaller one.
+        The limit in image pixels is larger if images are shrunk for the network, smaller if enlarged.
         """
         return self._network.max_disparity
 
     def estimate(self, left: Tensor, right: Tensor) -> Tensor:
-        """The left image's disparity `[H, W]`; NaN where the network knows none."""
+        """Disparity `[H, W]` of the left image; NaN where unknown."""
         return self._infer(left[None], right[None])[0]
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Both directions, in one call if the graph takes two pairs at once."""
+        """Disparities of both images, in one call if the graph takes two pairs."""
         import torch
 
         of_left, mirrored = self._infer(
@@ -131,38 +129,35 @@ class OnnxStereo(StereoPrior[OnnxStereoSettings]):
         return fit.undo(torch.cat(answers)) * fit.width_factor
 
     def _clean(self, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
-        """The disparity, positive, NaN where there is none or it cannot be trusted."""
+        """Positive disparity; NaN where unknown or not confident."""
         import torch
 
-        disparity = self._map(self._output, answers, shape)
+        from registry.toolkit.networks.image_fitting import full_size_maps
+
+        path = self._network.last.path
+        disparity = full_size_maps(self._output, answers, shape, path)
         if self._family.negated:
             disparity = -disparity
         known = torch.isfinite(disparity) & (disparity > 0)
         for confidence in self._family.confidences:
-            trust = self._map(confidence, answers, shape)
-            known &= trust >= self.settings.min_confidence
+            reliable = full_size_maps(confidence, answers, shape, path)
+            known &= reliable >= self.settings.min_confidence
         return torch.where(known, disparity, torch.nan)
-
-    def _map(self, name: str, answers: dict[str, Tensor], shape: tuple[int, int, int]) -> Tensor:
-        from registry.toolkit.networks.image_fitting import full_size_maps
-
-        return full_size_maps(name, answers, shape, self._network.last.path)
 
 
 def _family(settings: OnnxStereoSettings) -> StereoFamily:
-    """The family with what the settings say otherwise."""
-    said = {
+    """The family, overridden by the settings that are not null."""
+    overrides = {
         field.name: value
         for field in fields(StereoFamily)
         if field.name in OnnxStereoSettings.model_fields
         and (value := getattr(settings, field.name)) is not None
     }
-    return replace(FAMILIES[settings.family], **said)
+    return replace(FAMILIES[settings.family], **overrides)
 
 
 def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwork:
-    from .networks import OneGraph, TwoGraphs
-    from .stacked_graph import StackedGraph
+    from .networks import OneGraph, StackedGraph, TwoGraphs
 
     pair = settings.family == "fast_foundation_stereo"
     if pair != (settings.second_model is not None):

@@ -1,9 +1,9 @@
 """The cameras of a DTU scan: calibrated, or from a COLMAP model.
 
-Calibrated ones come as IDR and NeuS hand them on, in `cameras_sphere.npz`. `world_mat_i` (4x4) is
-K [R | t] of the 1600x1200 photograph, the world in millimetres, pixel centres at whole numbers.
-`scale_mat_i` takes the unit sphere around the object into that world; it is the same for all views of
-a scan. Scenes are given in units of that sphere.
+Calibrated cameras are in `cameras_sphere.npz`, as published with IDR and NeuS. `world_mat_i` (4x4) is
+K [R | t] of the 1600x1200 photograph, the world in millimetres, pixel centres at integers. `scale_mat_i`
+maps the unit sphere around the object into that world and is the same for all views of a scan. Scenes use
+that sphere's radius as unit.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from registry.toolkit.photos import (
 
 FULL_SIZE = (1600, 1200)
 DEPTH_RANGE = (425.0, 935.0)
-"""Millimetres; the range that MVSNet (Yao et al. 2018) and its successors search on every scan."""
+"""Depth range of MVSNet (Yao et al. 2018) and its successors for every scan, millimetres."""
 _FIX = "restore cameras_sphere.npz of this scan"
 _MAX_SKEW = 1e-3
 _Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class DtuCamera:
-    """The camera of one view: pose `[4, 4]`, and the lens of the full-size photograph."""
+    """Camera of one view: pose `[4, 4]`, and the lens of the full-size photograph."""
 
     world_to_camera: _Array
     lens: Lens
@@ -43,11 +43,11 @@ class DtuCamera:
 
 @dataclass(frozen=True, eq=False)
 class DtuCameras:
-    """Cameras by view number, and what else their file tells.
+    """Cameras by view number, with bounds and points if their file has any.
 
     Args:
-        bounds: depth bounds in the cameras' units, where they are published.
-        points: that the training views see.
+        bounds: published depth bounds in the cameras' units.
+        points: points that the training views see.
     """
 
     cameras: dict[int, DtuCamera]
@@ -56,15 +56,15 @@ class DtuCameras:
 
 
 def view_number(stem: str, where: str) -> int:
-    """The 0-based number of a view: 25 for `000025`, and for `rect_026_3_r5000`.
+    """0-based number of a view: 25 for `000025` and for `rect_026_3_r5000`.
 
     Raises:
-        SceneError: the file's name is of neither kind.
+        SceneError: the file name has neither form.
     """
     match = re.fullmatch(r"rect_(\d{3})_.*|(\d{1,6})", stem, re.ASCII)
     if match is None:
         raise SceneError(
-            f"the file name {stem[:100]!r} does not tell which view it is",
+            f"the file name {stem[:100]!r} does not contain a view number",
             where=where,
             fix="name photographs 000000.png ... 000048.png, or as DTU does: rect_001_3_r5000.png",
         )
@@ -72,10 +72,10 @@ def view_number(stem: str, where: str) -> int:
 
 
 def from_colmap(folder: Path, training: list[int], view_ids: list[int]) -> DtuCameras:
-    """Cameras and points of a COLMAP model.
+    """Read cameras and points of a COLMAP model.
 
     Raises:
-        SceneError: the model is damaged, or lacks a view.
+        SceneError: the model is damaged or lacks a view.
     """
     model = read_colmap_model(folder, "restore the COLMAP model, or use `cameras: calibrated`")
     numbers = [
@@ -101,11 +101,11 @@ def from_colmap(folder: Path, training: list[int], view_ids: list[int]) -> DtuCa
 
 
 def calibrated(path: Path, view_ids: list[int]) -> DtuCameras:
-    """Cameras of `cameras_sphere.npz` in units of the object's sphere.
+    """Read `cameras_sphere.npz`, in units of the object's sphere.
 
     Raises:
-        SceneError: the file is missing or damaged, lacks a view, holds numbers that are not finite,
-            or a matrix that is no camera.
+        SceneError: the file is missing or damaged, lacks a view, or has a matrix that is not finite or not a
+            camera.
     """
     names = [f"{kind}_mat_{k}" for kind in ("world", "scale") for k in view_ids]
     data = read_arrays(path, names, "the camera file", _FIX)
@@ -141,15 +141,14 @@ def _sphere(scale: _Array, where: str) -> tuple[_Array, float]:
 
 
 def _decompose(world: _Array, center: _Array, radius: float, where: str) -> DtuCamera:
-    """K, R and t of P = K [R | t] by the RQ decomposition (Hartley and Zisserman 2004, 6.2.4).
+    """K, R and t of P = K [R | t] by RQ decomposition (Hartley and Zisserman 2004, 6.2.4).
 
-    OpenCV's: the last digits of LAPACK's depend on which kernels OpenBLAS chooses for the processor, and a
-    training makes much of them.
+    By OpenCV, because the last digits of LAPACK's depend on the processor, and training amplifies them.
     """
     import cv2
 
     first, second, third = world[:3, :3]
-    with np.errstate(all="ignore"):  # what overflows compares as false and is refused
+    with np.errstate(all="ignore"):  # overflow compares as False and raises below
         adjugate = np.stack(
             [np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1
         )
@@ -157,7 +156,7 @@ def _decompose(world: _Array, center: _Array, radius: float, where: str) -> DtuC
     if not abs(volume) > 1e-9 * length**3:
         raise SceneError("world_mat is not the matrix of a camera", where=where, fix=_FIX)
     intrinsics, rotation = cv2.RQDecomp3x3(world[:3, :3])[1:3]
-    signs = np.sign(np.diag(intrinsics))  # the decomposition leaves them open; K has positive ones
+    signs = np.sign(np.diag(intrinsics))  # not determined by the decomposition; positive in K
     intrinsics, rotation = intrinsics * signs, signs[:, None] * rotation
     position = -(adjugate * world[:3, 3]).sum(axis=1) / volume
     intrinsics = intrinsics / intrinsics[2, 2]

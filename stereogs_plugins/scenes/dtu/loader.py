@@ -1,8 +1,8 @@
 """`dtu`: scans of the DTU MVS data set (Jensen et al. 2014) in the sparse-view protocol.
 
-Views carry the 0-based number of the scan's 49 photographs: 25 is `000025.png` or `rect_026_3_r5000.png`.
-Metrics count the pixels of the object's mask. A mask is white where the object is; pixels that a
-resize turned grey do not count, as in the published evaluations.
+View numbers are 0-based among the scan's 49 photographs: 25 is `000025.png` or `rect_026_3_r5000.png`.
+Metrics count the pixels inside the object's mask, which is white on the object. Pixels that resizing turns
+grey do not count, as in the published evaluations.
 """
 
 from __future__ import annotations
@@ -30,48 +30,48 @@ if TYPE_CHECKING:
 
 
 TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
-"""Three, six or nine of these train (PixelNeRF, RegNeRF and the literature since)."""
+"""Training views: the first three, six or nine (PixelNeRF, RegNeRF and later work)."""
 TEST_VIEWS = (
     *(1, 2, 9, 10, 11, 12, 14, 15, 23, 24, 26, 27),
     *(29, 30, 31, 32, 33, 34, 35, 41, 42, 43, 45, 46, 47),
 )
-"""The 25 views that test whatever trains; the other 15 are badly lit and belong to neither."""
+"""The 25 test views, for any number of training views; the other 15 are badly lit and unused."""
 
 
 class DTUSettings(Settings):
     path: Path
-    """The scan's folder; it holds image/, mask/ and cameras_sphere.npz or sparse/0."""
+    """Path of the scan's folder with image/, mask/ and cameras_sphere.npz or sparse/0."""
     train_views: Literal[3, 6, 9] = 3
-    """The first so many of the views 25, 22, 28, 40, 44, 48, 0, 8, 13 train."""
+    """Number of training views, in the order 25, 22, 28, 40, 44, 48, 0, 8, 13."""
     cameras: Literal["calibrated", "colmap"] = "calibrated"
     """`calibrated` reads cameras_sphere.npz, in units of the object's sphere; `colmap` reads the model
-    in sparse/0, in its own units, with photographs undistorted."""
+    in sparse/0, in its own units, and undistorts photographs."""
     width: int = Field(400, ge=1)
-    """Wider photographs are reduced to this width; the published quarter of 1600."""
+    """Wider photographs are resized to this width; 400 is the published quarter of 1600."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for that."""
+    """Pillow filter for resizing."""
     masks: bool = True
     """Read object masks for the metrics; without them every pixel counts."""
     dark_background: int | None = Field(None, ge=1, le=255)
-    """In training photographs, pixels whose brightest channel is below this (of 255), and the 50 pixels
-    to their left too, become black; published 30, 15 for scan 110. null leaves photographs alone."""
+    """In training photographs, set pixels whose brightest channel is below this (of 255), and the 50 pixels
+    to their left, to black; published values are 30, and 15 for scan 110. null changes nothing."""
 
 
 class DTUScene(SceneLoader[DTUSettings]):
-    """Reads a DTU scan: 49 photographs, calibrated cameras or a COLMAP model, object masks."""
+    """Loader of DTU scans: 49 photographs, calibrated cameras or a COLMAP model, object masks."""
 
     recognized_by: ClassVar[str] = "cameras_sphere.npz"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether the folder holds cameras_sphere.npz."""
+        """Return True if the folder contains cameras_sphere.npz."""
         return (folder / "cameras_sphere.npz").is_file()
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: a missing or damaged file, a view that is not there, a matrix that is no camera.
+            SceneError: a missing or damaged file, a missing view, or a matrix that is not a camera.
         """
         settings = self.settings
         folder = settings.path.expanduser()
@@ -109,7 +109,7 @@ class DTUScene(SceneLoader[DTUSettings]):
         images = _by_view(folder, ("image", "images"), numbers, "")
         masks = {}
         if self.settings.masks:
-            masks = _by_view(folder, ("mask",), numbers, "; `masks: false` does without masks")
+            masks = _by_view(folder, ("mask",), numbers, ", or set `masks: false`")
         return [
             PosedPhoto(
                 name=images[number].stem,
@@ -133,7 +133,7 @@ class DTUScene(SceneLoader[DTUSettings]):
 def _by_view(
     folder: Path, names: tuple[str, ...], numbers: list[int], hint: str
 ) -> dict[int, Path]:
-    """The images in the first of some folders that has any, by view number."""
+    """Images by view number, from the first folder in `names` that has any."""
     from .cameras import view_number
 
     found: dict[int, Path] = {}
@@ -145,9 +145,9 @@ def _by_view(
     missing = [number for number in numbers if number not in found]
     if missing:
         raise SceneError(
-            f"there is no image of the views {missing}",
+            f"the images of the views {missing} are missing",
             where=" or ".join(str(folder / name) for name in names),
-            fix=f"point `path` at the folder of one whole scan{hint}",
+            fix=f"set `path` to the folder of one complete scan{hint}",
         )
     return found
 

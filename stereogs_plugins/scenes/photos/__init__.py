@@ -1,4 +1,4 @@
-"""`photos`: a folder of pictures and nothing else; their cameras are found by COLMAP."""
+"""`photos`: a folder of photographs without cameras, which COLMAP estimates."""
 
 from .loader import PhotosScene, stereogs_register_scenes
 

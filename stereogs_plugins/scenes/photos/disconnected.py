@@ -1,4 +1,4 @@
-"""What to tell when the cameras of some photographs could not be found."""
+"""Error message for photographs whose cameras could not be estimated."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
-"""A photograph with fewer is blurred, dark, or of a plain surface."""
+"""A photograph with fewer features is blurred, dark, or of a plain surface."""
 ENOUGH_MATCHES = 30
-"""What COLMAP needs to add a photograph to others (`abs_pose_min_num_inliers`)."""
+"""Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
 MANY_MATCHES = 200
-"""Photographs that share so many overlap; if they do not fit together, the reason is another."""
+"""Photographs with this many matches overlap; if they do not connect, there is another reason."""
 _PARTNERS = 3
 
 
 def require_one_piece(cameras: FoundCameras, names: Sequence[str], where: str) -> ColmapModel:
-    """The model of a reconstruction that is one piece with every photograph.
+    """Return the model if it is one piece with every photograph.
 
     Args:
-        names: the photographs' file names, in the order of the indices.
+        names: file names of the photographs, in the order of the indices.
 
     Raises:
-        SceneError: says which photographs connect, how well, and what to photograph next.
+        SceneError: lists which photographs connect, their matches, and what to photograph next.
     """
     found = cameras.reconstruction
     groups = _groups(found, len(names))
@@ -64,7 +64,7 @@ def _most_matches(found: Reconstruction) -> int:
 
 
 def _groups(found: Reconstruction, count: int) -> list[list[int]]:
-    """The pieces, the largest first, then what is left by matches; each photograph once."""
+    """The pieces, largest first, then groups of the remaining photographs; each photograph once."""
     left = set(range(count))
     groups = []
     for piece in found.pieces:
@@ -72,12 +72,12 @@ def _groups(found: Reconstruction, count: int) -> list[list[int]]:
         left -= set(own)
         if own:
             groups.append(own)
-    # COLMAP looks for its first two photographs less patiently once there is a piece.
+    # COLMAP searches less for an initial pair once it has a piece.
     return groups + _connected(sorted(left), found.matches)
 
 
 def _connected(photos: list[int], matches: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Photographs grouped by chains of pairs that share enough matches."""
+    """Groups of photographs connected by pairs with enough matches."""
     label = {k: k for k in photos}
     for (first, second), count in matches.items():
         if count >= ENOUGH_MATCHES and first in label and second in label:
@@ -94,13 +94,13 @@ def _names(group: Sequence[int], names: Sequence[str]) -> str:
 
 
 def _partners(found: Reconstruction, photo: int) -> list[tuple[int, int]]:
-    """`(matches, other photograph)`, the best first."""
+    """`(matches, other photograph)`, best first."""
     pairs = ((n, a + b - photo) for (a, b), n in found.matches.items() if photo in (a, b))
     return sorted(pairs, key=lambda pair: (-pair[0], pair[1]))
 
 
 def _table(found: Reconstruction, names: Sequence[str]) -> list[str]:
-    """Each photograph with those that it shares most verified matches with."""
+    """Each photograph with its best partners by verified matches."""
     width = max(map(len, names))
     lines = ["  matches that agree on one geometry:"]
     for k, name in enumerate(names):
@@ -112,35 +112,34 @@ def _table(found: Reconstruction, names: Sequence[str]) -> list[str]:
 def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[str]) -> str:
     if found.pieces:
         advice = [_bridge(found, group, groups[0], names) for group in groups[1:]]
-        return "\n".join([*advice, "or take those photographs out of the folder"])
+        return "\n".join([*advice, "or remove those photographs from the folder"])
     if _most_matches(found) < ENOUGH_MATCHES:
         return (
-            "photograph the scene again from places close together: two thirds of each picture "
-            "should be in the next, which is taken a step to the side"
+            "photograph the scene again with small steps to the side between pictures, so that two thirds of "
+            "each picture are in the next"
         )
     return (
         "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
-        "from one spot, or of one flat thing, say nothing about depth"
+        "from one position, or of one flat surface, contain no depth"
     )
 
 
 def _bridge(
     found: Reconstruction, group: Sequence[int], main: Sequence[int], names: Sequence[str]
 ) -> str:
-    """What would connect a group to the main one."""
+    """Advice for connecting a group to the main one."""
     poor = [k for k in group if found.features[k] < FEW_FEATURES]
     if poor:
         return (
-            f"take {_names(poor, names)} again: {found.features[poor[0]]} details were found in it, "
-            "so it is blurred, too dark, or shows a plain surface"
+            f"take {_names(poor, names)} again: {found.features[poor[0]]} details were found, so it is "
+            "blurred, too dark, or of a plain surface"
         )
     links = ((found.matches.get((min(a, b), max(a, b)), 0), -a, -b) for a in group for b in main)
     matches, a, b = max(links)
     if matches >= MANY_MATCHES:
         return (
-            f"{names[-a]} shares {matches:,} matches with {names[-b]} and yet does not fit in beside "
-            "it: was something moved, or the picture cropped or zoomed? If not, take another from a "
-            "place to the side"
+            f"{names[-a]} shares {matches:,} matches with {names[-b]} but does not fit: check if something "
+            "moved, or if the picture is cropped or zoomed; otherwise take another a step to the side"
         )
     if matches:
         return (
@@ -149,5 +148,5 @@ def _bridge(
         )
     return (
         f"no overlap between {_names(group, names)} and the rest: take pictures between them, "
-        "each showing two thirds of what the one before shows"
+        "each with two thirds of the previous picture"
     )

@@ -1,11 +1,10 @@
-"""What was found on disk, found again by the content of the photographs.
+"""Cache of estimated cameras, by the content of the photographs.
 
     STEREOGS_CACHE/cameras/<key>/found.json   pieces, matches, features
-                                 piece_0/     a COLMAP model, the best; piece_1/ ... the others
+                                 piece_0/     COLMAP model of the best piece; piece_1/ ... the others
 
-The key is a hash over the photographs, the settings, pycolmap's version and the code that computes it.
-A search that placed some of the photographs only, or none, is kept as well: it need not be repeated to
-say so again.
+The key is a hash of the photographs, the settings, pycolmap's version and the code of the reconstruction.
+Partial and failed reconstructions are kept too.
 """
 
 from __future__ import annotations
@@ -21,11 +20,9 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .image_names import image_name
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
 from .structure_from_motion import Reconstruction, reconstruct
-from .support import agreeing_share
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
@@ -36,9 +33,9 @@ _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 
 
 class FoundCameras(NamedTuple):
-    """A reconstruction and the model of its best piece, None if there is no piece.
+    """A reconstruction and the model of its best piece, None without pieces.
 
-    The folders of the pieces may be gone.
+    The folders of the pieces may have been deleted.
     """
 
     reconstruction: Reconstruction
@@ -48,11 +45,11 @@ class FoundCameras(NamedTuple):
 def remembered_cameras(
     photos: Sequence[UnposedPhoto], treatment: str, compute: Callable[[Path], Reconstruction]
 ) -> FoundCameras:
-    """What `compute` finds with an empty folder, from the cache if it is there.
+    """Return the cached result, or run `compute` and cache its result.
 
     Args:
-        treatment: all that the answer depends on beside the photographs.
-        compute: takes the empty folder; the models lie inside.
+        treatment: everything other than the photographs that the result depends on.
+        compute: takes an empty folder for the models.
     """
     kept = Cache("cameras")
     key = _key(photos, treatment)
@@ -72,10 +69,8 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         source_digest(
             reconstruct,
             place_cameras,
-            agreeing_share,
             add_learned_matches,
             KeypointNetworks,
-            image_name,
             UnposedPhoto,
             Decoder,
             longest_side,

@@ -1,7 +1,7 @@
-"""Matches of photographs that SIFT does not know again, by the networks XFeat and LighterGlue.
+"""Matches by the networks XFeat and LighterGlue, for photographs that SIFT does not match.
 
-They are taken from the folder of models, by name and hash, where they are there (docs/prior_models.md);
-nothing is downloaded. Their matches are added to those of SIFT, which are more exact where there are any.
+The files are read from the model folder if it has them, checked by hash (docs/prior_models.md), and never
+downloaded. Their matches are added to those of SIFT, which are more exact.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from registry.toolkit.networks import KeypointNetworks, OnnxModel
 
-from .image_names import image_index, image_name
+from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from registry.toolkit.networks import Keypoints
 
 FOLDER_VARIABLE = "STEREOGS_MODELS"
-"""Environment variable: the folder that is looked in."""
+"""Environment variable with the path of the model folder."""
 FINDER = (
     Path("xfeat", "xfeat_2048_640x360.onnx"),
     "78038a53f1f095a67ed1a0be424a5a5e7e64df4cc572e269df9de5d60c564fba",
@@ -31,15 +31,15 @@ MATCHER = (
     Path("xfeat", "lighterglue_L3.onnx"),
     "4b57f744da904cf3d7f6e8f4787c6f8a0165e7be7d83ff460a747b9ca826e6e7",
 )
-"""Relative to the folder, with the SHA-256."""
+"""Paths relative to the folder, with SHA-256."""
 FEWEST = 3
-"""Photographs of a piece: the networks find matches in noise too, on which any two agree, but no three."""
+"""Least photographs of a piece: the networks match noise too, which fits two photographs but never three."""
 MIN_SCORE = 0.1
-"""Of a match; what is wrong in spite of it, the geometry of the two photographs leaves out."""
+"""Least score of a match; geometric verification removes the remaining wrong ones."""
 
 
 def known_files() -> tuple[Path, Path] | None:
-    """The two networks in the folder of models, or None if one of them is not there."""
+    """Paths of the two networks in the model folder, or None if one is missing."""
     root = os.environ.get(FOLDER_VARIABLE)
     if not root:
         return None
@@ -50,16 +50,16 @@ def known_files() -> tuple[Path, Path] | None:
 def add_learned_matches(
     colmap: Any, files: tuple[Path, Path], images: Path, sift: Path, database: Path
 ) -> None:
-    """Fill a database with SIFT's keypoints and matches, and the networks'; they are still to be verified.
+    """Fill a database with unverified keypoints and matches of SIFT and the networks.
 
     Args:
-        files: what `known_files` has found.
-        images: the folder of the photographs, named by their index.
-        sift: a database with SIFT's keypoints and matches of them.
-        database: has the same photographs, and nothing else.
+        files: result of `known_files`.
+        images: folder of the photographs, named by index.
+        sift: database with the keypoints and matches of SIFT.
+        database: database with the same photographs only.
 
     Raises:
-        PluginError: a file is another than its hash says, or cannot be run.
+        PluginError: a file does not match its hash, or cannot be run.
     """
     import numpy as np
 
@@ -87,7 +87,7 @@ def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
 
     with Image.open(file) as opened:
         image = torch.from_numpy(np.asarray(opened.convert("RGB"), np.float32) / 255)
-    # Each as it lies: photographs of both orientations match badly in any case.
+    # Orientation per photograph: landscape and portrait match badly in any case.
     return networks.keypoints(image, turned=networks.turns(image))
 
 

@@ -1,4 +1,4 @@
-"""`photos`: a folder of pictures and nothing else; their cameras are found by COLMAP."""
+"""`photos`: a folder of photographs without cameras, which COLMAP estimates."""
 
 from __future__ import annotations
 
@@ -33,42 +33,42 @@ _log = logging.getLogger("stereogs.photos")
 
 class PhotosSettings(SplitSettings):
     path: Path
-    """The folder of photographs."""
+    """Path of the folder of photographs."""
     train_views: int | None = Field(None, ge=0)
-    """How many training views; null or 0 takes all that are not test views."""
+    """Number of training views; null or 0 takes all photographs that are not test views."""
     test_every: int = Field(8, ge=0)
-    """Every so-many-th photograph of the sorted list is a test view, from the first on; 0 keeps none
-    for testing."""
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views."""
     max_size: int = Field(800, ge=16)
-    """Training photographs are reduced to this many pixels on the longer side."""
+    """Longer side of the training photographs after resizing, in pixels."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for reducing."""
+    """Pillow filter for resizing."""
     share_lens: bool = True
-    """Photographs of one size, camera and focal length (by EXIF) have one lens; false finds one for
+    """Photographs of one size, camera and focal length (by EXIF) share one lens; false estimates one for
     each, which needs many more photographs."""
     matching_size: int = Field(1200, ge=64)
-    """Cameras are found in photographs reduced to this many pixels on the longer side."""
+    """Longer side of the photographs for camera estimation, in pixels."""
 
 
 class PhotosScene(SceneLoader[PhotosSettings]):
-    """Finds the cameras of photographs, test views among them, and takes out the lens's distortion.
+    """Estimates the cameras of all photographs, including test views, and undistorts them.
 
-    Found cameras are kept in the user's cache folder. The world has no known unit or horizon.
+    Cameras are kept in the user's cache folder. Scale and horizon of the world are arbitrary.
     """
 
     recognized_by: ClassVar[str] = "pictures and nothing else"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether it holds pictures, in folders within too, and nothing but what comes with them."""
+        """Return True if the folder and its subfolders contain only pictures and their companion files."""
         return is_pictures_alone(folder)
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: fewer than three photographs, one that cannot be read, equal ones, or
-                photographs that do not connect; then it says which do and what to photograph next.
+            SceneError: fewer than three photographs, an unreadable one, duplicates, or photographs that do
+                not connect; the message lists those that do and suggests what to photograph next.
         """
         from .unposed_photos import read_folder
 
@@ -80,7 +80,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         all_photos = _posed(model, found)
         photos = [all_photos[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
-        _tell_of_transparency(found, decoder)
+        _warn_of_transparency(found, decoder)
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         tracks = model.tracks()
         tracks.check(len(found), str(folder))
@@ -114,7 +114,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
-    from .image_names import image_index
+    from .unposed_photos import image_index
 
     names = _names(found)
     return [
@@ -131,7 +131,7 @@ def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
 
 
 def _names(found: list[UnposedPhoto]) -> list[str]:
-    """The stem of each file; all of its path where stems repeat."""
+    """The stem of each file, or its whole path where stems repeat."""
     stems = [photo.path.stem for photo in found]
     return [
         stem if stems.count(stem) == 1 else photo.name.replace("/", "_")
@@ -139,18 +139,18 @@ def _names(found: list[UnposedPhoto]) -> list[str]:
     ]
 
 
-def _tell_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
+def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
     transparent = [photo.name for photo in found if photo.transparent]
     if transparent:
         color = " ".join(f"{channel:g}" for channel in decoder.background)
         _log.warning(
-            "transparent places in %d of %d pictures, %s first, are laid on the background (%s)",
+            "transparent pixels in %d of %d pictures, %s first, are laid on the background (%s)",
             *(len(transparent), len(found), transparent[0], color),
         )
 
 
 def _left_out_facts(folder: Path) -> list[Fact]:
-    """What lies beside the photographs and is none."""
+    """Number and names of the files that are not photographs."""
     names = [path.name for path in list_content(folder).left_out]
     few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
     text = f"{len(names)} left out: {few}"

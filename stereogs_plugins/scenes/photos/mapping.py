@@ -1,10 +1,9 @@
-"""From matches to cameras: several ways of mapping, until one places every photograph.
+"""From matches to cameras: several mapping methods, until one places every photograph.
 
-Incremental mapping (Schoenberger and Frahm 2016) starts from two photographs whose rays meet at a wide
-angle. COLMAP asks for 16 degrees, which makes for an exact start and which photographs that all look
-forward do not have; from 2 degrees on they succeed too. Global mapping (Pan et al. 2024) needs no
-first pair. A wrong model shows in the matches that it leaves unexplained (support.py) and in the lens,
-which it bends beyond what cameras have.
+Incremental mapping (Schoenberger and Frahm 2016) starts from a pair with a wide triangulation angle. COLMAP
+requires 16 degrees, which gives an exact start but excludes forward-facing captures; 2 degrees suffice for
+those. Global mapping (Pan et al. 2024) needs no initial pair. Wrong models leave matches unexplained
+(`agreeing_share`) or have implausible lenses.
 """
 
 from __future__ import annotations
@@ -12,33 +11,38 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .image_names import image_index
-from .support import agreeing_share
+import numpy as np
+
+from .unposed_photos import image_index
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    _Array = NDArray[np.float64]
+
 MAX_ERROR = 2.0
-"""Pixels, of matches and of points; COLMAP's 4 are meant for photographs several times as large."""
+"""Largest error of matches and points, pixels; COLMAP's 4 is meant for much larger photographs."""
 SEED = 0
 FOCAL_RANGE = (0.3, 4.0)
-"""In units of the longer side: from the widest lens of a phone to its longest."""
+"""Plausible focal lengths in units of the longer side, as of phone lenses."""
 MOST_DISTORTION = 1.0
-"""Of the radial term k1; beyond, a picture would be folded before its corners."""
+"""Largest radial term k1; beyond it the picture would fold before its corners."""
 LEAST_SUPPORT = 0.9
-"""Share of the matches that agree with a model; right ones have 0.99 and more, wrong ones 0.8 and less."""
+"""Least share of matches that agree with a model; correct ones have 0.99 or more, wrong ones at most 0.8."""
 _FIRST_PAIR_DEGREES = (16.0, 2.0)
 _log = logging.getLogger("stereogs.photos")
 
 
 class Piece(NamedTuple):
-    """Photographs that fit together.
+    """A connected group of photographs.
 
     Args:
-        folder: a COLMAP model, in which photographs are named by their index.
-        members: indices of its photographs, sorted.
-        plausible: its lenses are ones that cameras have.
+        folder: COLMAP model with photographs named by index.
+        members: sorted indices of its photographs.
+        plausible: True if its lenses are plausible.
     """
 
     folder: Path
@@ -49,18 +53,16 @@ class Piece(NamedTuple):
 def place_cameras(
     colmap: Any, database: Path, images: Path, folder: Path, count: int
 ) -> list[Piece]:
-    """The pieces of the best attempt, the best first; none if no two photographs fit together.
+    """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
-    Models that the matches contradict are no pieces.
-
-    Attempts are made in order of their cost until one places all photographs with a plausible lens.
-    Otherwise the attempt wins that places most with such a lens, of equals the first.
+    Models that the matches contradict are discarded. Attempts run in order of cost until one places all
+    photographs with a plausible lens; otherwise the one of the highest `worth` is returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
-        images: the folder of the photographs, from which points take their colours.
-        folder: takes the models.
-        count: of photographs.
+        images: folder of the photographs, for the colours of points.
+        folder: folder for the models.
+        count: number of photographs.
     """
     best: list[Piece] = []
     for name, attempt in _attempts(colmap):
@@ -80,12 +82,12 @@ def place_cameras(
 
 
 def worth(pieces: list[Piece]) -> tuple[bool, int]:
-    """What the better of two attempts has more of: a plausible lens, photographs in the best piece."""
+    """Rank of an attempt: plausible lens, then number of photographs in the best piece."""
     return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
 
 
 def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
-    """Name and mapping of each attempt, the cheapest first."""
+    """Name and mapping function of each attempt, cheapest first."""
 
     def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
         options = _incremental_options(colmap, degrees)
@@ -100,7 +102,7 @@ def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[
 def _incremental_options(colmap: Any, degrees: float) -> Any:
     options = colmap.IncrementalPipelineOptions(num_threads=1, random_seed=SEED, min_model_size=2)
     options.mapper.init_min_tri_angle = degrees
-    # With few photographs most points are seen by two alone, and are needed.
+    # With few photographs most points are seen by only two.
     options.triangulation.ignore_two_view_tracks = False
     options.mapper.filter_max_reproj_error = MAX_ERROR
     options.triangulation.merge_max_reproj_error = MAX_ERROR
@@ -131,3 +133,48 @@ def _is_plausible(camera: Any) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
     bend = float(camera.params[camera.extra_params_idxs()[0]])
     return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
+
+
+def agreeing_share(colmap: Any, database: Path, model: Any, max_error: float) -> float:
+    """Share of the verified matches between a model's photographs that agree with its cameras.
+
+    A match agrees if its Sampson distance (Hartley and Zisserman 2004, 11.4.3) is at most `max_error` pixels.
+    0 without matches. A wrong model can be consistent in itself because the mapper drops matches that
+    disagree; nearly all verified matches agree with a correct one.
+    """
+    registered = set(model.reg_image_ids())
+    agreeing = total = 0
+    with colmap.Database.open(database) as opened:
+        pairs, geometries = opened.read_two_view_geometries()
+        for pair, geometry in zip(pairs, geometries, strict=True):
+            first, second = colmap.pair_id_to_image_pair(pair)
+            matches = geometry.inlier_matches
+            if not len(matches) or not registered.issuperset((first, second)):
+                continue
+            points = (
+                opened.read_keypoints(image)[:, :2][matches[:, side]]
+                for side, image in enumerate((first, second))
+            )
+            errors = _sampson_distances(model, (first, second), *points)
+            agreeing += int((errors <= max_error).sum())
+            total += len(errors)
+    return agreeing / total if total else 0.0
+
+
+def _sampson_distances(
+    model: Any, pair: tuple[int, int], first_points: _Array, second_points: _Array
+) -> _Array:
+    """Sampson distances `[M]` of points `[M, 2]`, in pixels of the first camera."""
+    images = [model.image(identity) for identity in pair]
+    cameras = [model.camera(image.camera_id) for image in images]
+    rays = [
+        np.column_stack([camera.cam_from_img(points), np.ones(len(points))])
+        for camera, points in zip(cameras, (first_points, second_points), strict=True)
+    ]
+    motion = images[1].cam_from_world() * images[0].cam_from_world().inverse()
+    essential = np.cross(motion.translation, motion.rotation.matrix(), axisb=0, axisc=0)
+    lines = [rays[1] @ essential, rays[0] @ essential.T]
+    across = (rays[1] * lines[1]).sum(axis=1)
+    slope = sum((line[:, :2] ** 2).sum(axis=1) for line in lines)
+    distances: _Array = cameras[0].focal_length * np.abs(across) / np.sqrt(slope)
+    return distances

@@ -1,11 +1,10 @@
-"""Cameras from photographs alone: COLMAP's structure from motion on the CPU.
+"""Cameras from photographs by COLMAP's structure from motion on the CPU.
 
-SIFT (Lowe 2004), exhaustive matching, two-view geometry by RANSAC, then mapping.py. Where that does
-not place every photograph, once more with domain-size pooling (Dong and Soatto 2015), whose
-descriptors are known again from farther away and take several times as long; and where that does not
-either, with the matches of two networks beside (learned_matches.py), if their files are there. Random
-choices are seeded, photographs are numbered before threads see them, and mapping runs on one thread:
-the result does not depend on how threads take turns.
+SIFT (Lowe 2004), exhaustive matching, two-view geometry by RANSAC, then mapping.py. If that does not place
+every photograph, it is repeated with domain-size pooling (Dong and Soatto 2015), which tolerates wider
+baselines and takes several times as long, then with additional matches of two networks (learned_matches.py)
+if their files exist. The result is deterministic: random choices are seeded, photographs are numbered before
+threads start, and mapping uses one thread.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
-from .image_names import image_index, image_name
 from .learned_matches import FEWEST, add_learned_matches, known_files
 from .mapping import MAX_ERROR, SEED, Piece, place_cameras, worth
+from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,13 +33,13 @@ _log = logging.getLogger("stereogs.photos")
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What came of it.
+    """Result of structure from motion.
 
     Args:
-        pieces: photographs that fit together; the best piece first.
-        matches: numbers of matches that fit one two-view geometry, by pair of indices, first < second.
-        features: the number of features of each photograph.
-        tried: kinds of matches that cameras were looked for with, for people.
+        pieces: connected groups of photographs, best first.
+        matches: number of verified matches by pair of indices, first < second.
+        features: number of features of each photograph.
+        tried: names of the kinds of matches used, for messages.
     """
 
     pieces: list[Piece]
@@ -50,29 +49,29 @@ class Reconstruction:
 
     @property
     def rank(self) -> tuple[bool, int, int]:
-        """What the better of two has more of: a plausible lens, photographs placed, matches."""
+        """Order of results: plausible lens, number of photographs placed, number of matches."""
         return (*worth(self.pieces), sum(self.matches.values()))
 
 
 def reconstruct(
     photos: Sequence[UnposedPhoto], decoder: Decoder, share_lens: bool, folder: Path
 ) -> Reconstruction:
-    """Find cameras and points.
+    """Estimate cameras and points.
 
     Args:
-        decoder: how photographs are read for this.
-        share_lens: one lens for all photographs of one camera, size and focal length.
-        folder: empty; takes the working files and the models.
+        decoder: reads the photographs.
+        share_lens: use one lens for all photographs of one camera, size and focal length.
+        folder: empty folder for the working files and the models.
 
     Raises:
         SceneError: a photograph is damaged.
     """
-    # What it calls an error, that no model came of it, is explained here in other words.
+    # COLMAP logs a missing model as an error; disconnected.py explains it instead.
     colmap = import_pycolmap(least_severity=3)
     images = folder / "images"
     images.mkdir()
     _log.info("finding the cameras of %d photographs; this may take minutes", len(photos))
-    # pycolmap is given files written here alone: a truncated photograph would end the process.
+    # pycolmap reads only files written here, because a truncated photograph would crash it.
     in_parallel(
         lambda k: Image.fromarray(decoder.read(photos[k].path)).save(
             images / image_name(k), compress_level=1
@@ -94,19 +93,20 @@ def reconstruct(
         tried.append(name)
         found = _placed(colmap, database, images, workplace, len(photos))
         found = replace(found, pieces=[p for p in found.pieces if len(p.members) >= fewest])
-        # Matches that place nobody say little, those of noise included.
+        # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
         if best.rank[:2] == (True, len(photos)):
             break
-        _log.info("%s: the cameras of %d of %d photographs fit together", name, *_share(found))
+        placed = found.rank[1]
+        _log.info("%s: the cameras of %d of %d photographs fit together", name, placed, len(photos))
     assert best is not None
     return replace(best, tried=tuple(tried))
 
 
 def _ways(colmap: Any, images: Path, folder: Path) -> list[tuple[str, int, Callable[[Path], None]]]:
-    """The kinds of matches, the cheapest first: name, photographs that a piece of theirs needs to
-    be believed, and what fills a database with them."""
+    """Kinds of matches, cheapest first: name, least photographs of a reliable piece, and a function that
+    fills a database."""
 
     def by_sift(pooled: bool) -> Callable[[Path], None]:
         def fill(database: Path) -> None:
@@ -127,11 +127,6 @@ def _ways(colmap: Any, images: Path, folder: Path) -> list[tuple[str, int, Calla
     return ways
 
 
-def _share(found: Reconstruction) -> tuple[int, int]:
-    """How many photographs are placed, and how many there are."""
-    return found.rank[1], len(found.features)
-
-
 def _placed(colmap: Any, database: Path, images: Path, folder: Path, count: int) -> Reconstruction:
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
@@ -143,7 +138,7 @@ def _placed(colmap: Any, database: Path, images: Path, folder: Path, count: int)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:
-    """Indices of the photographs that each lens took."""
+    """Indices of the photographs of each lens."""
     groups: dict[object, list[int]] = {}
     for index, photo in enumerate(photos):
         key = (photo.size, photo.camera, photo.focal) if share_lens else index
@@ -159,7 +154,7 @@ def _import(
     photo: UnposedPhoto,
     decoder: Decoder,
 ) -> None:
-    """Number the photographs of one lens, of which `photo` is one, before threads can."""
+    """Add the photographs of one lens, of which `photo` is one, in a fixed order."""
     reader = colmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
     if photo.focal is not None:
         width, height = decoder.size(*photo.size)

@@ -1,10 +1,11 @@
-"""A folder of pictures and nothing else: which there are, and what each says of its lens."""
+"""Photographs of a folder with their EXIF data, and their names in COLMAP models."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from dataclasses import dataclass
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from registry import SceneError
@@ -14,21 +15,20 @@ from .picture_files import readable_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from PIL import Image
 
 MIN_PHOTOS = 3
-"""From two photographs the lens cannot be told from the depth."""
-_FIX = "take it out of the folder, or save it anew as an 8-bit PNG or JPEG"
+"""Least photographs: with two, lens and depth are ambiguous."""
+_FIX = "remove it from the folder, or save it again as an 8-bit PNG or JPEG"
 _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 _DIAGONAL_35MM = math.hypot(36, 24)
-"""Millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
+"""Diagonal of a 35 mm frame in millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
 _FOCAL_RANGE = (0.2, 20.0)
-"""In units of the longer side; what a file says beyond that is no focal length."""
+"""Accepted focal lengths in EXIF, in units of the longer side."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,14 @@ class UnposedPhoto:
     """A picture file.
 
     Args:
-        name: its path within the folder of photographs, with / between folders.
-        size: `(width, height)` once it is upright.
-        turned: EXIF says that it is stored sideways.
-        focal: focal length in units of the longer side, from EXIF; None if it does not say.
-        camera: make and model, empty if the file does not say.
+        path: path of the file.
+        name: path within the folder of photographs, with / between folders.
+        size: `(width, height)` of the upright picture.
+        turned: True if it is stored sideways, by EXIF.
+        focal: focal length by EXIF in units of the longer side; None if unknown.
+        camera: make and model by EXIF; empty if unknown.
         digest: hash of the file's bytes.
-        transparent: some of its pixels let the background through.
+        transparent: True if some pixels are not opaque.
     """
 
     path: Path
@@ -56,16 +57,16 @@ class UnposedPhoto:
 
 
 def read_folder(folder: Path) -> list[UnposedPhoto]:
-    """The pictures in a folder and the folders within, sorted by path.
+    """Read the pictures in a folder and its subfolders, sorted by path.
 
     Raises:
-        SceneError: there is no such folder, it has fewer than three pictures, one of a kind that is
-            not read here, one that cannot be opened, or equal ones.
+        SceneError: the folder is missing, has fewer than three pictures, an unsupported or unreadable one,
+            or duplicates.
     """
     paths = readable_pictures(folder)
     if len(paths) < MIN_PHOTOS:
         raise SceneError(
-            f"cameras are found from at least {MIN_PHOTOS} photographs; here are {len(paths)}",
+            f"camera estimation needs at least {MIN_PHOTOS} photographs; the folder has {len(paths)}",
             where=str(folder),
             fix="add photographs that overlap, taken from different places",
         )
@@ -92,7 +93,7 @@ def _has_clear_pixels(file: Image.Image) -> bool:
 
 
 def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
-    """In units of the longer side; from the 35 mm equivalent, else from the sensor's pixel density."""
+    """Focal length in units of the longer side, from the 35 mm equivalent or the sensor's pixel density."""
     longer = max(size)
     equivalent, millimetres = _number(exif, _FOCAL_35MM), _number(exif, _FOCAL_MM)
     density, unit = (
@@ -102,7 +103,7 @@ def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
     if equivalent:
         focal = equivalent / _DIAGONAL_35MM * math.hypot(*size) / longer
     elif millimetres and density and unit:
-        # The density counts the pixels of the photograph as taken, which may have been larger.
+        # The density refers to the original photograph, which may have been larger.
         taken = max(_number(exif, _PIXELS_WIDE) or longer, longer)
         focal = millimetres * density / unit / taken
     else:
@@ -111,7 +112,7 @@ def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
 
 
 def _number(exif: dict[int, Any], tag: int) -> float | None:
-    """A positive finite number, or None for whatever else a camera or editor wrote there."""
+    """The value of a tag if it is a positive finite number, otherwise None."""
     try:
         value = float(exif[tag])
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
@@ -120,7 +121,7 @@ def _number(exif: dict[int, Any], tag: int) -> float | None:
 
 
 def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
-    """Tell of all copies at once; of equal pictures the one with the shortest name is to stay."""
+    """Raise SceneError that lists all duplicates; the one with the shortest name is the original."""
     first: dict[str, UnposedPhoto] = {}
     for photo in sorted(photos, key=lambda photo: len(photo.name)):
         first.setdefault(photo.digest, photo)
@@ -131,9 +132,19 @@ def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
         what = f"{first[copies[0].digest].name} and {copies[0].name} are the same picture"
     else:
         lines = (f"  {photo.name} is {first[photo.digest].name}" for photo in copies)
-        what = "\n".join([f"{len(copies)} files are copies of other pictures here:", *lines])
+        what = "\n".join([f"{len(copies)} files are copies of other pictures:", *lines])
     raise SceneError(
         what,
         where=str(folder),
-        fix=f"take out of the folder: {', '.join(photo.name for photo in copies)}",
+        fix=f"remove from the folder: {', '.join(photo.name for photo in copies)}",
     )
+
+
+def image_name(index: int) -> str:
+    """Name of a photograph in a COLMAP model."""
+    return f"{index:04d}.png"
+
+
+def image_index(name: str) -> int:
+    """Inverse of `image_name`."""
+    return int(PurePath(name).stem)

@@ -1,4 +1,4 @@
-"""`procedural`: a furnished room, ray-cast here, with exact poses and depth; nothing to download."""
+"""`procedural`: a ray-cast furnished room with exact poses and depth; needs no download."""
 
 from .loader import ProceduralScene, stereogs_register_scenes
 

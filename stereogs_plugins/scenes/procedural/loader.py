@@ -1,7 +1,7 @@
-"""`procedural`: a furnished room, ray-cast here, with exact poses and depth; nothing to download.
+"""`procedural`: a ray-cast furnished room with exact poses and depth; needs no download.
 
-Its surfaces carry the photographs that the scikit-image package brings along. Light does not depend on
-the viewing direction, so a perfect reconstruction has no excuse.
+Its textures are the photographs in the scikit-image package. Shading does not depend on the viewing
+direction, so a perfect reconstruction is possible.
 """
 
 from __future__ import annotations
@@ -31,42 +31,42 @@ if TYPE_CHECKING:
     from .ray_casting import Surface
 
 FIELD_OF_VIEW = math.radians(62)
-"""Horizontal, of every camera."""
+"""Horizontal field of view of every camera, radians."""
 TARGET = (0.0, 0.1, 3.2)
-"""What the cameras look at."""
+"""Point that the cameras look at."""
 ARC_RADIUS = 3.2
 ARC_HALF_ANGLE = math.radians(11)
-"""Training cameras stand on an arc around the target, from minus to plus this angle."""
+"""Training cameras are on an arc around the target, from minus to plus this angle, radians."""
 HEIGHT_SWING = 0.08
-"""Neighbouring cameras stand alternately this much above and below eye level."""
+"""Height of the cameras above and below eye level, alternating."""
 EYE_LEVEL = -0.1
 
 
 class ProceduralSettings(Settings):
     train_views: int = Field(3, ge=1, le=1000)
-    """How many training views, in front of the room."""
+    """Number of training views, in front of the room."""
     row_spacing: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """Metres between neighbouring training cameras that stand in a row, from left to right, and all
-    look straight ahead: any two are a rectified pair. null: they stand on an arc and look inwards."""
+    """Metres between neighbouring training cameras in a row from left to right that all look straight
+    ahead, so that any two are a rectified pair. null: cameras on an arc that look inwards."""
     test_views: int = Field(4, ge=0, le=1000)
-    """How many test views, between the training views and at other heights."""
+    """Number of test views, between the training views and at other heights."""
     width: int = Field(252, ge=16, le=4096)
     """Image width in pixels."""
     height: int = Field(189, ge=16, le=4096)
     """Image height in pixels."""
     points: int = Field(2000, ge=0, le=1_000_000)
-    """How many sparse points on surfaces that the training views see; 0 gives none."""
+    """Number of sparse points on surfaces that the training views see."""
     point_noise: float = Field(0.01, ge=0)
-    """Standard deviation of the points' positions about the true surface, metres."""
+    """Standard deviation of the points' positions around the true surface, metres."""
     seed: int = Field(0, ge=0)
-    """Another seed moves the furniture and the points."""
+    """Seed of the furniture and the points."""
 
 
 class ProceduralScene(SceneLoader[ProceduralSettings]):
-    """A room of textured boxes, balls and posters with exact poses and depths."""
+    """A room with textured boxes, balls and posters, with exact poses and depths."""
 
     def load(self) -> Scene:
-        """Return the scene; the same settings give the same bits."""
+        """Return the scene, deterministic in the settings."""
         import numpy as np
         import torch
 
@@ -74,25 +74,16 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
 
         settings = self.settings
         generator = np.random.default_rng(settings.seed)
-        focal = settings.width / 2 / math.tan(FIELD_OF_VIEW / 2)
-        surfaces = furnish(focal, generator)
+        surfaces = furnish(_focal(settings.width), generator)
         train = [
             self._view(f"train_{k:02d}", surfaces, self._train_camera(k))
             for k in range(settings.train_views)
         ]
-        test = [
-            self._view(
-                f"test_{k:02d}",
-                surfaces,
-                _camera_on_arc(
-                    _angle(k, settings.test_views, 0.8),
-                    -_lift(k) / 2,
-                    settings.width,
-                    settings.height,
-                ),
-            )
-            for k in range(settings.test_views)
-        ]
+        test = []
+        for k in range(settings.test_views):
+            angle, size = _angle(k, settings.test_views, 0.8), (settings.width, settings.height)
+            camera = _camera_on_arc(angle, -_lift(k) / 2, *size)
+            test.append(self._view(f"test_{k:02d}", surfaces, camera))
         depths = torch.cat([view.depth[view.depth > 0] for view in train if view.depth is not None])
         points = _sample_points(train, settings.points, settings.point_noise, generator)
         return validate(
@@ -129,8 +120,12 @@ class ProceduralScene(SceneLoader[ProceduralSettings]):
         )
 
 
+def _focal(width: int) -> float:
+    return width / 2 / math.tan(FIELD_OF_VIEW / 2)
+
+
 def _angle(index: int, count: int, part: float) -> float:
-    """Evenly spread over `part` of the arc; a single camera stands in the middle."""
+    """Angles evenly spread over `part` of the arc; a single camera is in the middle."""
     return 0.0 if count == 1 else part * ARC_HALF_ANGLE * (2 * index / (count - 1) - 1)
 
 
@@ -139,7 +134,7 @@ def _lift(index: int) -> float:
 
 
 def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera:
-    """A camera that looks at the target from `angle` radians to its side, horizon level."""
+    """A level camera that looks at the target from `angle` radians to its side."""
     import numpy as np
     import torch
 
@@ -155,25 +150,25 @@ def _camera_on_arc(angle: float, lift: float, width: int, height: int) -> Camera
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
-    focal = width / 2 / math.tan(FIELD_OF_VIEW / 2)
+    focal = _focal(width)
     return Camera(torch.from_numpy(pose), focal, focal, width / 2, height / 2, width, height)
 
 
 def _camera_in_row(place: float, width: int, height: int) -> Camera:
-    """A camera at eye level, `place` metres to the right of the middle, that looks straight ahead."""
+    """A camera at eye level, `place` metres right of the middle, that looks straight ahead."""
     import torch
 
     from core_rasterizer import Camera
 
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, 3] = torch.tensor([-place, -EYE_LEVEL, 0.0])
-    return Camera.centered(pose, width / 2 / math.tan(FIELD_OF_VIEW / 2), width, height)
+    return Camera.centered(pose, _focal(width), width, height)
 
 
 def _sample_points(
     views: list[View], count: int, noise: float, generator: np.random.Generator
 ) -> PointCloud | None:
-    """Points behind random pixels of the views, at the true depth, with the pixels' colours."""
+    """Points at the true depth of random pixels of the views, plus noise, with the pixels' colours."""
     import numpy as np
     import torch
 

@@ -1,13 +1,13 @@
-"""A small ray caster: textured rectangles and spheres, exact depth, no light that depends on the view.
+"""A small ray caster: textured rectangles and spheres, exact depth, view-independent shading.
 
-All rays of a view start at one point o, the camera centre. Their directions d are scaled so that the
-z coordinate in the camera is 1; the parameter t of a hit o + t d is then its z-depth.
+All rays of a view start at the camera centre o. Their directions d have z = 1 in the camera, so the
+parameter t of a hit o + t d is its z-depth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SAMPLES = 3
-"""Rays a pixel along each axis. Odd, so that one of them goes through the pixel's centre."""
+"""Rays per pixel along each axis; odd, so that one of them passes through the pixel's centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A photograph that repeats, mirrored, so that no seam shows.
+    """A photograph with mirrored repetition, which avoids seams.
 
     Args:
         pixels: `[H, W, 3]` float64 in [0, 1].
-        repeat_u, repeat_v: how often it is laid side by side over a surface.
+        repeat_u, repeat_v: number of repetitions over a surface.
     """
 
     pixels: Array
@@ -48,7 +48,7 @@ class Texture:
 
 
 def _texels(position: Array, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """The two texels beside a position and the weight of the second one."""
+    """The two texels next to a position, and the weight of the second one."""
     mirrored = 1 - np.abs(position % 2 - 1)
     texel = np.clip(mirrored * size - 0.5, 0, size - 1)
     first = texel.astype(np.intp)
@@ -59,41 +59,20 @@ def _mix(first: Array, second: Array, weight: Array) -> Array:
     return first + weight[:, None] * (second - first)
 
 
-class Surface(Protocol):
-    """What the ray caster asks of a surface."""
-
-    @property
-    def texture(self) -> Texture:
-        """Its picture."""
-        ...
-
-    def hull(self) -> Array:
-        """`[K, 3]` points whose convex hull contains the surface."""
-        ...
-
-    def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
-        """Inverse depth (0 where missed), u and v in [0, 1], each `[H, W]`, for rays `[H, W, 3]`."""
-        ...
-
-    def shade(self, u: Array, v: Array) -> Array:
-        """Brightness factors `[P]` at surface coordinates."""
-        ...
-
-
 LIGHT = np.array([-0.45, -0.75, -0.5]) / np.linalg.norm([-0.45, -0.75, -0.5])
-"""Direction towards the lamp: left, above and behind the camera."""
+"""Direction towards the light: left, above and behind the camera."""
 AMBIENT = 0.6
-"""Brightness of a surface that faces away from the lamp."""
+"""Brightness of a surface that faces away from the light."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rectangle:
-    """Seen from the side on which `across` runs right and `down` runs down; transparent from behind.
+    """A rectangle visible from the side where `across` points right and `down` down; invisible from behind.
 
     Args:
         corner: `[3]` upper left corner.
         across, down: `[3]` edges, world units.
-        texture: its picture.
+        texture: texture of the front.
     """
 
     corner: Array
@@ -103,15 +82,17 @@ class Rectangle:
 
     @property
     def normal(self) -> Array:
-        """`[3]` unit vector towards the side from which it is seen."""
+        """`[3]` unit vector towards the visible side."""
         normal = np.cross(self.down, self.across)
         return np.asarray(normal / np.linalg.norm(normal))
 
     def hull(self) -> Array:
+        """`[K, 3]` points whose convex hull contains the surface."""
         offsets = [0 * self.across, self.across, self.down, self.across + self.down]
         return np.asarray(self.corner + np.array(offsets))
 
     def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """Inverse depth (0 where missed), u and v in [0, 1], each `[H, W]`, for rays `[H, W, 3]`."""
         offset = self.corner - origin
         if offset @ self.normal >= 0:
             missed = np.zeros(directions.shape[:2])
@@ -131,29 +112,31 @@ class Rectangle:
         return inverse, u_over_t * depth, v_over_t * depth
 
     def shade(self, u: Array, v: Array) -> Array:
+        """Brightness factors `[P]` at surface coordinates."""
         return np.full(u.shape, AMBIENT + (1 - AMBIENT) * max(0.0, float(self.normal @ LIGHT)))
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A ball; its texture is wrapped around the vertical axis.
+    """A sphere with its texture wrapped around the vertical axis.
 
     Args:
         center: `[3]`.
         radius: > 0.
-        texture: its picture; u is the longitude, v runs from the top to the bottom.
+        texture: u is the longitude, v runs from top to bottom.
     """
 
     center: Array
     radius: float
-
     texture: Texture
 
     def hull(self) -> Array:
+        """See `Rectangle.hull`."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(self.center + self.radius * signs)
 
     def hit(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """See `Rectangle.hit`."""
         offset = origin - self.center
         a = np.einsum("hwk,hwk->hw", directions, directions)
         half_b = directions @ offset
@@ -166,6 +149,7 @@ class Sphere:
         return np.where(inside, 1 / np.where(inside, depth, 1), 0), longitude, latitude
 
     def shade(self, u: Array, v: Array) -> Array:
+        """See `Rectangle.shade`."""
         longitude, latitude = (u - 0.5) * 2 * np.pi, v * np.pi
         level = np.sin(latitude)
         x, y, z = level * np.sin(longitude), -np.cos(latitude), -level * np.cos(longitude)
@@ -173,12 +157,15 @@ class Sphere:
         return np.asarray(AMBIENT + (1 - AMBIENT) * np.maximum(facing, 0))
 
 
+Surface = Rectangle | Sphere
+
+
 def cast(surfaces: Sequence[Surface], camera: Camera) -> tuple[Array, Array]:
-    """Photograph the surfaces.
+    """Render the surfaces.
 
     Returns:
-        colours `[H, W, 3]` in [0, 1], the mean of `SAMPLES`² rays a pixel, and the z-depth `[H, W]`
-        of the ray through the pixel's centre; 0 where no surface is hit.
+        colours `[H, W, 3]` in [0, 1], the mean of `SAMPLES`² rays per pixel, and the z-depth `[H, W]` of
+        the ray through the pixel's centre; 0 where no surface is hit.
     """
     origin = camera.center.numpy()
     directions = _directions(camera)
@@ -205,7 +192,7 @@ def cast(surfaces: Sequence[Surface], camera: Camera) -> tuple[Array, Array]:
 
 
 def _directions(camera: Camera) -> Array:
-    """Ray directions in the world, `[SAMPLES H, SAMPLES W, 3]`, z-depth 1 in the camera."""
+    """World-space ray directions `[SAMPLES H, SAMPLES W, 3]` with z = 1 in the camera."""
     x = ((np.arange(camera.width * SAMPLES) + 0.5) / SAMPLES - camera.cx) / camera.fx
     y = ((np.arange(camera.height * SAMPLES) + 0.5) / SAMPLES - camera.cy) / camera.fy
     local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
@@ -213,7 +200,7 @@ def _directions(camera: Camera) -> Array:
 
 
 def _window(hull: Array, camera: Camera) -> tuple[slice, slice]:
-    """The block of rays that may meet a hull: all of them if it reaches behind the camera."""
+    """Block of rays that may hit a hull; all rays if it reaches behind the camera."""
     u, v, z = (values.numpy() for values in camera.project(torch.from_numpy(hull)))
     if z.min() < 1e-3:
         return slice(None), slice(None)

@@ -1,6 +1,6 @@
-"""The furniture of the `procedural` scene: where things stand and which photograph covers them.
+"""The furniture of the `procedural` scene and its textures.
 
-World units are metres; +x right, +y down, +z away from the cameras, which stand around the origin.
+World units are metres; +x right, +y down, +z away from the cameras, which are near the origin.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from .ray_casting import Array, Rectangle, Sphere, Surface, Texture
+from .ray_casting import Rectangle, Sphere, Surface, Texture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,14 +21,16 @@ CEILING, FLOOR = -1.3, 1.15
 FRONT, BACK = -1.5, 4.6
 
 TYPICAL_DEPTH = 3.5
-"""Textures are reduced so that a texel spans half a pixel at this depth: sharp, but without aliasing."""
+"""Depth at which a texel spans half a pixel: sharp without aliasing."""
 
 POSTERS = ("astronaut.png", "chelsea.png", "rocket.jpg", "coffee.png")
+PLACES, YAWS = ((-1.15, 2.9), (1.2, 3.2), (0.1, 2.35), (-0.1, 3.7)), (0.5, -0.45, 0.25, 0.3)
+"""Mean (x, z) and rotation of the three boxes and the screen, metres and radians."""
 WARM, COOL, CREAM = (1.0, 0.86, 0.72), (0.78, 0.88, 1.0), (1.0, 0.97, 0.9)
 
 
 class Photographs:
-    """The photographs that scikit-image carries, reduced to the resolution that the camera can see.
+    """Textures from the photographs in scikit-image, resized to the cameras' resolution.
 
     Args:
         texel: side of a texel on a surface, world units.
@@ -48,14 +50,14 @@ class Photographs:
         gain: float = 1.0,
         contrast: float = 1.0,
     ) -> Texture:
-        """A texture for a surface of `width` x `height`.
+        """Texture for a surface of `width` x `height`.
 
         Args:
             name: file name in the folder `skimage.data`.
-            tile: width of one copy where the photograph repeats; 0 stretches one copy over all.
-            tint: factor a colour channel.
+            tile: width of one copy if the photograph repeats; 0 stretches one copy over the surface.
+            tint: factor per colour channel.
             gain: brightness factor.
-            contrast: below 1 mixes the photograph with its mean colour.
+            contrast: values below 1 mix the photograph with its mean colour.
         """
         with as_file(files("skimage.data") / name) as path, Image.open(path) as file:
             picture = file.convert("RGB")
@@ -77,89 +79,56 @@ def furnish(focal: float, generator: np.random.Generator) -> list[Surface]:
     """All surfaces of the room.
 
     Args:
-        focal: focal length in pixels of the cameras that will look at it.
-        generator: moves and turns the furniture a little and hangs the posters in another order.
+        focal: focal length of the cameras, pixels.
+        generator: shifts and rotates the furniture slightly and permutes the posters.
     """
     photographs = Photographs(texel=0.5 * TYPICAL_DEPTH / focal)
     posters = list(generator.permutation(POSTERS))
     jitter = generator.uniform(-1, 1, size=(4, 3))
+    left, right, front, screen = (
+        (x + 0.12 * float(j[0]), z + 0.12 * float(j[1]))
+        for (x, z), j in zip(PLACES, jitter, strict=True)
+    )
+    yaw = [at + 0.2 * j for at, j in zip(YAWS, jitter[:, 2], strict=True)]
     return [
         *_walls(photographs),
         *_posters(photographs, posters[:3]),
+        *_box(photographs, "motorcycle_left.png", center=left, size=(0.95, 0.85, 0.7), yaw=yaw[0]),
+        *_box(photographs, "ihc.png", center=right, size=(0.7, 1.0, 0.7), yaw=yaw[1]),
+        _ball(photographs, "retina.jpg", right, 0.34, FLOOR - 1.0),
         *_box(
-            photographs,
-            "motorcycle_left.png",
-            center=_moved((-1.15, 2.9), jitter[0]),
-            size=(0.95, 0.85, 0.7),
-            yaw=0.5 + 0.2 * jitter[0, 2],
+            photographs, "coins.png", center=front, size=(0.6, 0.32, 0.45), yaw=yaw[2], tint=WARM
         ),
-        *_box(
-            photographs,
-            "ihc.png",
-            center=_moved((1.2, 3.2), jitter[1]),
-            size=(0.7, 1.0, 0.7),
-            yaw=-0.45 + 0.2 * jitter[1, 2],
-        ),
-        _ball(photographs, "retina.jpg", _moved((1.2, 3.2), jitter[1]), 0.34, FLOOR - 1.0),
-        *_box(
-            photographs,
-            "coins.png",
-            center=_moved((0.1, 2.35), jitter[2]),
-            size=(0.6, 0.32, 0.45),
-            yaw=0.25 + 0.2 * jitter[2, 2],
-            tint=WARM,
-        ),
-        _ball(photographs, "moon.png", _moved((0.1, 2.35), jitter[2]), 0.2, FLOOR - 0.32),
-        _screen(photographs, posters[3], _moved((-0.1, 3.7), jitter[3]), 0.3 + 0.2 * jitter[3, 2]),
+        _ball(photographs, "moon.png", front, 0.2, FLOOR - 0.32),
+        _screen(photographs, posters[3], screen, yaw[3]),
     ]
-
-
-def _moved(place: tuple[float, float], jitter: Array) -> tuple[float, float]:
-    return place[0] + 0.12 * float(jitter[0]), place[1] + 0.12 * float(jitter[1])
 
 
 def _walls(photographs: Photographs) -> list[Surface]:
     width, height, depth = RIGHT - LEFT, FLOOR - CEILING, BACK - FRONT
-    brick = photographs.lay("brick.png", depth, height, tile=1.6, tint=WARM, gain=1.5)
+    lay = photographs.lay
+    back = lay("grass.png", width, height, tile=3.6, tint=COOL, gain=1.5, contrast=0.6)
+    floor = lay("gravel.png", width, depth, tile=2.2, tint=CREAM, gain=1.2)
+    ceiling = lay("gravel.png", width, depth, tile=3.0, tint=CREAM, gain=1.7, contrast=0.3)
+    brick = lay("brick.png", depth, height, tile=1.6, tint=WARM, gain=1.5)
+    right, down, away = _vector(width, 0, 0), _vector(0, height, 0), _vector(0, 0, depth)
     return [
-        Rectangle(
-            _vector(LEFT, CEILING, BACK),
-            _vector(width, 0, 0),
-            _vector(0, height, 0),
-            photographs.lay(
-                "grass.png", width, height, tile=3.6, tint=COOL, gain=1.5, contrast=0.6
-            ),
-        ),
-        Rectangle(
-            _vector(LEFT, FLOOR, BACK),
-            _vector(width, 0, 0),
-            _vector(0, 0, -depth),
-            photographs.lay("gravel.png", width, depth, tile=2.2, tint=CREAM, gain=1.2),
-        ),
-        Rectangle(
-            _vector(LEFT, CEILING, FRONT),
-            _vector(width, 0, 0),
-            _vector(0, 0, depth),
-            photographs.lay(
-                "gravel.png", width, depth, tile=3.0, tint=CREAM, gain=1.7, contrast=0.3
-            ),
-        ),
-        Rectangle(
-            _vector(LEFT, CEILING, FRONT), _vector(0, 0, depth), _vector(0, height, 0), brick
-        ),
-        Rectangle(
-            _vector(RIGHT, CEILING, BACK), _vector(0, 0, -depth), _vector(0, height, 0), brick
-        ),
+        Rectangle(_vector(LEFT, CEILING, BACK), right, down, back),
+        Rectangle(_vector(LEFT, FLOOR, BACK), right, -away, floor),
+        Rectangle(_vector(LEFT, CEILING, FRONT), right, away, ceiling),
+        Rectangle(_vector(LEFT, CEILING, FRONT), away, down, brick),
+        Rectangle(_vector(RIGHT, CEILING, BACK), -away, down, brick),
     ]
 
 
 def _posters(photographs: Photographs, names: list[str]) -> list[Surface]:
     width, height, gap = 1.1, 0.95, 0.03
+    across, down = _vector(width, 0, 0), _vector(0, height, 0)
     return [
         Rectangle(
             _vector(x - width / 2, -1.05, BACK - gap),
-            _vector(width, 0, 0),
-            _vector(0, height, 0),
+            across,
+            down,
             photographs.lay(name, width, height),
         )
         for x, name in zip((-1.45, 0.0, 1.45), names, strict=True)
@@ -169,13 +138,12 @@ def _posters(photographs: Photographs, names: list[str]) -> list[Surface]:
 def _screen(
     photographs: Photographs, name: str, place: tuple[float, float], yaw: float
 ) -> Rectangle:
-    """A free-standing picture."""
+    """A freestanding picture."""
     width, height = 1.0, 0.7
     across = width * _vector(np.cos(yaw), 0, np.sin(yaw))
     corner = _vector(place[0], FLOOR - height, place[1]) - across / 2
-    return Rectangle(
-        corner, across, _vector(0, height, 0), photographs.lay(name, width, height, gain=1.1)
-    )
+    texture = photographs.lay(name, width, height, gain=1.1)
+    return Rectangle(corner, across, _vector(0, height, 0), texture)
 
 
 def _box(
@@ -187,10 +155,10 @@ def _box(
     yaw: float,
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> list[Surface]:
-    """A box on the floor, the same photograph on its four sides and its top.
+    """A box on the floor with the same photograph on its four sides and its top.
 
     Args:
-        center: (x, z) of its middle.
+        center: (x, z) of its centre.
         size: width, height, depth.
         yaw: rotation about the vertical axis, radians.
     """

@@ -25,7 +25,7 @@ def camera_at(
 
 
 def camera_towards_origin(angle: float) -> Camera:
-    """A camera 4 units from the origin, which it looks at, turned about the y axis by degrees."""
+    """A camera that looks at the origin from 4 units away, turned about the y axis by degrees."""
     turn = torch.tensor(angle, dtype=torch.float64).deg2rad()
     pose = torch.eye(4, dtype=torch.float64)
     pose[0, 0] = pose[2, 2] = turn.cos()
@@ -35,7 +35,7 @@ def camera_towards_origin(angle: float) -> Camera:
 
 
 def plane_depth(camera: Camera, z: float) -> Tensor:
-    """`[H, W]` float32: how deep the plane of all points with that z lies."""
+    """`[H, W]` float32 depth of the plane of all points with that z."""
     u, v = camera.pixel_centers()
     at_one = camera.unproject(u, v, torch.ones_like(u))[..., 2]
     center = camera.center[2]
@@ -50,12 +50,12 @@ def view_of(camera: Camera, image: Tensor | None = None, name: str = "view") -> 
 
 
 def known(view: View, depth: DepthImage) -> ViewDepth:
-    """A view all of whose depths are confirmed."""
+    """A view whose depths are all confirmed."""
     return ViewDepth(view, depth, depth, np.zeros_like(depth))
 
 
 class FixedDepth(MultiViewDepthPrior[Settings]):
-    """Answers with what a function says about each view."""
+    """Returns the depth that a function gives for each view."""
 
     depth_of: Callable[[View], Tensor]
 
@@ -65,27 +65,27 @@ class FixedDepth(MultiViewDepthPrior[Settings]):
 
 
 def prior_of(depth_of: Callable[[View], Tensor]) -> FixedDepth:
-    """A prior that answers with `depth_of(view)`."""
+    """A prior that returns `depth_of(view)`."""
     prior = FixedDepth(Settings(), Context("fixed", 0, open_device()))
     prior.depth_of = depth_of
     return prior
 
 
 def true_depth(view: View) -> Tensor:
-    """The depth that a procedural view knows."""
+    """True depth of a procedural view."""
     assert view.depth is not None
     return view.depth
 
 
 def pixels_of(points: PointCloud, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Column, row and depth of each point, at the nearest edge where it is outside the image."""
+    """Column, row and depth of each point, clamped to the image."""
     u, v, depth = camera.project(points.positions)
     x, y = u.long().clamp(0, camera.width - 1), v.long().clamp(0, camera.height - 1)
     return x, y, depth
 
 
 def distance_to_surface(scene: Scene, points: PointCloud) -> Tensor:
-    """`[P]` relative depth error in the view that explains each point best."""
+    """`[P]` smallest relative depth error over the views."""
     best = torch.full((len(points),), torch.inf, dtype=torch.float64)
     for view in scene.train:
         x, y, depth = pixels_of(points, view.camera)

@@ -35,7 +35,7 @@ def cloud(path: Path, count: int = 2, colors: bool = True) -> Path:
     return path
 
 
-def test_is_offered_as_ply() -> None:
+def test_registers_as_ply() -> None:
     assert offered(stereogs_register_initializers) == {"ply": PlyInitializer}
 
 
@@ -53,7 +53,7 @@ def test_a_gaussian_scene(tmp_path: Path, scene: Scene) -> None:
     torch.testing.assert_close(points.colors, COLORS)
 
 
-def test_what_cannot_be_used_is_named(tmp_path: Path, scene: Scene) -> None:
+def test_unusable_files_are_errors(tmp_path: Path, scene: Scene) -> None:
     def initialize(path: Path) -> None:
         build(PlyInitializer, path=path).initialize(scene, {})
 

@@ -14,7 +14,7 @@ def scene() -> Scene:
     return build(ProceduralScene, width=80, height=60).load()
 
 
-def test_is_offered_as_random() -> None:
+def test_registers_as_random() -> None:
     assert offered(stereogs_register_initializers) == {"random": RandomInitializer}
 
 

@@ -21,7 +21,7 @@ def points(scene: Scene) -> PointCloud:
     return build(SfmInitializer, source="triangulate").initialize(scene, {})
 
 
-def test_is_offered_as_sfm() -> None:
+def test_registers_as_sfm() -> None:
     assert offered(stereogs_register_initializers) == {"sfm": SfmInitializer}
 
 
@@ -62,7 +62,7 @@ def test_source_chooses(scene: Scene, points: PointCloud) -> None:
     assert build(SfmInitializer).initialize(scene, {}) is scene.points
     assert build(SfmInitializer, source="scene").initialize(scene, {}) is scene.points
     assert torch.equal(build(SfmInitializer).initialize(bare, {}).positions, points.positions)
-    with pytest.raises(SceneError, match="brings no points") as caught:
+    with pytest.raises(SceneError, match="has no points that its training views see") as caught:
         build(SfmInitializer, source="scene").initialize(bare, {})
     assert "triangulate" in caught.value.fix
 

@@ -1,4 +1,4 @@
-"""Tiny ONNX graphs of real networks' signatures, whose answers are known; made of plain operators."""
+"""Tiny ONNX graphs of plain operators with the signatures of real networks and known outputs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OPEN: Shape = ("N", 3, "H", "W")
 
 
 class Graph:
-    """An ONNX graph under construction; values are called by name."""
+    """Builder of an ONNX graph; values are referenced by name."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
@@ -99,7 +99,7 @@ def matcher(
     candidates: int = 12,
     sign: float = 1.0,
 ) -> Path:
-    """A block matcher as a stereo network of any names, sizes and types."""
+    """A block matcher as a stereo network with any names, sizes and types."""
     graph = Graph()
     left, right = (graph.input(name, shape, kind) for name in names[:2])
     disparity = block_matcher(graph, left, right, candidates)
@@ -141,7 +141,7 @@ def constant_shift(path: Path, value: float, shape: Shape = OPEN) -> Path:
 
 
 def echo(path: Path, shape: Shape = OPEN, kind: int = FLOAT) -> Path:
-    """The left image's red numbers as disparity: shows what the network was given."""
+    """The left image's red channel as disparity."""
     graph = Graph()
     left, _ = graph.input("left", shape, kind), graph.input("right", shape, kind)
     graph.output("disp", graph.slice(left, 1, 0, 1), [shape[0], 1, *shape[2:]])

@@ -1,4 +1,4 @@
-"""Priors that give the answer they are made with, whatever they are asked."""
+"""Priors with fixed results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.stereogs_plugins.building import build
 
 
 def stereo(answer: Tensor) -> StereoPrior[Settings]:
-    """Of the disparity `[H, W]`."""
+    """Returns a fixed disparity `[H, W]`."""
 
     class Known(StereoPrior[Settings]):
         def estimate(self, left: Tensor, right: Tensor) -> Tensor:
@@ -30,7 +30,7 @@ def stereo(answer: Tensor) -> StereoPrior[Settings]:
 
 
 def flow(answer: Tensor) -> OpticalFlowPrior[Settings]:
-    """Of the flow `[H, W, 2]`."""
+    """Returns a fixed flow `[H, W, 2]`."""
 
     class Known(OpticalFlowPrior[Settings]):
         def estimate(self, first: Tensor, second: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ def flow(answer: Tensor) -> OpticalFlowPrior[Settings]:
 
 
 def depth(answer: DepthMap) -> MultiViewDepthPrior[Settings]:
-    """Of one depth map for every view."""
+    """Returns one fixed depth map for every view."""
 
     class Known(MultiViewDepthPrior[Settings]):
         def estimate(
@@ -52,7 +52,7 @@ def depth(answer: DepthMap) -> MultiViewDepthPrior[Settings]:
 
 
 def nearness(answer: Tensor) -> MonocularDepthPrior[Settings]:
-    """Of the relative inverse depth `[H, W]`."""
+    """Returns a fixed relative inverse depth `[H, W]`."""
 
     class Known(MonocularDepthPrior[Settings]):
         def estimate(self, image: Tensor) -> Tensor:
@@ -62,7 +62,7 @@ def nearness(answer: Tensor) -> MonocularDepthPrior[Settings]:
 
 
 def matches(answer: Matches) -> MatchingPrior[Settings]:
-    """Of the matches."""
+    """Returns fixed matches."""
 
     class Known(MatchingPrior[Settings]):
         def estimate(self, first: Tensor, second: Tensor) -> Matches:

@@ -1,4 +1,4 @@
-"""What the classical priors of multi-view depth say of cameras that tell them nothing."""
+"""Classical multi-view depth priors with cameras that do not determine depth."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ both = pytest.mark.parametrize("prior", [PatchMatchPrior, PlaneSweep])
 
 
 @both
-def test_cameras_in_one_place_are_refused(prior: type[MultiViewDepthPrior[Any]]) -> None:
+def test_cameras_at_one_position_are_an_error(prior: type[MultiViewDepthPrior[Any]]) -> None:
     scene = tiny_scene()
     views = (scene.train[0], replace(scene.train[0], name="twin"))
-    with pytest.raises(PluginError, match="2 cameras stand in one place"):
+    with pytest.raises(PluginError, match="2 cameras are at the same position"):
         build(prior).depths(views, scene.bounds)
 
 

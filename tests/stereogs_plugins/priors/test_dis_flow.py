@@ -1,4 +1,4 @@
-"""The prior `dis_flow`: a known shift is found, what only one image shows is not."""
+"""The prior `dis_flow`: a known shift is found; occluded pixels are unknown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_it_is_registered_and_keeps_the_contract() -> None:
     check(DisFlow, max_cycle_error=None)
 
 
-def test_a_shift_is_found_and_what_leaves_the_image_is_unknown() -> None:
+def test_a_shift_is_found_and_is_unknown_outside_the_image() -> None:
     scene = textured(70, 120)
     first, second = scene[4:68, 10:106], scene[1:65, 3:99]  # content moves by (+7, +3)
     found = build(DisFlow).flow(first.contiguous(), second.contiguous())
@@ -37,13 +37,13 @@ def test_a_shift_is_found_and_what_leaves_the_image_is_unknown() -> None:
     assert not found.valid[:, -6:].any()
 
 
-def test_without_the_way_back_every_pixel_has_a_vector() -> None:
+def test_without_a_cycle_check_every_pixel_has_a_vector() -> None:
     first, second = textured(48, 64), textured(48, 64).flip(1).contiguous()
     assert build(DisFlow, max_cycle_error=None).flow(first, second).valid.all()
     assert not build(DisFlow).flow(first, second).valid.all()
 
 
-def test_images_of_two_sizes_are_compared_in_pixels_of_their_own() -> None:
+def test_images_of_two_sizes_have_flow_in_their_own_pixels() -> None:
     first = textured(64, 96)
     second = first.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)
     found = build(DisFlow).flow(first, second)
@@ -58,7 +58,7 @@ def test_images_too_small_for_a_pyramid_have_no_flow(size: tuple[int, int]) -> N
     assert not build(DisFlow).flow(image, image).valid.any()
 
 
-def test_how_many_threads_opencv_has_changes_nothing() -> None:
+def test_the_number_of_opencv_threads_does_not_matter() -> None:
     import cv2
 
     first, second = textured(200, 300), textured(200, 310)[:, 10:].contiguous()

@@ -1,4 +1,4 @@
-"""Flow networks by signature: the flow says which image is the brighter one, so it comes back."""
+"""Flow networks, with a graph whose flow depends on which image is brighter, so it passes the cycle check."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def flat(brightness: float, height: int = 30, width: int = 45) -> Tensor:
     return torch.full((height, width, 3), brightness)
 
 
-def test_is_offered_and_keeps_the_contract(tmp_path: Path) -> None:
+def test_is_registered_and_keeps_the_contract(tmp_path: Path) -> None:
     assert offered(stereogs_register_priors) == {"onnx_flow": OnnxFlow}
     check(OnnxFlow, model=graphs.flow_of_brightness(tmp_path / "m.onnx", (4.0, 2.0)))
 
@@ -44,7 +44,7 @@ def test_the_flow_has_the_sign_and_order_of_the_graph(tmp_path: Path) -> None:
     assert torch.allclose(back.vectors[:-2, 4:], torch.tensor([-4.0, 2.0]))
 
 
-def test_a_vector_that_does_not_come_back_is_unknown(tmp_path: Path) -> None:
+def test_a_vector_that_fails_the_cycle_check_is_unknown(tmp_path: Path) -> None:
     """Two images as bright as each other: the graph that adds a shift adds it both ways."""
     path = graphs.flow_of_brightness(tmp_path / "m.onnx", (8.0, 0.0))
     prior = flow(path, max_cycle_error=0.5)
@@ -72,7 +72,7 @@ def test_images_of_two_sizes(tmp_path: Path) -> None:
     assert torch.allclose(answer.vectors[-1, -1], torch.tensor([44.5 * 2, 29.5]))
 
 
-def test_the_graph_is_given_its_numbers_in_the_order_of_the_names(tmp_path: Path) -> None:
+def test_images_follow_the_value_range_and_the_input_names(tmp_path: Path) -> None:
     path = graphs.flow_of_brightness(tmp_path / "m.onnx", (1 / 255, 0.0))
     bytes_ = build(OnnxFlow, model=path, max_cycle_error=None)
     assert torch.allclose(

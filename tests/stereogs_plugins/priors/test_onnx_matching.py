@@ -1,4 +1,4 @@
-"""Matching networks by signature: bright pixels are the keypoints, and match by their brightness."""
+"""Matching networks, with graphs whose keypoints are bright pixels that match by brightness."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def matching(folder: Path, size: tuple[int, int] = (24, 40), **settings: object)
     return build(OnnxMatching, model=finder, matcher=matcher, **settings)
 
 
-def test_is_offered_and_keeps_the_contract(tmp_path: Path) -> None:
+def test_is_registered_and_keeps_the_contract(tmp_path: Path) -> None:
     assert offered(stereogs_register_priors) == {"onnx_matching": OnnxMatching}
     matching(tmp_path)
     check(OnnxMatching, model=tmp_path / "finder.onnx", matcher=tmp_path / "matcher.onnx")
@@ -51,7 +51,7 @@ def test_is_offered_and_keeps_the_contract(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [(24, 40), (40, 24)])
 @pytest.mark.parametrize("scale", [1, 2])
-def test_points_are_brought_back_from_the_graphs_size_and_orientation(
+def test_points_are_mapped_back_from_the_graphs_size_and_orientation(
     tmp_path: Path, size: tuple[int, int], scale: int
 ) -> None:
     found = matching(tmp_path, size).matches(dotted(FIRST, scale), dotted(SECOND, scale))
@@ -60,9 +60,7 @@ def test_points_are_brought_back_from_the_graphs_size_and_orientation(
     assert (found.scores > 0.99).all()
 
 
-def test_the_matcher_is_given_points_around_the_middle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_matcher_gets_centred_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     prior = matching(tmp_path)
     given: dict[str, Tensor] = {}
     matcher = prior._networks._matcher
@@ -74,7 +72,7 @@ def test_the_matcher_is_given_points_around_the_middle(
     assert torch.allclose(given["desc0"].flatten(), torch.tensor([0.9, 0.7, 0.5]))
 
 
-def test_unsure_matches_are_left_out(tmp_path: Path) -> None:
+def test_matches_of_low_score_are_dropped(tmp_path: Path) -> None:
     paler = dotted(SECOND)
     paler[1, 5] = 0.62  # the second dot, 0.7 in the first image
     scores = matching(tmp_path, min_score=0.0).matches(dotted(FIRST), paler).scores
@@ -83,7 +81,7 @@ def test_unsure_matches_are_left_out(tmp_path: Path) -> None:
     assert torch.allclose(found.first, centers([FIRST[0], FIRST[2]]))
 
 
-def test_photographs_matches_keep_to_the_epipolar_lines(
+def test_matches_of_photographs_are_near_the_epipolar_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two cameras side by side: what moved by more than two rows cannot be the same point."""
@@ -123,7 +121,7 @@ def test_epipolar_distances_are_those_to_the_projected_ray() -> None:
     assert float(back) == pytest.approx(float(there))
 
 
-def test_files_and_answers_are_checked(tmp_path: Path) -> None:
+def test_files_and_outputs_are_checked(tmp_path: Path) -> None:
     finder = graphs.brightest_pixels(tmp_path / "finder.onnx", 24, 40)
     matcher = graphs.matcher_of_points(tmp_path / "matcher.onnx")
     with pytest.raises(PluginError, match="4 inputs; which one is not said"):

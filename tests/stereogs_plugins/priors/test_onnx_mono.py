@@ -1,4 +1,4 @@
-"""Monocular networks by signature: a graph that answers the red numbers it was given, plus 10."""
+"""Monocular networks, with a graph that returns the red channel plus 10."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def mono(model: Path, **settings: object) -> OnnxMono:
 
 @pytest.fixture
 def sizes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
-    """The shapes that graphs are given."""
+    """Shapes of the graphs' inputs."""
     seen: list[tuple[int, ...]] = []
     run = OnnxModel.run
 
@@ -34,7 +34,7 @@ def sizes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     return seen
 
 
-def test_is_offered_as_onnx_mono() -> None:
+def test_registers_as_onnx_mono() -> None:
     assert offered(stereogs_register_priors) == {"onnx_mono": OnnxMono}
 
 
@@ -47,7 +47,7 @@ def test_is_offered_as_onnx_mono() -> None:
         ("depth_anything_v2", (100, 100), (518, 518)),
     ],
 )
-def test_the_short_side_is_the_family_s(
+def test_the_short_side_is_that_of_the_family(
     tmp_path: Path,
     sizes: list[tuple[int, ...]],
     family: str,
@@ -62,7 +62,7 @@ def test_the_short_side_is_the_family_s(
 @pytest.mark.parametrize(
     ("family", "expected"), [("dpt", 0.6), ("depth_anything_v2", (0.8 - 0.485) / 0.229)]
 )
-def test_the_image_is_normalized_as_the_family_wants(
+def test_the_image_has_the_value_range_of_the_family(
     tmp_path: Path, family: str, expected: float
 ) -> None:
     prior = mono(graphs.mono(tmp_path / "m.onnx"), family=family)
@@ -92,8 +92,8 @@ def test_resizing_is_bicubic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("shrink", [1, 2])
-def test_the_answer_lies_on_the_image_s_grid(tmp_path: Path, shrink: int) -> None:
-    """Also where the network answers at half of the size that it was given."""
+def test_the_result_is_aligned_with_the_image(tmp_path: Path, shrink: int) -> None:
+    """Also if the output has half the size of the input."""
     prior = mono(graphs.mono(tmp_path / "m.onnx", shrink=shrink), family="dpt")
     rows, columns = torch.meshgrid(
         torch.linspace(0.1, 0.4, 90), torch.linspace(0.1, 0.5, 120), indexing="ij"
@@ -104,16 +104,14 @@ def test_the_answer_lies_on_the_image_s_grid(tmp_path: Path, shrink: int) -> Non
     assert (answer - (10 + 2 * image[..., 0] - 1))[inside].abs().max() < 2e-3
 
 
-def test_a_graph_may_freeze_its_size_and_be_shrunk_to(
-    tmp_path: Path, sizes: list[tuple[int, ...]]
-) -> None:
+def test_images_are_resized_to_a_fixed_size(tmp_path: Path, sizes: list[tuple[int, ...]]) -> None:
     path = graphs.mono(tmp_path / "m.onnx", shape=(1, 3, 28, 42))
     answer = mono(path).inverse_depth(torch.full((100, 90, 3), 0.485))
     assert sizes == [(1, 3, 28, 42)]
     assert torch.allclose(answer, torch.tensor(10.0), atol=1e-4)
 
 
-def test_short_side_multiple_and_numbers_may_be_said(
+def test_settings_override_short_side_multiple_and_value_range(
     tmp_path: Path, sizes: list[tuple[int, ...]]
 ) -> None:
     path = graphs.mono(tmp_path / "m.onnx")
@@ -123,7 +121,7 @@ def test_short_side_multiple_and_numbers_may_be_said(
     assert torch.allclose(answer, torch.tensor(10 + 204.0))
 
 
-def test_a_graph_may_answer_depth(tmp_path: Path) -> None:
+def test_a_graph_can_return_depth(tmp_path: Path) -> None:
     """Depths of 0 and below become a thousandth of the median, and the largest inverse depth."""
     path = graphs.mono(tmp_path / "m.onnx", shape=(1, 3, 32, 32), offset=-0.25)
     image = torch.full((32, 32, 3), 0.75)
@@ -131,11 +129,11 @@ def test_a_graph_may_answer_depth(tmp_path: Path) -> None:
     answer = mono(path, answers="depth", value_range="0..1").inverse_depth(image)
     assert torch.allclose(answer[8:], torch.tensor(2.0))
     assert torch.allclose(answer[:8], torch.tensor(2000.0))
-    with pytest.raises(PluginError, match="no depth that the graph answers is above 0"):
+    with pytest.raises(PluginError, match="returned no depth above 0"):
         mono(path, answers="depth", value_range="0..1").inverse_depth(0 * image)
 
 
-def test_inputs_and_outputs_may_be_named(tmp_path: Path) -> None:
+def test_inputs_and_outputs_can_be_named(tmp_path: Path) -> None:
     path = graphs.mono(tmp_path / "m.onnx", "l_x_")
     image = torch.rand(30, 40, 3)
     expected = mono(path).inverse_depth(image)
@@ -151,7 +149,7 @@ def test_inputs_and_outputs_may_be_named(tmp_path: Path) -> None:
 
 def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
     sets = graphs.pick(tmp_path / "mvs.onnx", "K", (0, 0, 0))
-    with pytest.raises(PluginError, match="takes no image"):
+    with pytest.raises(PluginError, match="is not an image"):
         mono(sets, input="images", output="depth")
     with pytest.raises(PluginError, match="SHA-256"):
         mono(graphs.mono(tmp_path / "m.onnx"), sha256="0" * 64)
@@ -160,7 +158,9 @@ def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
         mono(features).inverse_depth(torch.rand(30, 40, 3))
 
 
-def test_the_model_is_part_of_the_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_model_is_part_of_the_cache_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     path = graphs.mono(tmp_path / "m.onnx", "first")
     image = torch.full((30, 40, 3), 0.5)

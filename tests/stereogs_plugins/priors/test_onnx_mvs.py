@@ -1,4 +1,4 @@
-"""Multi-view networks by signature: graphs that answer one number of what they were given."""
+"""Multi-view networks, with graphs that return one number of their inputs as depth."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import torch
 from core_rasterizer import Camera
 from registry import PluginError, View
 from registry.priors import DepthMap
-from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
-from stereogs_plugins.priors.onnx_mvs.sources import overlap
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs, overlap, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 
 from . import graphs
@@ -42,13 +41,13 @@ def asked(path: Path, views: Sequence[View] | None = None, **settings: object) -
 
 
 def depth_of(answer: DepthMap) -> float:
-    """The one depth that a map holds everywhere."""
+    """The constant depth of a map."""
     assert answer.valid.all()
     assert torch.allclose(answer.depth, answer.depth[0, 0])
     return float(answer.depth[0, 0])
 
 
-def test_is_offered_as_onnx_mvs() -> None:
+def test_registers_as_onnx_mvs() -> None:
     assert offered(stereogs_register_priors) == {"onnx_mvs": OnnxMvs}
 
 
@@ -66,15 +65,15 @@ def test_intrinsics_are_scaled_with_the_images_to_multiples_of_32(
         assert depth_of(answer) == pytest.approx(expected, rel=1e-6)
 
 
-def test_intrinsics_may_belong_to_a_quarter_of_the_size(tmp_path: Path) -> None:
+def test_intrinsics_can_be_for_a_quarter_of_the_size(tmp_path: Path) -> None:
     focal = graphs.pick(tmp_path / "f.onnx", "K", (1, 1, 1))
     assert depth_of(asked(focal, intrinsics="quarter")[0]) == pytest.approx(46 * 32 / 40 / 4)
     last = graphs.pick(tmp_path / "one.onnx", "K", (1, 2, 2))
     assert depth_of(asked(last, intrinsics="quarter")[0]) == 1
 
 
-def test_the_view_itself_comes_first_and_then_its_neighbours_by_distance(tmp_path: Path) -> None:
-    """The cameras stand at 0, 3 and -1."""
+def test_the_reference_view_is_first_and_sources_follow_by_distance(tmp_path: Path) -> None:
+    """The cameras are at 0, 3 and -1."""
     order = []
     for place in range(3):
         path = graphs.pick(tmp_path / f"{place}.onnx", "images", (place, 0))
@@ -97,7 +96,7 @@ def test_poses_are_world_to_camera_in_the_same_order(tmp_path: Path) -> None:
     assert found == [[10, 7, 11], [11, 10, 10]]
 
 
-def test_the_depth_range_is_passed_where_the_graph_asks(tmp_path: Path) -> None:
+def test_the_depth_range_is_passed_if_it_is_an_input(tmp_path: Path) -> None:
     for place, bound in enumerate(BOUNDS):
         path = graphs.pick(tmp_path / "m.onnx", "depth_range", (place,))
         assert depth_of(asked(path)[0]) == bound
@@ -118,7 +117,7 @@ def test_confidence_is_the_graph_s_or_one(tmp_path: Path) -> None:
     assert (asked(path)[0].confidence == 1).all()
 
 
-def test_depth_is_brought_back_to_the_image(tmp_path: Path) -> None:
+def test_depth_is_resized_to_the_image(tmp_path: Path) -> None:
     """100 columns become 96 and 100 again: a slope stays a slope, and what is unknown stays so."""
     path = graphs.pick(tmp_path / "m.onnx", "images", (0, 0))
     slope = torch.linspace(0.2, 0.8, 100)[None, :, None].expand(64, 100, 3).clone()
@@ -150,7 +149,7 @@ def test_a_depth_without_confidence_is_still_a_depth(tmp_path: Path) -> None:
     assert (answer.confidence == 0).all()
 
 
-def test_views_of_different_sizes_are_brought_to_that_of_the_asked_one(tmp_path: Path) -> None:
+def test_views_are_resized_to_the_reference_view(tmp_path: Path) -> None:
     views = [*three_views()[:2], three_views(100, 80)[2]]
     own = graphs.pick(tmp_path / "own.onnx", "K", (0, 0, 0))
     assert [depth_of(a) for a in asked(own, views)] == pytest.approx(
@@ -162,18 +161,18 @@ def test_views_of_different_sizes_are_brought_to_that_of_the_asked_one(tmp_path:
     assert answers[2].depth.shape == (80, 100)
 
 
-def test_sources_are_limited_and_a_graph_may_insist_on_their_number(tmp_path: Path) -> None:
+def test_sources_are_limited_and_a_graph_can_fix_their_number(tmp_path: Path) -> None:
     third = graphs.pick(tmp_path / "m.onnx", "images", (2, 0))
     with pytest.raises(PluginError, match="the model failed"):  # there is no third view to look at
         asked(third, max_sources=1)
     path = graphs.pick(tmp_path / "two.onnx", "K", (1, 2, 2), views=2)
     assert depth_of(asked(path)[0]) == 1
     path = graphs.pick(tmp_path / "eight.onnx", "K", (0, 0, 0), views=8)
-    with pytest.raises(PluginError, match="takes 8 views at once, there are 3"):
+    with pytest.raises(PluginError, match="takes 8 views, but there are 3"):
         asked(path)
 
 
-def test_a_view_that_shows_something_else_does_not_help(tmp_path: Path) -> None:
+def test_a_view_without_overlap_is_not_a_source(tmp_path: Path) -> None:
     """View 2, the nearest to view 0, turns away; view 0 is then shown view 1 alone."""
     views = three_views()
     away = views[2].camera.world_to_camera
@@ -190,7 +189,7 @@ def test_a_view_that_shows_something_else_does_not_help(tmp_path: Path) -> None:
     assert round((depth_of(first) - 0.2) / 0.3) == 2
 
 
-def test_overlap_is_what_another_camera_may_see() -> None:
+def test_overlap_of_shifted_cameras() -> None:
     pose = torch.eye(4, dtype=torch.float64)
     camera = Camera(pose, 50.0, 50.0, 25.0, 20.0, 50, 40)
     assert overlap(camera, camera, BOUNDS) == 1
@@ -199,7 +198,7 @@ def test_overlap_is_what_another_camera_may_see() -> None:
     assert overlap(camera, camera.shifted_right(100.0), BOUNDS) == 0
 
 
-def test_depth_that_the_graph_is_not_sure_of_is_unknown(tmp_path: Path) -> None:
+def test_depth_of_low_confidence_is_unknown(tmp_path: Path) -> None:
     path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0), confidence=0.5)
     assert asked(path, min_confidence=0.5)[0].valid.all()
     unsure = asked(path, min_confidence=0.51)[0]
@@ -210,7 +209,7 @@ def test_depth_that_the_graph_is_not_sure_of_is_unknown(tmp_path: Path) -> None:
         mvs(silent, min_confidence=0.3)
 
 
-def test_large_images_are_shrunk_unless_a_size_is_said(tmp_path: Path) -> None:
+def test_large_images_are_shrunk_unless_size_is_set(tmp_path: Path) -> None:
     path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0))
     views = three_views(300, 150)
     assert depth_of(asked(path, views, max_side=128)[0]) == pytest.approx(45 * 128 / 300)
@@ -219,7 +218,7 @@ def test_large_images_are_shrunk_unless_a_size_is_said(tmp_path: Path) -> None:
     )
 
 
-def test_a_size_may_be_chosen(tmp_path: Path) -> None:
+def test_size_sets_the_input_size(tmp_path: Path) -> None:
     path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0))
     assert depth_of(asked(path, size=(96, 64))[0]) == pytest.approx(45 * 96 / 50)
     assert depth_of(asked(path, multiple=8)[0]) == pytest.approx(45 * 48 / 50)
@@ -241,13 +240,15 @@ def test_mvsformer_has_intrinsics_of_each_stage(tmp_path: Path, stage: str, fact
     assert depth_of(asked(pose, views, family="mvsformer")[1]) == 1  # view 2 stands at x = -1
 
 
-def test_mvsformer_is_given_depths_from_near_to_far(tmp_path: Path) -> None:
+def test_mvsformer_gets_depths_from_near_to_far(tmp_path: Path) -> None:
     for place, expected in ((0, 1.5), (191, 9.0), (1, 1.5 + 7.5 / 191)):
         path = graphs.pick_staged(tmp_path / "m.onnx", "depth_values", (place,))
         assert depth_of(asked(path, family="mvsformer")[0]) == pytest.approx(expected)
 
 
-def test_the_model_is_part_of_the_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_model_is_part_of_the_cache_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     path = graphs.pick(tmp_path / "m.onnx", "K", (0, 0, 0))
     first = mvs(path)
@@ -266,7 +267,7 @@ def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="SHA-256"):
         mvs(path, sha256="0" * 64)
     four = graphs.mono(tmp_path / "mono.onnx", "images")
-    with pytest.raises(PluginError, match="takes no set of images"):
+    with pytest.raises(PluginError, match="is not a set of images"):
         mvs(four)
     small = graphs.pick(tmp_path / "small.onnx", "K", (0, 0, 0), shrink=2)
     with pytest.raises(PluginError, match=r"\[1, 1, 16, 32\], expected \[1, 1, 32, 64\]"):

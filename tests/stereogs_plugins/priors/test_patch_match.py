@@ -1,4 +1,4 @@
-"""PatchMatch on scenes whose depth is known, and what it refuses."""
+"""PatchMatch on scenes with known depth, and its errors."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from tests.stereogs_plugins.building import build, offered
 
 @pytest.fixture(scope="module")
 def room(procedural_room: Scene) -> Scene:
-    """Three training views of the ray-cast room, with exact depth."""
+    """Three training views of the ray-cast room with exact depth."""
     return replace(procedural_room, test=())
 
 
 @pytest.fixture(scope="module")
 def answers(room: Scene) -> list[DepthMap]:
-    """What the default settings answer about the room."""
+    """Results for the room with default settings."""
     return build(PatchMatchPrior).depths(room.train, room.bounds)
 
 
-def test_the_plugin_offers_it() -> None:
+def test_the_plugin_registers_it() -> None:
     assert offered(stereogs_register_priors) == {"patch_match": PatchMatchPrior}
 
 
@@ -44,7 +44,7 @@ def test_the_depth_of_a_room_is_found(room: Scene, answers: list[DepthMap]) -> N
         assert shares[1] > middle
 
 
-def test_confidence_tells_right_from_wrong(room: Scene, answers: list[DepthMap]) -> None:
+def test_confidence_separates_right_from_wrong_depths(room: Scene, answers: list[DepthMap]) -> None:
     answer, truth = answers[1], room.train[1].depth
     assert truth is not None
     right = ((answer.depth - truth).abs() < 0.05 * truth) & answer.valid
@@ -52,7 +52,7 @@ def test_confidence_tells_right_from_wrong(room: Scene, answers: list[DepthMap])
     assert answer.confidence[right].mean() > 1.3 * answer.confidence[wrong].mean()
 
 
-def test_the_seed_of_the_run_changes_nothing() -> None:
+def test_the_seed_of_the_run_does_not_matter() -> None:
     """A prior's answers are kept for all runs."""
     scene = tiny_scene()
     first, second = (
@@ -63,7 +63,7 @@ def test_the_seed_of_the_run_changes_nothing() -> None:
         assert torch.equal(one.confidence, other.confidence)
 
 
-def test_what_matches_nothing_is_not_valid() -> None:
+def test_pixels_without_a_match_are_invalid() -> None:
     scene = tiny_scene()
     views = [replace(view, image=torch.full_like(view.image, 0.4)) for view in scene.train]
     assert not any(a.valid.any() for a in build(PatchMatchPrior).depths(views, scene.bounds))

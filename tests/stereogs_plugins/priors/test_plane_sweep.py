@@ -1,4 +1,4 @@
-"""The plane sweep on scenes whose depth is known, and what it refuses."""
+"""The plane sweep on scenes with known depth, and its errors."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from tests.stereogs_plugins.building import build, offered
 from . import graphs
 
 PLANES = 64
-"""Enough for small images."""
+"""Few planes, enough for small images."""
 
 
 @pytest.fixture(scope="module")
 def room(procedural_room: Scene) -> Scene:
-    """Three training views of the ray-cast room, with exact depth."""
+    """Three training views of the ray-cast room with exact depth."""
     return replace(procedural_room, test=())
 
 
 @pytest.fixture(scope="module")
 def answers(room: Scene) -> list[DepthMap]:
-    """What the default settings but fewer planes answer about the room."""
+    """Results for the room with default settings but fewer planes."""
     return build(PlaneSweep, planes=PLANES).depths(room.train, room.bounds)
 
 
 def share_within(depth: Tensor, truth: Tensor, where: Tensor, relative: float) -> float:
-    """How many of the pixels have the true depth, to a relative error."""
+    """Share of the pixels with the true depth within a relative error."""
     return float(((depth - truth).abs() < relative * truth)[where].float().mean())
 
 
 def scores(maps: list[DepthMap], scene: Scene, relative: float) -> list[float]:
-    """For each view, the share of valid pixels whose depth is right."""
+    """For each view, the share of valid pixels with a correct depth."""
     result = []
     for answer, view in zip(maps, scene.train, strict=True):
         assert view.depth is not None
@@ -52,7 +52,7 @@ def scores(maps: list[DepthMap], scene: Scene, relative: float) -> list[float]:
     return result
 
 
-def test_the_plugin_offers_it() -> None:
+def test_the_plugin_registers_it() -> None:
     assert offered(stereogs_register_priors) == {"plane_sweep": PlaneSweep}
 
 
@@ -66,7 +66,7 @@ def test_the_depth_of_a_room_is_found(room: Scene, answers: list[DepthMap]) -> N
     assert within_10[1] > 0.94
 
 
-def test_confidence_tells_right_from_wrong(room: Scene, answers: list[DepthMap]) -> None:
+def test_confidence_separates_right_from_wrong_depths(room: Scene, answers: list[DepthMap]) -> None:
     answer, truth = answers[1], room.train[1].depth
     assert truth is not None
     right = ((answer.depth - truth).abs() < 0.05 * truth) & answer.valid
@@ -100,7 +100,7 @@ def test_views_may_differ_in_size_and_principal_point(room: Scene) -> None:
     assert min(scores(maps, scene, 0.02)) > 0.75
 
 
-def test_only_other_places_and_the_nearest_views_are_compared(room: Scene) -> None:
+def test_sources_are_the_nearest_views_at_other_positions(room: Scene) -> None:
     here, there = room.train[:2]
     far = replace(there, name="far", camera=room.train[2].camera.shifted_right(50))
     twin = replace(here, name="twin")
@@ -120,7 +120,7 @@ def test_one_view_is_refused(room: Scene) -> None:
         build(PlaneSweep).depths(room.train[:1], room.bounds)
 
 
-def test_features_from_a_file_compare_pixels(room: Scene, tmp_path: Path) -> None:
+def test_features_from_a_file_give_the_cost(room: Scene, tmp_path: Path) -> None:
     file = graphs.grey_features(tmp_path / "model.onnx")
     prior = build(PlaneSweep, planes=PLANES, cost="features", features=file)
     maps = prior.depths(room.train, room.bounds)
@@ -130,9 +130,9 @@ def test_features_from_a_file_compare_pixels(room: Scene, tmp_path: Path) -> Non
 
 
 def test_settings_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(pydantic.ValidationError, match="go together"):
+    with pytest.raises(pydantic.ValidationError, match="require each other"):
         build(PlaneSweep, cost="features")
-    with pytest.raises(pydantic.ValidationError, match="go together"):
+    with pytest.raises(pydantic.ValidationError, match="require each other"):
         build(PlaneSweep, features=tmp_path / "model.onnx")
     with pytest.raises(pydantic.ValidationError, match="at least `small_penalty`"):
         build(PlaneSweep, small_penalty=20, large_penalty=10)

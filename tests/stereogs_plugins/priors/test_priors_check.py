@@ -1,4 +1,4 @@
-"""`stereogs priors check`: files of every form are recognized, tried, and the right reading wins."""
+"""`stereogs priors check`: files of every format are recognized and tried, and the right settings win."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def plugins() -> Plugins:
 
 @pytest.fixture(scope="module")
 def small_row() -> Scene:
-    """The scene that guesses are tried on, in small; a disparity is at most 13 pixels."""
+    """A small version of the trial scene; disparities are at most 13 pixels."""
     return build(
         ProceduralScene, row_spacing=0.25, test_views=0, width=128, height=96, points=0
     ).load()
@@ -45,7 +45,7 @@ def _small(small_row: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def guessed(path: Path, plugins: Plugins) -> list[tuple[str, dict[str, object]]]:
-    """Names and settings, without those that name the file."""
+    """Names and settings, without paths and hashes."""
     found = prior_trials.guesses(OnnxModel(path), plugins)
     names = ("model", "sha256", "features")
     return [
@@ -54,7 +54,7 @@ def guessed(path: Path, plugins: Plugins) -> list[tuple[str, dict[str, object]]]
     ]
 
 
-def test_families_are_known_by_their_names(tmp_path: Path, plugins: Plugins) -> None:
+def test_families_are_recognized_by_their_names(tmp_path: Path, plugins: Plugins) -> None:
     foundation = graphs.matcher(tmp_path / "f.onnx", shape=(1, 3, 64, 96))
     assert guessed(foundation, plugins) == [("onnx_stereo", {"family": "foundation_stereo"})]
     names = ("left", "right", "disparity")
@@ -78,7 +78,7 @@ def test_families_are_known_by_their_names(tmp_path: Path, plugins: Plugins) -> 
     )
 
 
-def test_every_other_form_has_its_prior(tmp_path: Path, plugins: Plugins) -> None:
+def test_other_formats_are_recognized(tmp_path: Path, plugins: Plugins) -> None:
     forms = {
         "onnx_mono": graphs.mono(tmp_path / "mono.onnx"),
         "onnx_flow": graphs.constant_flow(tmp_path / "flow.onnx", (1.0, 0.0)),
@@ -95,7 +95,7 @@ def test_every_other_form_has_its_prior(tmp_path: Path, plugins: Plugins) -> Non
 
 
 @pytest.mark.usefixtures("_small")
-def test_the_sign_is_found_by_trial_and_the_yaml_is_a_pipelines(
+def test_the_sign_is_found_by_trial_and_the_yaml_is_valid(
     tmp_path: Path, capsys: Capture, plugins: Plugins
 ) -> None:
     path = graphs.matcher(tmp_path / "m.onnx", ("a", "b", "c"), candidates=16, sign=-1.0)
@@ -115,7 +115,7 @@ def test_the_sign_is_found_by_trial_and_the_yaml_is_a_pipelines(
 
 
 @pytest.mark.usefixtures("_small")
-def test_a_file_that_no_guess_can_run_is_a_fault(tmp_path: Path, capsys: Capture) -> None:
+def test_a_file_that_no_guess_can_run_is_an_error(tmp_path: Path, capsys: Capture) -> None:
     path = graphs.brightest_pixels(tmp_path / "points.onnx", 24, 40)
     assert main(["priors", "check", str(path)]) == 1
     said = capsys.readouterr().out
@@ -124,7 +124,7 @@ def test_a_file_that_no_guess_can_run_is_a_fault(tmp_path: Path, capsys: Capture
     assert main(["priors", "check", str(tmp_path / "none.onnx")]) == 2
 
 
-def test_truth_is_what_the_other_camera_shows(small_row: Scene) -> None:
+def test_ground_truth_matches_the_other_view(small_row: Scene) -> None:
     first, second = small_row.train[:2]
     truth = truth_of(small_row.train, small_row.bounds)
     assert first.depth is not None
@@ -143,7 +143,7 @@ def depth_of(view: TrainingView) -> torch.Tensor:
     return view.depth
 
 
-def test_answers_are_scored_by_their_distance_from_the_truth(small_row: Scene) -> None:
+def test_results_are_scored_by_their_distance_from_the_truth(small_row: Scene) -> None:
     truth = truth_of(small_row.train, small_row.bounds)
     disparity, visible = -truth.moved[..., 0], truth.visible
     assert judge(known.stereo(disparity.float()), truth).error == 0

@@ -1,4 +1,4 @@
-"""Published networks through the adapters, against the truth, where STEREOGS_MODELS has them."""
+"""Published networks compared with the ground truth, if STEREOGS_MODELS has them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_itermvs_on_a_view_of_fern() -> None:
 
 
 @pytest.mark.parametrize("name", ["stereogs_short", "with_networks"])
-def test_pipelines_with_networks_train_on_the_drawn_room(
+def test_pipelines_with_networks_train_on_the_procedural_room(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STEREOGS_MODELS", str(models_folder("hitnet_eth3d").parent))

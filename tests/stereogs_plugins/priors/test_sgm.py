@@ -55,7 +55,7 @@ def test_a_shift_is_found(cost: str) -> None:
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("shift", [6.25, 6.5, 6.75])
-def test_a_part_of_a_pixel_is_found(cost: str, shift: float) -> None:
+def test_a_subpixel_shift_is_found(cost: str, shift: float) -> None:
     left, right = textured_pair(shift)
     found = build(SgmPrior, cost=cost, max_disparity=24).estimate(left, right)[:, 10:]
     assert abs(float(found.mean()) - shift) < 0.15
@@ -136,7 +136,7 @@ BAD_2 = {
     "census": {"cones": 3.3, "tsukuba": 4.6, "motorcycle": 9.1, "playground": 3.4},
     "zncc": {"cones": 3.9, "tsukuba": 5.4, "motorcycle": 12.0, "playground": 3.8},
 }
-"""Per cent of pixels that may be off by more than 2 px; some 0.5 above what was measured."""
+"""Largest percentage of pixels off by more than 2 px; about 0.5 above the measured value."""
 
 
 @pytest.mark.proof

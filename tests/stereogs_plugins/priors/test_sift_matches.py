@@ -16,7 +16,7 @@ def test_it_is_registered_and_keeps_the_contract() -> None:
     check(SiftMatches)
 
 
-def test_points_are_found_where_a_cut_out_shows_them(procedural_room: Scene) -> None:
+def test_points_of_a_crop_are_matched(procedural_room: Scene) -> None:
     image = procedural_room.train[0].image
     cut = image[9:, 14:].contiguous()
     found = build(SiftMatches).matches(image, cut)

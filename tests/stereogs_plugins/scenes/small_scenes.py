@@ -240,7 +240,7 @@ def colors_at_points(view: View) -> Array:
 
 
 def assert_sees_the_points(scene: Scene, tolerance: float = 1.0) -> None:
-    """Every view of the scene shows every point in its colour, at the place where it should."""
+    """Assert that every view shows every point in its colour at its projection."""
     for view in (*scene.train, *scene.test):
         np.testing.assert_allclose(
             colors_at_points(view), COLORS, atol=tolerance, err_msg=view.name

@@ -21,7 +21,7 @@ def load(folder: Path, **settings: object) -> Scene:
     return build(BlenderScene, path=folder, **{"train_ids": (1, 3, 5), **settings}).load()
 
 
-def test_is_offered_as_blender() -> None:
+def test_registers_as_blender() -> None:
     assert offered(stereogs_register_scenes) == {"blender": BlenderScene}
 
 
@@ -51,7 +51,7 @@ def test_half_transparent_pixels_are_mixed(tmp_path: Path) -> None:
     torch.testing.assert_close(image, torch.full_like(image, expected), atol=1 / 255, rtol=0)
 
 
-def test_larger_photographs_are_reduced_and_the_notes_say_so(tmp_path: Path) -> None:
+def test_larger_photographs_are_reduced_and_facts_report_it(tmp_path: Path) -> None:
     scene = load(write_blender(tmp_path, World()), width=32, resize_filter="box")
     view = scene.train[0]
     assert view.image.shape == (24, 32, 3)
@@ -94,15 +94,15 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "last row": (lambda f: change(f, "transform_matrix", matrix(_33=2.0)), "last row"),
     "climbs": (lambda f: change(f, "file_path", "../r_1"), "does not stay inside"),
     "absolute": (lambda f: change(f, "file_path", "/r_1"), "does not stay inside"),
-    "no number": (lambda f: change(f, "file_path", "train/one"), "no number"),
-    "twice": (lambda f: change(f, "file_path", "train/r_2"), "no number of its own"),
+    "no number": (lambda f: change(f, "file_path", "train/one"), "does not end in a unique number"),
+    "twice": (lambda f: change(f, "file_path", "train/r_2"), "does not end in a unique number"),
     "no image": (lambda f: (f / "train" / "r_3.png").unlink(), "photograph is missing"),
     "bad image": (lambda f: (f / "train" / "r_3.png").write_bytes(b"x"), "image cannot be read"),
 }
 
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=list(DAMAGES))
-def test_bad_input_is_explained(
+def test_bad_input_is_an_error(
     damage: Callable[[Path], object], message: str, tmp_path: Path
 ) -> None:
     folder = write_blender(tmp_path, World())
@@ -114,8 +114,8 @@ def test_bad_input_is_explained(
     assert caught.value.fix
 
 
-def test_numbers_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"\[77, 78\] are not there"):
+def test_missing_numbers(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"\[77, 78\] are missing"):
         load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
 
 

@@ -26,7 +26,7 @@ def load(folder: Path, **settings: object) -> Scene:
     return build(ColmapScene, path=folder, **settings).load()
 
 
-def test_is_offered_as_colmap() -> None:
+def test_registers_as_colmap() -> None:
     assert offered(stereogs_register_scenes) == {"colmap": ColmapScene}
 
 
@@ -57,7 +57,7 @@ def test_poses_lens_and_points(model: str, text: bool, tmp_path: Path) -> None:
         ("FULL_OPENCV", BENT),
     ],
 )
-def test_distorted_photographs_are_straightened(
+def test_distorted_photographs_are_undistorted(
     model: str, distortion: tuple[float, float, float, float], tmp_path: Path
 ) -> None:
     world = World(width=256, height=192, shift=(9.0, -5.0), distortion=distortion)
@@ -170,7 +170,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=list(DAMAGES))
-def test_bad_input_is_explained(
+def test_bad_input_is_an_error(
     damage: Callable[[Path], object], message: str, tmp_path: Path
 ) -> None:
     folder = write_colmap(tmp_path, World(), model="PINHOLE")
@@ -182,7 +182,7 @@ def test_bad_input_is_explained(
     assert caught.value.where
 
 
-def test_a_lens_beyond_belief(tmp_path: Path) -> None:
+def test_an_implausible_lens(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path, World())
     patch("cameras.bin", 64, "<d", 1e6)(folder)
     with pytest.raises(SceneError, match="bends the picture too much"):

@@ -37,7 +37,7 @@ def load(folder: Path, **settings: object) -> Scene:
     return build(DTUScene, path=folder, **settings).load()
 
 
-def test_is_offered_as_dtu() -> None:
+def test_registers_as_dtu() -> None:
     assert offered(stereogs_register_scenes) == {"dtu": DTUScene}
 
 
@@ -154,8 +154,14 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "scale differs": (edit("scale_mat_1", lambda m: 2 * m), "differs"),
     "scale bent": (edit("scale_mat_25", set_entry(0, 1, 5.0)), "differs"),
-    "no image": (lambda f: (f / "image" / "000022.png").unlink(), "no image of the views [22]"),
-    "no mask": (lambda f: (f / "mask" / "022.png").unlink(), "no image of the views [22]"),
+    "no image": (
+        lambda f: (f / "image" / "000022.png").unlink(),
+        "the images of the views [22] are missing",
+    ),
+    "no mask": (
+        lambda f: (f / "mask" / "022.png").unlink(),
+        "the images of the views [22] are missing",
+    ),
     "black mask": (
         lambda f: Image.new("L", (64, 48)).save(f / "mask" / "022.png"),
         "mask leaves no pixel",
@@ -163,14 +169,14 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "bad mask": (lambda f: (f / "mask" / "022.png").write_bytes(b""), "mask cannot be read"),
     "odd name": (
         lambda f: (f / "image" / "000022.png").rename(f / "image" / "x.png"),
-        "does not tell which view",
+        "does not contain a view number",
     ),
     "one size": (one_size_differs, "the image is 32x24, the others are 64x48"),
 }
 
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=list(DAMAGES))
-def test_bad_input_is_explained(
+def test_bad_input_is_an_error(
     damage: Callable[[Path], object], message: str, folder: Path
 ) -> None:
     damage(folder)
@@ -189,7 +195,7 @@ def test_view_numbers() -> None:
 def test_cameras_are_the_same_bits_with_the_linear_algebra_of_another_processor(
     folder: Path,
 ) -> None:
-    """OpenBLAS takes this processor for a Haswell. Only one with AVX-512 has other kernels to compare."""
+    """OpenBLAS treats this processor as a Haswell; only one with AVX-512 has other kernels to compare."""
     script = (
         "import sys, pathlib; from stereogs_plugins.scenes.dtu.cameras import calibrated\n"
         "found = calibrated(pathlib.Path(sys.argv[1]), list(map(int, sys.argv[2:])))\n"

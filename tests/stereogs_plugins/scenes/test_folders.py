@@ -1,4 +1,4 @@
-"""A folder alone is enough to train: every format that is recognized, through the command line."""
+"""Training from a folder of each recognized format through the command line."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FORMATS["photos"] = write_photos
 
 
 class Trained(Exception):
-    """In place of training."""
+    """Replacement for training."""
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_a_folder_is_trained(name: str, trained: list[Pipeline], tmp_path: Path)
     assert settings["path"] == path
 
 
-def test_the_settings_of_another_loader_fall_away(
+def test_settings_of_another_loader_are_dropped(
     trained: list[Pipeline], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -80,7 +80,7 @@ def test_the_settings_of_another_loader_fall_away(
     assert scene_of(trained, "3dgs", *change)[2]["test_every"] == 0
 
 
-def test_the_loader_that_is_written_keeps_its_settings(
+def test_the_loader_in_the_pipeline_keeps_its_settings(
     trained: list[Pipeline], tmp_path: Path
 ) -> None:
     path = f"scene.path={FORMATS['llff'](tmp_path)}"
@@ -88,7 +88,7 @@ def test_the_loader_that_is_written_keeps_its_settings(
     assert (loader, settings["train_views"]) == ("llff", 3)
 
 
-def test_a_loader_that_is_asked_for_is_not_guessed(trained: list[Pipeline], tmp_path: Path) -> None:
+def test_an_explicit_loader_is_used(trained: list[Pipeline], tmp_path: Path) -> None:
     path = f"scene={json.dumps({'use': 'colmap', 'path': str(write_photos(tmp_path))})}"
     assert scene_of(trained, "3dgs", "--set", path)[1] == "colmap"
 
@@ -102,12 +102,12 @@ def test_a_folder_of_no_known_format(
     assert scene_of(trained, str(tmp_path), "--set", "scene.use=photos")[1] == "photos"
 
 
-def test_a_name_that_is_no_pipeline(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_pipeline(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "weightfre_fast"]) == 2
     assert "did you mean 'weightfree_fast'" in capsys.readouterr().err
 
 
-def test_the_pipelines_that_are_chosen_from_begin_alike() -> None:
+def test_the_candidate_pipelines_have_the_same_initial_points() -> None:
     """The choice is made when the first points are there, which must be those of each."""
     first, *others = (
         load_pipeline(Path(name), Plugins(), overrides=["scene=procedural"])

@@ -1,4 +1,4 @@
-"""What holds for every loader of real pictures: cameras, colours and names belong together."""
+"""Properties of every loader of real pictures: cameras, colours and names match."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_intrinsics_are_the_true_ones(case: Case, tmp_path: Path) -> None:
     assert found == pytest.approx((world.focal, world.focal, *world.principal_point), abs=1e-6)
 
 
-def test_facts_say_what_was_found(case: Case, tmp_path: Path) -> None:
+def test_facts(case: Case, tmp_path: Path) -> None:
     scene = load(case, tmp_path)
     assert scene.fact("changed") == "nothing"
     for name, views in (("train_photographs", scene.train), ("test_photographs", scene.test)):
@@ -77,7 +77,7 @@ def test_bounds_enclose_the_points(case: Case, tmp_path: Path) -> None:
         assert scene.bounds[0] < depth < scene.bounds[1]
 
 
-def test_its_folder_is_recognized_by_no_other_loader(case: Case, tmp_path: Path) -> None:
+def test_only_its_loader_recognizes_a_folder(case: Case, tmp_path: Path) -> None:
     loader, write, world, _ = case
     folder = write(tmp_path, world)
     assert [other for other, *_ in CASES.values() if other.recognizes(folder)] == [loader]

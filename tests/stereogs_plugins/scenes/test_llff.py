@@ -25,7 +25,7 @@ BOUNDS = [1.0, 9.0]
 
 
 def write_scene(folder: Path, count: int = 9) -> Path:
-    """A scene of `count` images of 16x12, half the size that the camera file speaks of."""
+    """A scene of `count` images of 16x12, half the size in the camera file."""
     (folder / "images_2").mkdir(parents=True)
     for index in range(count):
         pixels = np.full((12, 16, 3), 10 * index, dtype=np.uint8)
@@ -51,7 +51,7 @@ def load(folder: Path, **settings: object) -> Scene:
     return build(LLFFScene, path=folder, **settings).load()
 
 
-def test_is_offered_as_llff() -> None:
+def test_registers_as_llff() -> None:
     assert offered(stereogs_register_scenes) == {"llff": LLFFScene}
 
 
@@ -143,7 +143,7 @@ def test_points_of_a_colmap_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["images.bin", "points3D.bin"])
-def test_a_damaged_colmap_model_is_explained(name: str, tmp_path: Path) -> None:
+def test_a_damaged_colmap_model_is_an_error(name: str, tmp_path: Path) -> None:
     folder = write_scene(tmp_path)
     write_colmap_model(folder)
     path = folder / "sparse" / "0" / name
@@ -244,7 +244,7 @@ def points_of_other_images(folder: Path) -> None:
         (points_of_other_images, "not one of the 9", "points3d.npz"),
     ],
 )
-def test_bad_input_is_explained(
+def test_bad_input_is_an_error(
     damage: Callable[[Path], None], what: str, where: str, tmp_path: Path
 ) -> None:
     folder = write_scene(tmp_path / "room")
@@ -256,13 +256,13 @@ def test_bad_input_is_explained(
     assert caught.value.fix
 
 
-def test_more_training_views_than_there_are(tmp_path: Path) -> None:
+def test_too_many_training_views(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"8 training views are wanted.* only 7") as caught:
         load(write_scene(tmp_path), downsample=2, train_views=8)
     assert "at most 7" in caught.value.fix
 
 
-def test_a_missing_size_names_those_that_are_there(tmp_path: Path) -> None:
+def test_a_missing_size_lists_the_existing_ones(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         load(write_scene(tmp_path), downsample=4)
     assert "images_2" in caught.value.fix
@@ -300,7 +300,7 @@ def test_fern_is_the_published_scene() -> None:
     assert (camera.cx, camera.cy, camera.width, camera.height) == (252, 189, 504, 378)
 
 
-def test_rows_of_photographs_that_were_taken_out(tmp_path: Path) -> None:
+def test_rows_of_removed_photographs(tmp_path: Path) -> None:
     folder = write_scene(tmp_path)
     names = [f"photo_{index:02d}.png" for index in range(9)]
     (folder / "split.json").write_text(json.dumps({"all_names": names}))

@@ -35,7 +35,7 @@ def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     return folder
 
 
-def test_is_offered_as_nerfstudio() -> None:
+def test_registers_as_nerfstudio() -> None:
     assert offered(stereogs_register_scenes) == {"nerfstudio": NerfstudioScene}
 
 
@@ -45,7 +45,7 @@ def test_frames_are_split_by_sorted_names(tmp_path: Path) -> None:
     assert [view.name for view in scene.test] == ["frame_00000", "frame_00008"]
 
 
-def test_the_files_own_split_comes_first(tmp_path: Path) -> None:
+def test_the_split_of_the_file_takes_precedence(tmp_path: Path) -> None:
     names = [f"images/frame_{index:05d}.png" for index in range(9)]
 
     def change(content: dict[str, Any]) -> None:
@@ -55,14 +55,14 @@ def test_the_files_own_split_comes_first(tmp_path: Path) -> None:
     scene = load(folder)
     assert [view.name[-1] for view in scene.train] == ["0", "2", "4"]
     assert [view.name[-1] for view in scene.test] == ["7", "8"]
-    with pytest.raises(SceneError, match="6 training views are wanted, the file lists 5"):
+    with pytest.raises(SceneError, match="`train_views` is 6, but the file lists 5"):
         load(folder, train_views=6)
     edit(folder, lambda content: content["test_filenames"].append("images/other.png"))
-    with pytest.raises(SceneError, match=r"'images/other.png', which is no frame"):
+    with pytest.raises(SceneError, match=r"'images/other.png', which is not a frame"):
         load(folder)
 
 
-def test_distortion_is_taken_out(tmp_path: Path) -> None:
+def test_photographs_are_undistorted(tmp_path: Path) -> None:
     bent = (0.7, 0.2, 0.01, -0.02)
     world = World(width=256, height=192, shift=(5.0, -7.0), distortion=bent)
     scene = load(write_nerfstudio(tmp_path, world))
@@ -70,7 +70,7 @@ def test_distortion_is_taken_out(tmp_path: Path) -> None:
     assert "undistorted" in str(scene.fact("changed"))
 
 
-def test_a_fisheye_lens_is_taken_out(tmp_path: Path) -> None:
+def test_fisheye_photographs_are_undistorted(tmp_path: Path) -> None:
     """Equidistant: a ray at angle a from the axis meets the picture at focal * a."""
     world = World(width=256, height=192)
     folder = edit(
@@ -88,7 +88,7 @@ def test_a_fisheye_lens_is_taken_out(tmp_path: Path) -> None:
     assert_sees_the_points(load(folder), tolerance=60)
 
 
-def test_a_frame_may_have_its_own_lens_and_a_mask(tmp_path: Path) -> None:
+def test_a_frame_can_have_its_own_lens_and_a_mask(tmp_path: Path) -> None:
     folder = write_nerfstudio(tmp_path, World())
     mask = np.zeros((48, 64), dtype=np.uint8)
     mask[10:] = 255
@@ -115,7 +115,7 @@ def write_ply(folder: Path) -> None:
     (folder / "points.ply").write_text(text)
 
 
-def test_points_only_when_asked_for(tmp_path: Path) -> None:
+def test_points_are_optional(tmp_path: Path) -> None:
     folder = edit(
         write_nerfstudio(tmp_path, World()), lambda c: c.update(ply_file_path="points.ply")
     )
@@ -155,7 +155,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=list(DAMAGES))
-def test_bad_input_is_explained(
+def test_bad_input_is_an_error(
     damage: Callable[[dict[str, Any]], object], message: str, tmp_path: Path
 ) -> None:
     folder = edit(write_nerfstudio(tmp_path, World()), damage)

@@ -18,7 +18,7 @@ CAMERA = Camera(torch.eye(4), 20, 20, 10.5, 8.5, 21, 17)
 
 
 SMALL = {"width": 84, "height": 63}
-"""A third of the usual size."""
+"""A third of the default size."""
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def small() -> Scene:
     return build(ProceduralScene, **SMALL).load()
 
 
-def test_is_offered_as_procedural() -> None:
+def test_registers_as_procedural() -> None:
     assert offered(stereogs_register_scenes) == {"procedural": ProceduralScene}
 
 
@@ -86,7 +86,7 @@ def test_points_lie_on_surfaces_with_the_right_colors() -> None:
     torch.testing.assert_close(colors[nearest], scene.points.colors)
 
 
-def test_noise_has_the_size_that_was_asked_for() -> None:
+def test_noise_has_the_given_size() -> None:
     exact, noisy = (
         build(ProceduralScene, point_noise=noise, test_views=0, **SMALL).load()
         for noise in (0.0, 0.05)
@@ -163,6 +163,6 @@ def test_a_wall_is_transparent_from_behind() -> None:
 
 
 @pytest.mark.parametrize("name", ["train_views", "test_views", "points", "width", "height"])
-def test_what_would_fill_the_memory_is_refused(name: str) -> None:
+def test_settings_that_need_too_much_memory_are_errors(name: str) -> None:
     with pytest.raises(pydantic.ValidationError, match="less than or equal to"):
         build(ProceduralScene, **{name: 100_000_000})

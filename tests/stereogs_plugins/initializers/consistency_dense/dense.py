@@ -10,7 +10,7 @@ from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.initializers.depth_scenes import prior_of, true_depth
 
 COMPLETE = {"fill": True, "back_layer": True, "margin": True, "merge": True}
-"""All that completes what other views confirm."""
+"""Settings that switch on all of the completion."""
 
 
 def dense(scene: Scene, depth_of: Any = true_depth, **settings: Any) -> PointCloud:

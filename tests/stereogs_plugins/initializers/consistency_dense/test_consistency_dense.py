@@ -30,7 +30,7 @@ from tests.stereogs_plugins.initializers.depth_scenes import (
 )
 
 
-def test_is_offered_as_consistency_dense() -> None:
+def test_registers_as_consistency_dense() -> None:
     assert offered(stereogs_register_initializers) == {"consistency_dense": ConsistencyDense}
 
 
@@ -111,9 +111,7 @@ def test_views_that_agree_on_nothing_are_explained(scene: Scene) -> None:
     assert "overlap" in caught.value.fix
 
 
-def test_a_view_that_none_confirms_is_reported(
-    scene: Scene, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unconfirmed_view_is_reported(scene: Scene, caplog: pytest.LogCaptureFixture) -> None:
     lost = scene.train[1].name
 
     def depth_of(view: View) -> Tensor:
@@ -141,7 +139,7 @@ def test_a_prior_is_needed(scene: Scene) -> None:
     assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
 
 
-def test_of_several_priors_each_fills_what_the_others_leave(scene: Scene) -> None:
+def test_several_priors_fill_the_holes_of_each_other(scene: Scene) -> None:
     def half(start: int, stop: int) -> Any:
         def depth_of(view: View) -> Tensor:
             depth = torch.zeros(189, 252)
@@ -186,7 +184,7 @@ def test_three_real_photographs() -> None:
     assert np.median(distance) < 0.01 * scene.bounds[1]
 
 
-def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
+def test_hand_on_depth_returns_the_confirmed_depths(scene: Scene) -> None:
     assert dense(scene, stride=4).maps == {}
     points = dense(scene, stride=4, fill=True, hand_on_depth=True)
     assert list(points.maps) == [view.name for view in scene.train]
@@ -200,7 +198,7 @@ def test_confirmed_depths_are_handed_on_where_asked(scene: Scene) -> None:
         assert (known.depth[~known.valid] == 0).all()
 
 
-def test_no_depth_is_handed_on_of_what_a_photograph_leaves_empty_or_partly_so(scene: Scene) -> None:
+def test_hand_on_depth_skips_transparent_pixels(scene: Scene) -> None:
     alpha = torch.ones_like(scene.train[0].image[..., 0])
     alpha[:, :20], alpha[:, 20] = 0, 0.5
     views = tuple(replace(view, alpha=alpha) for view in scene.train)
@@ -219,9 +217,7 @@ def fan_of_views(widest: float) -> Scene:
 
 
 @pytest.mark.parametrize(("widest", "stays"), [(30.0, True), (44.0, False)])
-def test_among_surrounding_views_a_chance_agreement_falls_that_others_see_past(
-    widest: float, stays: bool
-) -> None:
+def test_surrounding_views_outvote_a_chance_agreement(widest: float, stays: bool) -> None:
     def depth_of(view: View) -> Tensor:
         wall = plane_depth(view.camera, 0.0)
         if view.name not in ("view1", "view2"):
@@ -243,7 +239,7 @@ def test_among_surrounding_views_a_chance_agreement_falls_that_others_see_past(
     assert int((~before).sum()) > 1000
 
 
-def test_each_kind_of_scene_may_have_priors_of_its_own() -> None:
+def test_each_kind_of_scene_can_have_its_own_priors() -> None:
     priors = {
         f"wall at {z}": prior_of(lambda view, z=z: plane_depth(view.camera, z))  # type: ignore[misc]
         for z in (0.0, 1.0, 2.0)

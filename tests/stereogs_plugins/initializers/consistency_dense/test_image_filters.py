@@ -1,4 +1,4 @@
-"""Filters against scipy.ndimage, which needs no such code and takes long to import."""
+"""Filters compared with scipy.ndimage."""
 
 from __future__ import annotations
 

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from stereogs_plugins.initializers.consistency_dense.cloud import back_layers, margins, surfaces
-from stereogs_plugins.initializers.consistency_dense.completing.back_layer import back_layer
-from stereogs_plugins.initializers.consistency_dense.completing.margin import margin
+from stereogs_plugins.initializers.consistency_dense.completion.back_layer import back_layer
+from stereogs_plugins.initializers.consistency_dense.completion.margin import margin
+from stereogs_plugins.initializers.consistency_dense.completion.merging import (
+    back_layers,
+    margins,
+    surfaces,
+)
 from stereogs_plugins.initializers.consistency_dense.layers import surface
 from stereogs_plugins.initializers.consistency_dense.projection import inside, project
 from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
@@ -45,7 +49,7 @@ def test_a_surface_has_a_point_for_each_cell_with_its_mean_color() -> None:
     np.testing.assert_allclose(layer.colors[7], image[:4, 30:32].mean(dim=(0, 1)), rtol=1e-5)
 
 
-def test_a_surface_leaves_out_what_is_unknown_or_not_wanted() -> None:
+def test_a_surface_skips_unknown_and_unwanted_pixels() -> None:
     depth = np.full((40, 60), 3.0, dtype=np.float32)
     depth[:20] = 0
     wanted = np.zeros((40, 60), dtype=np.bool_)
@@ -100,7 +104,7 @@ def test_the_margin_surrounds_the_image_at_the_backgrounds_depth() -> None:
     view = box_before_wall(50)  # the box reaches the upper and lower border
     layer = margin(view)
     u, v, z = project(view.camera, layer.positions)
-    assert not inside(view.camera, u, v).any()
+    assert not inside(view.confirmed.shape, u, v).any()
     assert u.min() < -50
     assert u.max() > 170
     assert v.min() < -40
@@ -123,4 +127,4 @@ def test_a_margin_ends_where_another_view_sees() -> None:
     assert len(points) > 0
     for view in views:
         u, v, _ = project(view.camera, points)
-        assert not inside(view.camera, u, v).any()
+        assert not inside(view.confirmed.shape, u, v).any()

@@ -33,7 +33,7 @@ def test_a_known_point() -> None:
     np.testing.assert_allclose(point, [[1.0 + 10 / 50 * 4, -5 / 50 * 4, 4.0]])
 
 
-def test_points_behind_the_camera_are_nowhere() -> None:
+def test_points_behind_the_camera_have_no_pixel() -> None:
     u, v, z = project(camera_at(0.0), np.array([[0.0, 0.0, -2.0], [1.0, 1.0, 0.0]]))
     assert np.isinf(u).all()
     assert np.isinf(v).all()
@@ -53,7 +53,7 @@ def test_interpolation_is_exact_on_a_plane() -> None:
     np.testing.assert_allclose(interpolate(depth, u, v), 1 / (0.1 + 0.002 * u - 0.001 * v), 1e-6)
 
 
-def test_interpolation_passes_over_what_is_not_known() -> None:
+def test_interpolation_skips_unknown_pixels() -> None:
     depth = np.full((4, 6), 3.0, dtype=np.float32)
     depth[:, 3:] = 0
     u, v = np.array([2.9, 3.1, 4.6, -0.1, 2.0]), np.array([2.0, 2.0, 2.0, 2.0, 4.1])

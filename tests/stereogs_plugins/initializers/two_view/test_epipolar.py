@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from core_rasterizer import Camera
-from stereogs_plugins.initializers.two_view.epipolar import intersect
+from stereogs_plugins.initializers.two_view import intersect
 
 FIRST = Camera.look_at((0, 0, 0), (0.2, 0.1, 5), 60, 80, 60)
 SECOND = Camera.look_at((1.0, -0.3, 0.2), (0, 0, 6), 75, 100, 70)
 
 
 def some_points() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Where both cameras show points, and their depth in the first."""
+    """Pixels of points in both cameras, and their depth in the first."""
     generator = torch.Generator().manual_seed(0)
     points = torch.rand(50, 3, generator=generator, dtype=torch.float64) * 2 - 1
     points[:, 2] += 5
@@ -29,7 +29,7 @@ def test_an_exact_correspondence_gives_the_depth() -> None:
     assert (found.distance < 1e-9).all()
 
 
-def test_distance_is_that_to_the_line_on_which_the_ray_is_seen() -> None:
+def test_distance_is_that_to_the_epipolar_line() -> None:
     here, there, z = some_points()
     ends = []
     for depth in (0.9 * z, 1.1 * z):  # two places on the ray, as the other camera shows them
@@ -51,7 +51,7 @@ def test_sensitivity_is_the_change_of_depth_along_the_line() -> None:
     torch.testing.assert_close(found.sensitivity, step / pixels, rtol=0.01, atol=0)
 
 
-def test_rays_that_part_have_no_depth() -> None:
+def test_diverging_rays_have_no_depth() -> None:
     first = Camera.centered(torch.eye(4), 50, 60, 40)
     second = first.shifted_right(1.0)
     here = torch.tensor([[30.0, 20.0], [30.0, 20.0], [30.0, 20.0]])

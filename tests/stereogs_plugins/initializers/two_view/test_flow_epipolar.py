@@ -68,7 +68,7 @@ def flow_of(scene: Scene, *depth: float, across: float = 0.0) -> WallFlow:
     return prior
 
 
-def test_both_are_registered_and_this_one_keeps_the_contract() -> None:
+def test_both_are_registered_and_flow_epipolar_keeps_the_contract() -> None:
     assert offered(stereogs_register_initializers) == {
         "flow_epipolar": FlowEpipolar,
         "matched_points": MatchedPoints,
@@ -76,7 +76,7 @@ def test_both_are_registered_and_this_one_keeps_the_contract() -> None:
     check(FlowEpipolar, priors={"flow": StillFlow(Settings(), Context("f", 0, open_device()))})
 
 
-def test_points_stand_where_the_flow_says_with_the_photographs_colours() -> None:
+def test_points_follow_the_flow_and_have_the_photographs_colours() -> None:
     scene = row(0.0, 0.4)
     cloud = build(FlowEpipolar).initialize(scene.for_training(), {"f": flow_of(scene, 5.0, 5.0)})
     torch.testing.assert_close(cloud.positions[:, 2], torch.full((len(cloud),), 5.0))
@@ -88,7 +88,7 @@ def test_points_stand_where_the_flow_says_with_the_photographs_colours() -> None
         assert (known.depth[~known.valid] == 0).all()
 
 
-def test_flow_off_the_line_gives_no_points_and_the_limit_is_in_pixels() -> None:
+def test_flow_beyond_max_distance_gives_no_points() -> None:
     scene = row(0.0, 0.4)
     for across, found in ((0.9, True), (1.1, False)):
         prior = {"f": flow_of(scene, 5.0, 5.0, across=across)}
@@ -117,7 +117,7 @@ def test_the_nearest_neighbour_wins_or_the_least_sensitive() -> None:
     assert float(maps["v0"].depth[20, 30]) == pytest.approx(5.0)
 
 
-def test_a_stride_thins_points_and_leaves_the_maps() -> None:
+def test_stride_reduces_points_but_not_the_maps() -> None:
     scene = row(0.0, 0.4)
     prior = {"f": flow_of(scene, 5.0, 5.0)}
     full, thin = (
@@ -127,7 +127,7 @@ def test_a_stride_thins_points_and_leaves_the_maps() -> None:
     assert torch.equal(full.maps["v0"].depth, thin.maps["v0"].depth)
 
 
-def test_depths_beyond_the_scene_are_dropped_and_one_view_is_refused() -> None:
+def test_depths_beyond_the_bounds_are_dropped_and_one_view_is_an_error() -> None:
     scene = row(0.0, 0.4)
     with pytest.raises(SceneError, match="no flow"):
         build(FlowEpipolar).initialize(scene.for_training(), {"f": flow_of(scene, 50.0, 50.0)})

@@ -57,7 +57,7 @@ def fixed() -> dict[str, FixedMatches]:
     ("settings", "kept"),
     [({}, [0, 1, 3]), ({"max_distance": 1.0}, [0, 3]), ({"min_score": 0.5}, [0, 1])],
 )
-def test_matches_near_their_lines_become_points(
+def test_matches_near_their_epipolar_lines_become_points(
     settings: dict[str, float], kept: list[int]
 ) -> None:
     scene = pair()
@@ -70,7 +70,7 @@ def test_matches_near_their_lines_become_points(
     assert torch.equal(cloud.colors, scene.train[0].image[rows, columns])
 
 
-def test_without_a_match_that_fits_it_says_so() -> None:
+def test_no_fitting_match_is_an_error() -> None:
     scene = replace(pair(), bounds=(6.0, 20.0))  # the wall at 5 is before the scene
     with pytest.raises(SceneError, match="no match between the 2"):
         build(MatchedPoints).initialize(scene.for_training(), fixed())

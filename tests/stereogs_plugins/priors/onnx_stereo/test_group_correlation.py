@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from stereogs_plugins.priors.onnx_stereo.group_correlation import group_correlation
+from stereogs_plugins.priors.onnx_stereo.networks import group_correlation
 
 
 @pytest.mark.parametrize("normalized", [False, True])
@@ -26,7 +26,7 @@ def test_every_element_is_the_product_of_one_group(normalized: bool, candidates:
         assert torch.allclose(volume[item, group, shift, y, x], expected, atol=1e-6)
 
 
-def test_features_without_length_correlate_with_nothing() -> None:
+def test_zero_features_have_zero_correlation() -> None:
     nothing = torch.zeros(1, 4, 2, 3)
     volume = group_correlation(nothing, nothing, groups=2, candidates=2, normalized=True)
     assert torch.equal(volume, torch.zeros(1, 2, 2, 2, 3))

@@ -1,4 +1,4 @@
-"""Stereo networks by signature: tiny graphs with the families' names, types and sizes, known answers."""
+"""Stereo networks, with tiny graphs of the families' names, types and sizes and known outputs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def finds_the_shift(prior: OnnxStereo, height: int, width: int, shift: int = SHI
     return holds(of_left, shift, slice(margin, -4)) and holds(of_right, shift, slice(4, -margin))
 
 
-def test_is_offered_as_onnx_stereo() -> None:
+def test_registers_as_onnx_stereo() -> None:
     assert offered(stereogs_register_priors) == {"onnx_stereo": OnnxStereo}
 
 
@@ -51,7 +51,7 @@ def test_foundation_stereo_pads_504x378_to_its_frozen_512x384(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("output_kind", [graphs.FLOAT, graphs.HALF])
-def test_float16_graphs_are_fed_and_read(tmp_path: Path, output_kind: int) -> None:
+def test_float16_graphs(tmp_path: Path, output_kind: int) -> None:
     path = graphs.matcher(tmp_path / "m.onnx", kind=graphs.HALF, output_kind=output_kind)
     assert finds_the_shift(stereo(path), 60, 90)
 
@@ -98,7 +98,7 @@ def test_a_constant_shift_survives_padding_everywhere(
         assert (answer.values == 7.25).all()
 
 
-def test_padding_repeats_the_border_and_is_cut_off_where_it_was_put(tmp_path: Path) -> None:
+def test_padding_repeats_the_border_and_is_cropped(tmp_path: Path) -> None:
     path = graphs.echo(tmp_path / "m.onnx")
     left, right = graphs.textured_pair(41, 57, 0)
     answer = stereo(path, value_range="0..1").disparity(left, right)
@@ -109,7 +109,9 @@ def test_padding_repeats_the_border_and_is_cut_off_where_it_was_put(tmp_path: Pa
     ("value_range", "expected"),
     [("0..255", 255 * 0.8), ("0..1", 0.8), ("-1..1", 0.6), ("imagenet", (0.8 - 0.485) / 0.229)],
 )
-def test_the_graph_is_given_its_numbers(tmp_path: Path, value_range: str, expected: float) -> None:
+def test_images_have_the_value_range_of_the_graph(
+    tmp_path: Path, value_range: str, expected: float
+) -> None:
     image = torch.full((32, 32, 3), 0.8)
     path = graphs.echo(tmp_path / "m.onnx")
     answer = stereo(path, value_range=value_range).disparity(image, image)
@@ -155,7 +157,7 @@ def test_two_graphs_with_the_correlation_volume_between_them(tmp_path: Path) -> 
     assert (of_right.values[:, :-8] - 8).abs().max() < 0.01
 
 
-def test_two_graphs_must_fit_together(tmp_path: Path) -> None:
+def test_two_graphs_must_match(tmp_path: Path) -> None:
     first, second = graphs.feature_pair(tmp_path, 64, 96)
     family = "fast_foundation_stereo"
     with pytest.raises(PluginError, match="two model files"):
@@ -165,7 +167,7 @@ def test_two_graphs_must_fit_together(tmp_path: Path) -> None:
     other = graphs.matcher(tmp_path / "m.onnx")
     with pytest.raises(PluginError, match="no output 'features_left_04'"):
         stereo(other, family=family, second_model=second)
-    with pytest.raises(PluginError, match=r"wants \['left', 'right'\]"):
+    with pytest.raises(PluginError, match=r"takes \['left', 'right'\]"):
         stereo(first, family=family, second_model=other)
     with pytest.raises(PluginError, match="SHA-256"):
         stereo(first, family=family, second_model=second, second_sha256="0" * 64)
@@ -189,7 +191,7 @@ def test_a_shrunk_pair_of_known_disparity(tmp_path: Path) -> None:
     assert holds(answer, 6, slice(14, -8), share=0.99)
 
 
-def test_a_size_may_be_forced_by_stretching(tmp_path: Path) -> None:
+def test_size_with_resize_stretches_images(tmp_path: Path) -> None:
     path = graphs.constant_shift(tmp_path / "m.onnx", 6.0)
     image = torch.rand(50, 64, 3)
     answer = stereo(path, size=(96, 64), resize=True).disparity(image, image)
@@ -211,7 +213,7 @@ def test_black_padding_is_seen_by_the_graph(tmp_path: Path, calls: list[dict[str
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Tensor]]:
-    """What graphs are given, call by call."""
+    """Inputs of graphs, call by call."""
     seen: list[dict[str, Tensor]] = []
     run = OnnxModel.run
 
@@ -224,7 +226,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Tensor]]:
 
 
 @pytest.mark.parametrize(("batch", "expected"), [("N", 1), (1, 2)])
-def test_both_directions_go_at_once_where_the_graph_allows_it(
+def test_both_directions_share_one_call_if_the_batch_is_dynamic(
     tmp_path: Path, calls: list[dict[str, Tensor]], batch: int | str, expected: int
 ) -> None:
     prior = stereo(graphs.matcher(tmp_path / "m.onnx", shape=(batch, 3, "H", "W")))
@@ -235,7 +237,7 @@ def test_both_directions_go_at_once_where_the_graph_allows_it(
     assert torch.equal(alone.values, prior.both(left, right)[0].values)
 
 
-def test_where_the_graph_knows_nothing_neither_do_we(tmp_path: Path) -> None:
+def test_unknown_disparities_stay_unknown(tmp_path: Path) -> None:
     """Zero and NaN are unknown; resizing does not smear them into their neighbours' values."""
     path = graphs.echo(tmp_path / "m.onnx", shape=(1, 3, 32, 64))
     image = torch.full((64, 128, 3), 0.5)
@@ -285,7 +287,7 @@ def test_files_and_names_are_checked_when_the_prior_is_built(tmp_path: Path) -> 
         stereo(path, family="raft_stereo", confidences=("trust",))
     with pytest.raises(PluginError, match="a stereo pair needs two"):
         stereo(graphs.mono(tmp_path / "mono.onnx"))
-    with pytest.raises(PluginError, match="takes no images"):
+    with pytest.raises(PluginError, match="is not an image"):
         stereo(graphs.pick(tmp_path / "mvs.onnx", "K", (0, 0, 0)))
     with pytest.raises(ValueError, match="sha256"):
         stereo(path, sha256="abc")

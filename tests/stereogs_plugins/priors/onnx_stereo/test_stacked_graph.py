@@ -29,7 +29,7 @@ def test_the_shift_is_found_in_both_layouts(
 @pytest.mark.parametrize(
     ("channels", "expected"), [(2, (GREY, 0.5 * GREY)), (6, (*COLOUR, *(c / 2 for c in COLOUR)))]
 )
-def test_left_stands_before_right_in_grey_or_in_colours(
+def test_left_channels_come_first_in_grey_and_in_colour(
     tmp_path: Path, channels: int, expected: tuple[float, ...]
 ) -> None:
     left = torch.tensor(COLOUR).expand(32, 32, 3)
@@ -40,7 +40,7 @@ def test_left_stands_before_right_in_grey_or_in_colours(
 
 
 @pytest.mark.parametrize(("batch", "calls"), [(1, 2), ("N", 1)])
-def test_both_directions_go_at_once_where_the_graph_allows_it(
+def test_both_directions_share_one_call_if_the_batch_is_dynamic(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batch: int | str, calls: int
 ) -> None:
     path = graphs.stacked_matcher(tmp_path / "m.onnx", 6, channels_last=True, batch=batch)
@@ -57,9 +57,9 @@ def test_both_directions_go_at_once_where_the_graph_allows_it(
     assert (len(batches), sum(batches)) == (calls, 2)
 
 
-def test_a_graph_that_takes_no_stacked_pair_is_refused(tmp_path: Path) -> None:
+def test_a_graph_without_a_stacked_pair_is_an_error(tmp_path: Path) -> None:
     mono = graphs.mono(tmp_path / "mono.onnx")
-    with pytest.raises(PluginError, match="takes no stacked pair"):
+    with pytest.raises(PluginError, match="is not a stacked pair"):
         stereo(mono, family="hitnet")
     apart = graphs.matcher(tmp_path / "apart.onnx")
     with pytest.raises(PluginError, match="2 inputs"):

@@ -27,7 +27,7 @@ def room() -> Scene:
 
 @pytest.fixture(scope="package")
 def folder(room: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its photographs, one of them stored sideways, and nothing else."""
+    """Its photographs only, one of them stored sideways."""
     folder = tmp_path_factory.mktemp("photographs")
     for index, view in enumerate(room.train):
         exif = Image.Exif()
@@ -41,7 +41,7 @@ def folder(room: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="package")
 def cache(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache that knows the cameras of `folder`."""
+    """A cache with the cameras of `folder`."""
     cache = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STEREOGS_CACHE", str(cache))

@@ -1,4 +1,4 @@
-"""Folders of photographs to try, and the errors of cameras that are found."""
+"""Folders of test photographs, and errors of estimated cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.stereogs_plugins.building import build
 
 Array = NDArray[np.float64]
 COUNT, SIDEWAYS = 5, 2
-"""How many photographs `folder` holds, and which of them is stored sideways."""
+"""Number of photographs in `folder`, and the one that is stored sideways."""
 MATCHES = {(0, 1): 200, (0, 2): 90, (1, 2): 150, (3, 4): 80, (2, 3): 12, (1, 3): 9}
 
 
@@ -47,7 +47,7 @@ def pose_errors(found: list[Camera], truth: list[Camera]) -> tuple[Array, Array]
 
 
 def reconstruction_of(entry: Path) -> Reconstruction:
-    """What an entry of the cache holds, with other matches."""
+    """Content of a cache entry, with other matches."""
     return Reconstruction([Piece(entry / "piece_0", [0, 1, 2, 3, 4])], MATCHES, [900] * COUNT)
 
 

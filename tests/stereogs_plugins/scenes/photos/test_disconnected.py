@@ -1,4 +1,4 @@
-"""What is said of photographs whose cameras do not fit together."""
+"""Error messages for photographs whose cameras do not connect."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ class TestExplanation:
         error = self.explain([[0, 1, 2, 3]], (900, 900, 900, 900, 17))
         assert "take e.jpg again: 17 details" in error.fix
 
-    def test_many_matches_are_not_called_few(self) -> None:
+    def test_advice_for_many_matches(self) -> None:
         error = self.explain([[0, 1, 2, 3]], matches=MATCHES | {(3, 4): 1660})
         assert "e.jpg shares 1,660 matches with d.jpg" in error.fix
         assert "only" not in error.fix
 
-    def test_nothing_at_all(self) -> None:
+    def test_without_matches_or_pieces(self) -> None:
         error = self.explain([], matches={(0, 1): 12})
         assert "no two of the 5 photographs overlap" in error.what
         assert "group" not in error.what
@@ -82,7 +82,7 @@ class TestExplanation:
 
 
 @pytest.mark.proof
-def test_a_photograph_of_something_else_is_named(folder: Path, tmp_path: Path) -> None:
+def test_a_photograph_of_something_else_is_listed(folder: Path, tmp_path: Path) -> None:
     from skimage import data
 
     copy = shutil.copytree(folder, tmp_path / "mixed")
@@ -95,7 +95,7 @@ def test_a_photograph_of_something_else_is_named(folder: Path, tmp_path: Path) -
     assert "coffee.png" in caught.value.fix
 
 
-def test_photographs_that_share_nothing(tmp_path: Path) -> None:
+def test_photographs_without_overlap(tmp_path: Path) -> None:
     generator = np.random.default_rng(0)
     for index in range(3):
         pixels = generator.integers(0, 256, (120, 160, 3), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Cameras are found once, and again where what is kept of them is damaged."""
+"""Cameras are cached, and estimated again if the cache is damaged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from .photographs import MATCHES, load, reconstruction_of
 
 
-def test_cameras_are_found_once(
+def test_cameras_are_estimated_once(
     folder: Path, cached: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -25,7 +25,7 @@ def test_cameras_are_found_once(
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "missing", "checksum"])
-def test_damaged_cameras_are_found_anew(
+def test_damaged_cameras_are_estimated_again(
     damage: str,
     folder: Path,
     cached: Path,

@@ -1,4 +1,4 @@
-"""Cameras of photographs that SIFT does not know again, by the networks in STEREOGS_MODELS."""
+"""Cameras of photographs that SIFT does not match, by the networks in STEREOGS_MODELS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder, models_folder
 
 
-def test_networks_are_taken_where_both_files_are(
+def test_networks_are_used_if_both_files_exist(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_MODELS", raising=False)

@@ -24,7 +24,7 @@ from tests.stereogs_plugins.building import build, offered
 from .photographs import SIDEWAYS, load, pose_errors, reconstruction_of, write_pictures
 
 
-def test_is_offered_as_photos() -> None:
+def test_registers_as_photos() -> None:
     assert offered(stereogs_register_scenes) == {"photos": PhotosScene}
 
 

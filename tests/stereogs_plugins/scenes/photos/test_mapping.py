@@ -1,4 +1,4 @@
-"""Ways of mapping, and models that the matches contradict."""
+"""Mapping methods, and models that the matches contradict."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
-from stereogs_plugins.scenes.photos.mapping import LEAST_SUPPORT, MAX_ERROR, Piece, worth
+from stereogs_plugins.scenes.photos.mapping import (
+    LEAST_SUPPORT,
+    MAX_ERROR,
+    Piece,
+    agreeing_share,
+    worth,
+)
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.support import agreeing_share
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 
@@ -31,7 +36,7 @@ def test_a_model_with_a_wrong_camera_is_contradicted_by_its_matches(tmp_path: Pa
     assert agreeing_share(colmap, path, model, 2 * MAX_ERROR) < LEAST_SUPPORT
 
 
-def test_the_larger_piece_with_a_lens_that_cameras_have_wins() -> None:
+def test_the_larger_piece_with_a_plausible_lens_wins() -> None:
     pieces = [
         Piece(Path(), members, plausible)
         for members, plausible in (([0, 1], True), ([0, 1, 2], True), ([0, 1, 2, 3], False))
@@ -40,7 +45,7 @@ def test_the_larger_piece_with_a_lens_that_cameras_have_wins() -> None:
     assert worth([]) < worth(pieces[:1])
 
 
-def test_pictures_that_look_forward_are_placed(tmp_path: Path) -> None:
+def test_forward_facing_pictures_are_placed(tmp_path: Path) -> None:
     """Three of llff_flower: no pair of them is 16 degrees apart, COLMAP's own minimum."""
     every = sorted((data_folder("llff_flower") / "images_8").iterdir())
     for k in (0, 16, 33):

@@ -24,7 +24,7 @@ FOCAL_35MM = 0xA405
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_photographs(count: int, tmp_path: Path) -> None:
     write_pictures(tmp_path, count)
-    with pytest.raises(SceneError, match=f"at least 3 photographs; here are {count}"):
+    with pytest.raises(SceneError, match=f"at least 3 photographs; the folder has {count}"):
         load(tmp_path)
 
 
@@ -42,14 +42,14 @@ def test_a_truncated_photograph(folder: Path, tmp_path: Path) -> None:
     assert str(path) in caught.value.where
 
 
-def test_a_file_that_is_no_picture(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_picture(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     (tmp_path / "1.jpg").write_text("hello")
     with pytest.raises(SceneError, match="cannot be read"):
         load(tmp_path)
 
 
-def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
+def test_all_duplicates_are_listed(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     shutil.copy(tmp_path / "0.jpg", tmp_path / "copy.jpg")
     with pytest.raises(SceneError, match=r"0\.jpg and copy\.jpg are the same picture"):
@@ -62,10 +62,10 @@ def test_equal_pictures_are_told_all_at_once(tmp_path: Path) -> None:
     assert caught.value.what.splitlines()[1:] == [
         *("  2 (1).jpg is 2.jpg", "  copy.jpg is 0.jpg", "  in/1.jpg is 1.jpg")
     ]
-    assert caught.value.fix == "take out of the folder: 2 (1).jpg, copy.jpg, in/1.jpg"
+    assert caught.value.fix == "remove from the folder: 2 (1).jpg, copy.jpg, in/1.jpg"
 
 
-def test_pictures_of_a_kind_that_is_not_read_are_not_left_out(tmp_path: Path) -> None:
+def test_unsupported_formats_are_errors(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     (tmp_path / "IMG_1.CR3").write_bytes(b"")
     with pytest.raises(SceneError, match=r"IMG_1\.CR3"):

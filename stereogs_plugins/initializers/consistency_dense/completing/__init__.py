@@ -1,1 +1,0 @@
-"""Guesses where no two views agree: in holes, behind foreground edges, around each image."""

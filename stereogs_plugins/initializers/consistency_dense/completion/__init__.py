@@ -1,0 +1,1 @@
+"""Completion beyond the paper: points where no two views agree, and merging of those where they do."""

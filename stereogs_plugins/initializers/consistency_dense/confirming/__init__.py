@@ -1,1 +1,0 @@
-"""Which depths the views of a scene confirm, and whose depth counts where several priors answer."""

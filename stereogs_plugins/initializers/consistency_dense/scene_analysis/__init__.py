@@ -1,0 +1,1 @@
+"""Analysis of a scene: its kind, its plain background, and depths that its views contradict."""

@@ -1,1 +1,0 @@
-"""What kind of scene photographs show, told from cameras and images alone."""

@@ -1,5 +1,0 @@
-"""`llff`: real captures with `poses_bounds.npy` (Mildenhall et al. 2019), Mip-NeRF 360 in this form too."""
-
-from .loader import LLFFScene, stereogs_register_scenes
-
-__all__ = ["LLFFScene", "stereogs_register_scenes"]
