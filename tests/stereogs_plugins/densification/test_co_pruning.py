@@ -67,7 +67,7 @@ def test_the_order_in_which_two_fields_are_pruned_changes_nothing() -> None:
 
 def test_a_single_field_and_fields_without_anything_in_common_are_refused() -> None:
     policy = build(CoPruning, distance=0.5)
-    with pytest.raises(PluginError, match="no other field"):
+    with pytest.raises(PluginError, match="two fields"):
         policy.refine(step_with(some_gaussians([0.1], [0.5])))
     with pytest.raises(PluginError, match=r"counterpart within 0\.5"):
         policy.refine(step_beside(torch.zeros(3, 3), torch.full((3, 3), 9.0)))
