@@ -121,7 +121,7 @@ def test_in_virtual_views_of_an_object_what_is_rendered_solid_counts() -> None:
 
 
 def test_an_offset_that_is_too_small_is_refused() -> None:
-    with pytest.raises(PluginError, match="goes down to -3"):
+    with pytest.raises(PluginError, match="has the minimum -3"):
         fitted(1.0, INVERSE - 4)
 
 
