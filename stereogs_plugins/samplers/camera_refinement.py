@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 class CameraRefinementSettings(Settings):
     rotation_rate: float = Field(1e-4, ge=0, allow_inf_nan=False)
-    """Adam's learning rate of the rotations, radians: at a focal length of 400 pixels, 1e-4 is 0.04 pixels."""
+    """Adam's learning rate of the rotations, radians: at a focal length of 400 pixels 1e-4 is 0.04 pixels."""
     translation_rate: float = Field(1e-4, ge=0, allow_inf_nan=False)
     """Adam's learning rate of the translations, in units of the scene's extent."""
 

@@ -1,5 +1,4 @@
-"""What must look right where no photograph was taken: `field_agreement`, `depth_smoothness`,
-`forward_warping` and `cycle_filtered_warping`."""
+"""Losses on virtual views: `field_agreement`, `depth_smoothness`, `forward_warping`, `cycle_filtered_warping`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from registry import DepthMap, PluginError, virtual_views
 from registry.testing import check
 from registry.testing.bench import Bench
 from stereogs_plugins.regularizers.unseen_views import ForwardWarping
-from stereogs_plugins.regularizers.unseen_views.warp import forward_splat
+from stereogs_plugins.regularizers.unseen_views.forward_warping import forward_splat
 from tests.stereogs_plugins.building import build
 
 
