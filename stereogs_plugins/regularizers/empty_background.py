@@ -1,7 +1,7 @@
 """`empty_background`: penalize alpha where the photograph shows background.
 
-A Gaussian with the colour of a plain backdrop does not change the photometric loss, but occludes the object in
-other views. Binocular3DGS (Han et al. 2024) uses the mean of alpha over all pixels, weighted by 1 - the
+A Gaussian with the colour of a plain backdrop does not change the photometric loss, but occludes the object
+in other views. Binocular3DGS (Han et al. 2024) uses the mean of alpha over all pixels, weighted by 1 - the
 photograph's alpha; CoR-GS (Zhang et al. 2024) and DNGaussian (Li et al. 2024) on DTU use the mean of alpha^2
 over the background pixels.
 """

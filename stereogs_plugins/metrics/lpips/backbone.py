@@ -1,8 +1,7 @@
-"""The network that LPIPS looks through, as an ONNX file made from torchvision's weights.
+"""The feature network of LPIPS as an ONNX file, from torchvision's weights.
 
-Only the convolutions up to the fifth layer that LPIPS compares are taken, so that neither torchvision nor
-its other layers are needed: VGG16 (Simonyan & Zisserman 2015) up to ReLU 5_3, AlexNet (Krizhevsky 2014) up
-to its fifth ReLU.
+Contains the convolutions up to the fifth layer that LPIPS compares, and does not require torchvision:
+VGG16 (Simonyan & Zisserman 2015) up to ReLU 5_3, AlexNet (Krizhevsky 2014) up to its fifth ReLU.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ OPSET, IR_VERSION = 17, 8
 
 
 class Layer(NamedTuple):
-    """A convolution and the ReLU behind it."""
+    """A convolution followed by a ReLU."""
 
     number: int
-    """Of the convolution in torchvision's `features`, where its weights are `features.{number}.weight`."""
+    """Index of the convolution in torchvision's `features`; its weights are `features.{number}.weight`."""
     channels: int
-    """How many it answers."""
+    """Number of output channels."""
     kernel: int = 3
     stride: int = 1
     padding: int = 1
     pooled: int = 0
-    """Side of the maximum that is taken, two pixels apart, before the convolution; 0: none is."""
+    """Kernel size of a max pooling with stride 2 before the convolution; 0: no pooling."""
     compared: bool = True
-    """Whether LPIPS compares what the ReLU answers."""
+    """If True, LPIPS compares the output of the ReLU."""
 
 
 LAYERS: dict[NetworkName, tuple[Layer, ...]] = {
@@ -64,21 +63,21 @@ LAYERS: dict[NetworkName, tuple[Layer, ...]] = {
 
 
 def backbone(network: NetworkName, weights: Mapping[str, Tensor], where: str) -> bytes:
-    """The content of an ONNX file: `image` [1, 3, H, W] in, the five maps `features0` to `features4` out.
+    """Return an ONNX file with input `image` [1, 3, H, W] and outputs `features0` to `features4`.
 
     Args:
-        network: whose weights they are.
-        weights: torchvision's state dict, or as much of it as begins with `features.`.
-        where: where they come from, for messages.
+        network: the network of the weights.
+        weights: torchvision's state dict; only keys that start with `features.` are used.
+        where: origin of the weights, for messages.
 
     Raises:
-        PluginError: a weight is missing, of another shape or not finite; `onnx` is not installed.
+        PluginError: a weight is missing, has another shape or is not finite; `onnx` is not installed.
     """
     try:
         from onnx import helper
     except ImportError as error:
         raise PluginError(
-            "writing ONNX files takes the package onnx", fix="pip install onnx"
+            "writing ONNX files requires the package onnx", fix="pip install onnx"
         ) from error
     nodes: list[NodeProto] = []
     constants: list[TensorProto] = []
@@ -116,7 +115,7 @@ def _constants(
             raise PluginError(
                 f"the weight {name} must be {list(shape)} finite numbers, and it {found}",
                 where=where,
-                fix="name the file of torchvision's weights for this network",
+                fix="use the file of torchvision's weights for this network",
             )
         yield numpy_helper.from_array(values.float().numpy(), name)
 

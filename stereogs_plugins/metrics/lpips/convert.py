@@ -1,8 +1,8 @@
-"""Torchvision's weights become the ONNX file that LPIPS reads.
+"""Convert torchvision's weights to the ONNX file that LPIPS reads.
 
     python -m stereogs_plugins.metrics.lpips.convert vgg vgg16-397923af.pth vgg16.onnx
 
-It prints what to write into a pipeline. Where the weights come from: docs/protocols.md.
+Prints the metric's settings for a pipeline. Origin of the weights: docs/protocols.md.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from .files import read_tensors
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Convert a file; returns the exit status, 2 for a mistake that was explained."""
+    """Convert a file; return the exit status, 2 after a reported error."""
     parser = argparse.ArgumentParser(
         prog="python -m stereogs_plugins.metrics.lpips.convert",
-        description="Make the ONNX file that the metric lpips reads from torchvision's weights.",
+        description="Convert torchvision's weights to the ONNX file that the metric lpips reads.",
     )
-    parser.add_argument("network", choices=sorted(LAYERS), help="whose weights they are")
-    parser.add_argument("weights", type=Path, help="the file, .pth, .safetensors or .npz")
-    parser.add_argument("out", type=Path, help="the ONNX file to write")
+    parser.add_argument("network", choices=sorted(LAYERS), help="the network of the weights")
+    parser.add_argument("weights", type=Path, help="weights file: .pth, .safetensors or .npz")
+    parser.add_argument("out", type=Path, help="ONNX file to write")
     given = parser.parse_args(arguments)
     try:
         tensors = read_tensors(read_model_file(given.weights, None).content, given.weights)

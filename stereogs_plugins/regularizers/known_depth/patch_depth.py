@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 HARD_OPACITY = 0.95
 """Opacity of every Gaussian in the hard form."""
 SHARE_OF_IMAGE = 0.01
-"""Share of the image's standard deviation added to that of a patch, so that flat patches are not amplified."""
+"""Share of the image's standard deviation added to that of a patch, to avoid amplifying flat patches."""
 SMALLEST = 1e-8
 """Added to square roots, whose slope at 0 is infinite, and to divisors."""
 

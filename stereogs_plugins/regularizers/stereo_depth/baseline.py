@@ -30,7 +30,7 @@ class BaselineSettings(Settings):
     """adaptive: near content has the disparity value * image width; world: value in world units;
     extent: value * the scene's extent."""
     value: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    """Value for `mode`; null means 0.2 for adaptive, the other modes require a value. StereoGS: world, 4.0."""
+    """Value for `mode`; null means 0.2 for adaptive, other modes require a value. StereoGS: world, 4.0."""
 
     @model_validator(mode="after")
     def _has_a_value(self) -> Self:

@@ -1,4 +1,4 @@
-"""Losses on virtual views: `field_agreement`, `depth_smoothness`, `forward_warping`, `cycle_filtered_warping`."""
+"""Losses on virtual views: agreement of fields, smooth depth, and two kinds of warping."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """`cycle_filtered_warping`: compare virtual views with photographs where the depth is cycle consistent.
 
-The appearance loss of ICO-GS (2026, arXiv 2603.02893). A virtual view near a training camera is rendered, and
-its pixels are projected into all photographs by their depth. A photograph is used where projecting back by its
-own rendered depth returns nearly the original depth, and a pixel only if at least half of the photographs
-agree.
+The appearance loss of ICO-GS (2026, arXiv 2603.02893). A virtual view near a training camera is rendered,
+and its pixels are projected into all photographs by their depth. A photograph is used where projecting back
+by its own rendered depth returns nearly the original depth, and a pixel only if at least half of the
+photographs agree.
 """
 
 from __future__ import annotations
