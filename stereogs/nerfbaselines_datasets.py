@@ -1,7 +1,7 @@
 """The sparse-view protocols as NerfBaselines datasets: `--data external://stereogs-llff-3/fern`.
 
 Instead of a download, datasets are made from the folders in STEREOGS_DATA by the project's loaders, so that
-every NerfBaselines method gets the pixels, cameras and split of `protocol: llff-3`. A prepared folder contains
+every NerfBaselines method gets the pixels, cameras and split of `protocol: llff-3`. A prepared folder has
 
     images/, masks/    PNG
     views.json         cameras, split and depth bounds

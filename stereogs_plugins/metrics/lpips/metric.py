@@ -122,7 +122,7 @@ class LPIPS(Metric[LPIPSSettings]):
         if found is None:
             wanted = KNOWN[name]
             return Unavailable(
-                "no network is set: set `file`, `sha256` and, for a feature network, `heads`, or the variable "
+                "no network is set: set `file`, `sha256` and, for features, `heads`, or the variable "
                 f"{FOLDER_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
             )
         try:
