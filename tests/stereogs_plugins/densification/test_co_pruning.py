@@ -9,8 +9,8 @@ from torch import Tensor
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry import OtherField, PluginError, Step
 from registry.testing import check
-from stereogs_plugins.densification.co_pruning import CoPruning, stereogs_register_densifications
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.densification.co_pruning import CoPruning
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 
 def at(positions: Tensor) -> Gaussians:
@@ -33,8 +33,7 @@ def step_beside(own: Tensor, *others: Tensor) -> Step:
     return replace(step, others=tuple(beside))
 
 
-def test_it_is_registered_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_densifications) == {"co_pruning": CoPruning}
+def test_it_keeps_the_contract() -> None:
     check(CoPruning, distance=0.1)
 
 
