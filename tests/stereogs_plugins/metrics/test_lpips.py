@@ -29,22 +29,10 @@ from tests.stereogs_plugins.metrics.lpips_network import (
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 
 
-def save_npz(path: Path, tensors: dict[str, Tensor]) -> None:
-    np.savez(path, **{name: tensor.numpy() for name, tensor in tensors.items()})
-
-
-def save_pth(path: Path, tensors: dict[str, Tensor]) -> None:
-    torch.save(tensors, path)
-
-
-def save_safetensors(path: Path, tensors: dict[str, Tensor]) -> None:
-    save_file(tensors, path)
-
-
-SAVERS: dict[str, Callable[[Path, dict[str, Tensor]], None]] = {
-    ".npz": save_npz,
-    ".pth": save_pth,
-    ".safetensors": save_safetensors,
+SAVERS: dict[str, Callable[[Path, dict[str, Tensor]], object]] = {
+    ".npz": lambda path, tensors: np.savez(path, **{k: v.numpy() for k, v in tensors.items()}),
+    ".pth": lambda path, tensors: torch.save(tensors, path),
+    ".safetensors": lambda path, tensors: save_file(tensors, path),
 }
 
 
