@@ -1,4 +1,4 @@
-"""Sparse-view 3D Gaussian splatting from Python: what the command line does, in few lines.
+"""Python API for sparse-view 3D Gaussian splatting, equivalent to the command line.
 
     import stereogs
 
@@ -6,7 +6,7 @@
     run = stereogs.train("pipelines/3dgs.yaml", scene=scene)
     print(run.scores["test"].mean)
 
-docs/python.md shows more. Importing it is quick: torch is imported when something is computed.
+See docs/python.md. Importing it is fast: torch is imported on first use.
 """
 
 from typing import TYPE_CHECKING

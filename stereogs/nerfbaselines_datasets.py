@@ -1,12 +1,11 @@
-"""The protocols for few photographs as datasets of NerfBaselines: `--data external://stereogs-llff-3/fern`.
+"""The sparse-view protocols as NerfBaselines datasets: `--data external://stereogs-llff-3/fern`.
 
-NerfBaselines asks for a dataset to be downloaded. These are made from the folders in STEREOGS_DATA instead,
-by the project's own loaders, so that every method there sees the pixels, cameras and split that
-`protocol: llff-3` gives a pipeline here. A prepared folder holds
+Instead of a download, datasets are made from the folders in STEREOGS_DATA by the project's loaders, so that
+every NerfBaselines method gets the pixels, cameras and split of `protocol: llff-3`. A prepared folder has
 
     images/, masks/    PNG
     views.json         cameras, split and depth bounds
-    nb-info.json       what NerfBaselines wants to know
+    nb-info.json       metadata for NerfBaselines
 """
 
 from __future__ import annotations
@@ -26,22 +25,22 @@ from registry.toolkit.drawing import save_png
 
 DATA = "STEREOGS_DATA"
 PREFIX = "stereogs-"
-"""Before a protocol's name; the whole is the dataset's."""
+"""Prefix of a protocol's name in the dataset's name."""
 LOADER = "stereogs-views"
 EVALUATION = "stereogs"
 _VIEWS = "views.json"
 
 
 def prepare(path: str, output: str | Path) -> None:
-    """Make a dataset, in place of a download.
+    """Make a dataset, instead of a download.
 
     Args:
-        path: `stereogs-PROTOCOL/SCENE`, or `stereogs-PROTOCOL` for all scenes of the protocol that are
-            found. A scene is a folder in STEREOGS_DATA of that name, or whose name ends in `_SCENE`.
-        output: a new folder; of several scenes, the folder that theirs are put into.
+        path: `stereogs-PROTOCOL/SCENE`, or `stereogs-PROTOCOL` for all available scenes of the protocol.
+            A scene is a folder in STEREOGS_DATA with that name, or whose name ends in `_SCENE`.
+        output: a new folder; for several scenes, the parent of their folders.
 
     Raises:
-        DatasetNotFoundError: the name is none of these, or the scene is not found.
+        DatasetNotFoundError: the name is invalid, or the scene is not found.
         ExplainedError: its folder cannot be read.
     """
     dataset, _, scene = path.partition("/")
@@ -58,15 +57,15 @@ def prepare(path: str, output: str | Path) -> None:
 
 
 def pipeline_of(protocol: str, folder: Path | None = None) -> Pipeline:
-    """A pipeline that follows a protocol, for its scene and its metrics.
+    """Build a pipeline of a protocol, for its scene and its metrics.
 
     Args:
-        folder: of the scene; None where the metrics alone are wanted.
+        folder: folder of the scene; None if only the metrics are used.
     """
     loaders = load_protocol(protocol).loaders
     known = [name for name in loaders if folder is None or _reads(name, folder)]
     if not known:
-        raise DatasetNotFoundError(f"{folder} is not laid out as {' or '.join(loaders)}")
+        raise DatasetNotFoundError(f"{folder} does not have the layout of {' or '.join(loaders)}")
     return stereogs.build_pipeline(
         {
             "name": protocol,
@@ -78,17 +77,17 @@ def pipeline_of(protocol: str, folder: Path | None = None) -> Pipeline:
 
 
 def load(path: str, split: str, features: Any = None, **_: Any) -> UnloadedDataset:
-    """A prepared folder; NerfBaselines reads the pictures.
+    """Load a prepared folder; NerfBaselines reads the images.
 
     Args:
         split: "train" or "test".
 
     Raises:
-        DatasetNotFoundError: the folder is none that `prepare` made.
+        DatasetNotFoundError: the folder was not made by `prepare`.
     """
     folder = Path(path)
     if not (folder / _VIEWS).is_file():
-        raise DatasetNotFoundError(f"{folder} holds no {_VIEWS}")
+        raise DatasetNotFoundError(f"{folder} does not contain {_VIEWS}")
     content = json.loads((folder / _VIEWS).read_text("utf-8"))
     views = content[split]
     masks = [str(folder / "masks" / f"{view['name']}.png") for view in views]
@@ -117,11 +116,13 @@ def load(path: str, split: str, features: Any = None, **_: Any) -> UnloadedDatas
 def _folder(scene: str) -> Path:
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
-        raise DatasetNotFoundError(f"set {DATA} to the folder that holds the data sets")
+        raise DatasetNotFoundError(f"set {DATA} to the folder of the data sets")
     for folder in sorted(Path(root).iterdir()):
         if folder.is_dir() and (folder.name == scene or folder.name.endswith(f"_{scene}")):
             return folder
-    raise DatasetNotFoundError(f"{root} holds no folder {scene!r} and none that ends in '_{scene}'")
+    raise DatasetNotFoundError(
+        f"{root} has no folder that is named {scene!r} or ends in '_{scene}'"
+    )
 
 
 def _reads(loader: str, folder: Path) -> bool:
@@ -158,7 +159,7 @@ def _write(scene: stereogs.Scene, protocol: str, name: str, folder: Path) -> Non
 
 
 def _described(view: stereogs.View) -> dict[str, Any]:
-    """A camera as NerfBaselines knows it: camera to world `[3, 4]`, OpenCV's axes."""
+    """Return a NerfBaselines camera: camera to world `[3, 4]`, OpenCV's axes."""
     camera = view.camera
     return {
         "name": view.name,

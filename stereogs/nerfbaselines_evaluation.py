@@ -1,4 +1,4 @@
-"""Scores of any NerfBaselines method by the metrics that a protocol for few photographs asks for."""
+"""Evaluation of NerfBaselines methods by the metrics of a sparse-view protocol."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Scores = dict[str, float | int]
 
 
 class ProtocolScores(DefaultEvaluationProtocol):  # type: ignore[misc]  # see nerfbaselines_method
-    """The protocol's metrics with their settings, masks as it wants them; means over the views.
+    """The protocol's metrics with their settings and masks; means over the views.
 
-    A metric that is not available (`lpips` without its network's file) is left out.
+    Unavailable metrics (`lpips` without its network's file) are omitted.
     """
 
     def get_name(self) -> str:
-        """As results name it."""
+        """Return the name used in results."""
         return EVALUATION
 
     def evaluate(self, predictions: dict[str, Any], dataset: Dataset) -> Scores:
-        """The scores of one view.
+        """Return the scores of one view.
 
         Args:
             predictions: `color` `[H, W, 3]`, bytes or in [0, 1].
-            dataset: that view alone, of a dataset that `prepare` made.
+            dataset: a dataset made by `prepare`, reduced to this view.
         """
         rendered, photograph = (_image(x) for x in (predictions["color"], dataset["images"][0]))
         masks = dataset.get("masks")
@@ -48,7 +48,7 @@ class ProtocolScores(DefaultEvaluationProtocol):  # type: ignore[misc]  # see ne
         return scores
 
     def accumulate_metrics(self, metrics: Iterable[Scores]) -> Scores:
-        """The mean of each metric."""
+        """Return the mean of each metric."""
         rows = list(metrics)
         return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 

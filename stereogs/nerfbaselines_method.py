@@ -1,7 +1,7 @@
-"""Any pipeline as a method of NerfBaselines (Kulhanek and Sattler 2024), which evaluates all methods alike.
+"""Pipelines as a method of NerfBaselines (Kulhanek and Sattler 2024), a common evaluation of methods.
 
-NerfBaselines finds it once both are installed: `nerfbaselines train --method stereogs --data FOLDER`. What
-it calls an iteration is a whole training here, because a pipeline says itself how many it takes.
+Available once both packages are installed: `nerfbaselines train --method stereogs --data FOLDER`. One
+NerfBaselines iteration is a complete training, since the pipeline defines the number of iterations.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from core_rasterizer import GaussianModel, load_ply
 from registry import SceneError
 
 PIPELINE = "weightfree_fast"
-"""The ready pipeline that is trained unless the setting `pipeline` names another."""
+"""The default of the setting `pipeline`."""
 
 GAUSSIANS, SETTINGS = "scene.ply", "stereogs.json"
 BLACK = (0.0, 0.0, 0.0)
 
 
-class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is installed
-    """A pipeline, trained on a dataset of NerfBaselines or read from a checkpoint.
+class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is installed
+    """A pipeline, trained on a NerfBaselines dataset or loaded from a checkpoint.
 
     Args:
-        checkpoint: a folder that `save` wrote.
+        checkpoint: a folder written by `save`.
         train_dataset: photographs in sRGB with pinhole cameras. Depth bounds come from `nears_fars`, or
-            from the dataset's points where it has some; the points are not trained on, since they
-            come from test photographs too.
-        config_overrides: `pipeline`, a ready pipeline's name or a file, and any of its settings by
+            from the dataset's points; the points are not used for training, since they also come from
+            test photographs.
+        config_overrides: `pipeline`, the name of a ready pipeline or a file, and any of its settings by
             their dotted names, `{"training.iterations": 100}`.
     """
 
@@ -56,7 +56,7 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
 
     @classmethod
     def get_method_info(cls) -> MethodInfo:
-        """What datasets must bring, and what can be rendered."""
+        """Return the required features of datasets, and the supported cameras and outputs."""
         return MethodInfo(
             method_id="stereogs",
             required_features=frozenset(("color", "points3D_xyz")),
@@ -66,7 +66,7 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
         )
 
     def get_info(self) -> ModelInfo:
-        """The same, with the settings and whether a checkpoint was read."""
+        """Return the method's info with the settings and the loaded checkpoint."""
         return ModelInfo(
             **self.get_method_info(),
             num_iterations=1,
@@ -76,13 +76,13 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
         )
 
     def train_iteration(self, step: int) -> dict[str, float]:
-        """Train the whole pipeline; returns the last loss and the number of Gaussians.
+        """Train the whole pipeline; return the last loss and the number of Gaussians.
 
         Raises:
-            ExplainedError: the dataset cannot be trained on, or whatever the pipeline says.
+            ExplainedError: the dataset or the pipeline is invalid.
         """
         if self._dataset is None:
-            raise SceneError("there is nothing to train on", fix="give a train_dataset")
+            raise SceneError("no dataset to train on", fix="pass a train_dataset")
         settings = dict(self._settings)
         source = Path(settings.pop("pipeline", PIPELINE))
         changes = [f"{name}={_written(value)}" for name, value in settings.items()]
@@ -97,9 +97,9 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
         return {"loss": losses[-1], "num_gaussians": float(run.model.count)}
 
     def render(self, camera: Cameras, *, options: RenderOptions | None = None) -> dict[str, Any]:
-        """`color` `[H, W, 3]` in [0, 1], z-`depth` in world units and `accumulation` `[H, W]`."""
+        """Return `color` `[H, W, 3]` in [0, 1], z-`depth` in world units and `accumulation` `[H, W]`."""
         if self._model is None:
-            raise SceneError("there are no Gaussians to render", fix="train, or read a checkpoint")
+            raise SceneError("no Gaussians to render", fix="train, or load a checkpoint")
         picture = stereogs.render(
             self._model, _camera_of(camera.item()), background=self._background
         )
@@ -108,7 +108,7 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
         return {name: values for name, values in answer.items() if name in wanted}
 
     def save(self, path: str) -> None:
-        """Write the settings and, once there are some, the Gaussians as a PLY file."""
+        """Write the settings and, after training, the Gaussians as a PLY file."""
         from core_rasterizer import save_ply
 
         folder = Path(path)
@@ -127,12 +127,12 @@ class StereoGS(Method):  # type: ignore[misc]  # its types are known where it is
 
 
 def _written(value: Any) -> str:
-    """A setting as --set takes it; NerfBaselines' own --set hands on texts as they were typed."""
+    """Format a setting for --set; NerfBaselines passes the values of its own --set as text."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def _background(dataset: Dataset) -> tuple[float, float, float]:
-    """The colour that the dataset names, given there as bytes; black if none."""
+    """Return the dataset's background colour, which it stores as bytes; black by default."""
     color = dataset["metadata"].get("background_color")
     if color is None:
         return BLACK
@@ -148,7 +148,7 @@ def _scene_of(dataset: Dataset, background: tuple[float, float, float]) -> stere
 
 
 def _opaque(image: np.ndarray[Any, Any], background: tuple[float, float, float]) -> Any:
-    """A transparent photograph laid on the background, `[H, W, 3]`; others as they are."""
+    """Composite a photograph with alpha on the background, `[H, W, 3]`; return others unchanged."""
     if image.shape[2] == 3:
         return image
     scaled = image.astype(np.float32) / (255 if image.dtype == np.uint8 else 1)
@@ -158,7 +158,7 @@ def _opaque(image: np.ndarray[Any, Any], background: tuple[float, float, float])
 
 
 def _camera_of(camera: Cameras) -> stereogs.Camera:
-    """Poses there are camera to world, with OpenCV's axes."""
+    """Convert a camera; NerfBaselines poses are camera to world, with OpenCV's axes."""
     pose = np.eye(4)
     pose[:3] = camera.poses[:3]
     fx, fy, cx, cy = (float(value) for value in camera.intrinsics)
@@ -167,14 +167,14 @@ def _camera_of(camera: Cameras) -> stereogs.Camera:
 
 
 def _bounds(dataset: Dataset, cameras: list[stereogs.Camera]) -> tuple[float, float]:
-    """The nearest and the farthest depth that any camera names, or that the points have."""
+    """Return the nearest and farthest depth of all cameras, or of the points."""
     limits = dataset["cameras"].nears_fars
     if limits is not None:
         return float(limits.min()), float(limits.max())
     points = dataset["points3D_xyz"]
     if points is None or not len(points):
         raise SceneError(
-            "how near and far things are is not known",
+            "the depth bounds are unknown",
             fix="use a dataset whose cameras have nears_fars, or that has points",
         )
     positions = torch.from_numpy(np.asarray(points, np.float32))

@@ -1,6 +1,6 @@
-"""Tells NerfBaselines of the method `stereogs` and of the protocols for few photographs.
+"""Registers the method `stereogs` and the sparse-view protocols with NerfBaselines.
 
-Found through the entry point `nerfbaselines.specs`.
+Loaded through the entry point `nerfbaselines.specs`.
 """
 
 from nerfbaselines import register
@@ -14,7 +14,7 @@ register(
         "metadata": {
             "name": "StereoGS plugins",
             "description": "Sparse-view 3D Gaussian splatting with every method a plugin; runs the "
-            "pipeline that the setting `pipeline` names.",
+            "pipeline of the setting `pipeline`.",
             "licenses": [{"name": "Apache-2.0"}],
         },
         "presets": {},

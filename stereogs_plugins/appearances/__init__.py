@@ -1,1 +1,1 @@
-"""Appearances: what a photograph does to the colours that the scene has."""
+"""Appearances: per-photograph colour transforms."""

@@ -1,9 +1,8 @@
-"""`exposure`: each photograph has a brightness and white balance of its own (Hierarchical 3DGS, 2024).
+"""`exposure`: a trained exposure and white balance per photograph (Hierarchical 3DGS, 2024).
 
-Where a camera chose its exposure anew for every photograph, Gaussians have to explain the difference by
-colours that depend on the direction, or by haze. Here each training view has an affine map of colours, the
-identity at first and trained along. The mean of the maps over the views is held at the identity: test views
-are rendered without one, in the brightness that the photographs have on average.
+With automatic exposure, Gaussians explain brightness differences by view-dependent colours or by haze.
+Here each training view has a trainable affine map of colours, initially the identity. The mean of the maps
+over the views stays the identity: test views are rendered without a map, at the average brightness.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 class ExposureSettings(Settings):
     learning_rate: float = Field(1e-3, ge=0, allow_inf_nan=False)
-    """Adam's step size of the maps' twelve numbers; colours lie in [0, 1]."""
+    """Adam's learning rate of the maps' twelve parameters; colours are in [0, 1]."""
 
 
 class Exposure(Appearance[ExposureSettings]):
@@ -34,13 +33,13 @@ class Exposure(Appearance[ExposureSettings]):
         self._maps = ViewParameters(scene, (3, 4))
 
     def parameters(self) -> Sequence[ParameterGroup]:
-        """The views' (A | b), `[3, 4]` each."""
+        """Return the views' (A | b), `[3, 4]` each."""
         return [self._maps.group("maps", self.settings.learning_rate)]
 
     def colors(self, step: Step, rgb: Tensor) -> Tensor:
-        """Return `[H, W, 3]` colours as the view's photograph would show them.
+        """Return the colours `[H, W, 3]` with the view's exposure.
 
-        Logs the mean gain, 1 at the identity.
+        Logs the mean gain, 1 for the identity.
         """
         change = self._maps.of(step.view)
         step.log(f"{self.context.name}_gain", 1 + float(change.detach()[:, :3].sum()) / 3)

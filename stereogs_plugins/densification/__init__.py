@@ -1,1 +1,1 @@
-"""Densification policies: where Gaussians are added and removed."""
+"""Densification policies: add, move and remove Gaussians."""

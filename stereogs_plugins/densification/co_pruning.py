@@ -1,7 +1,7 @@
-"""`co_pruning`: remove Gaussians that another field has nothing near (CoR-GS, Zhang et al. 2024).
+"""`co_pruning`: prune Gaussians far from all Gaussians of another field (CoR-GS, Zhang et al. 2024).
 
-Two fields that learn the same few photographs agree where these settle the geometry, and differ where
-they do not: a Gaussian without a counterpart is most likely in the wrong place.
+Two fields trained on the same photographs agree where the photographs determine the geometry: a Gaussian
+without a counterpart in the other field is probably misplaced.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 class CoPruningSettings(Settings):
     distance: float = Field(gt=0)
-    """A Gaussian stays if each other field has a centre nearer than this, world units. CoR-GS, in
+    """World units; a Gaussian is kept if every other field has a centre within this distance. CoR-GS, in
     COLMAP's units: 5 on LLFF, 10 on DTU, 20 on Mip-NeRF 360."""
 
 
 class CoPruning(Densification[CoPruningSettings]):
     """Prunes by the distance to the nearest centre in each other field (`training.fields`).
 
-    Two fields that are pruned one after the other lose what they would lose at once: whoever is some
-    centre's only counterpart has one itself.
+    The order in which two fields are pruned does not matter: being a counterpart is symmetric, so no
+    field loses a Gaussian that the other one needs.
     """
 
     needs_fields = 2
 
     def refine(self, step: Step) -> Edit:
-        """Return what is to be pruned.
+        """Return the pruning mask.
 
         Raises:
             PluginError: there is a single field, or no Gaussian has a counterpart.
@@ -44,19 +44,17 @@ class CoPruning(Densification[CoPruningSettings]):
         from core_rasterizer import Edit
 
         if not step.others:
-            raise PluginError(
-                "there is no other field to compare with", fix="set `training.fields` to 2"
-            )
-        lonely = torch.zeros(step.model.count, dtype=torch.bool)
+            raise PluginError("co-pruning requires two fields", fix="set `training.fields` to 2")
+        isolated = torch.zeros(step.model.count, dtype=torch.bool)
         for other in step.others:
-            lonely |= self._without_counterpart(step.model, other.model)
-        if lonely.all():
+            isolated |= self._without_counterpart(step.model, other.model)
+        if isolated.all():
             raise PluginError(
                 f"no Gaussian has a counterpart within {self.settings.distance:g} in every other field",
-                fix="raise `distance`; it is in world units, and scenes differ in theirs",
+                fix="increase `distance`; its unit is the scene's world unit",
             )
-        step.log(f"{self.context.name}_pruned", int(lonely.sum()))
-        return Edit(prune=lonely)
+        step.log(f"{self.context.name}_pruned", int(isolated.sum()))
+        return Edit(prune=isolated)
 
     def _without_counterpart(self, model: GaussianReader, other: GaussianReader) -> Tensor:
         import torch

@@ -1,8 +1,8 @@
-"""`faint_growth`: new Gaussians that nobody sees yet, for `relocation` to put to use (3DGS-MCMC).
+"""`faint_growth`: add invisible Gaussians, which `relocation` then moves (3DGS-MCMC).
 
-Kheradmand et al. 2024 let the number of Gaussians grow by a twentieth each time, up to a limit, which
-is the pipeline's `training.max_gaussians`. Their new ones are copies that share opacity and size with
-what they copy: the same as adding invisible ones and relocating them in the same iteration.
+Kheradmand et al. 2024 grow the number of Gaussians by 5 % each time, up to a limit, here
+`training.max_gaussians`. Their new Gaussians are copies that share opacity and size with their source,
+which is the same as adding invisible ones and relocating them in the same iteration.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
     from core_rasterizer import Edit
 
 FAINTEST = 1e-6
-"""The lowest opacity that the host keeps."""
+"""The lowest opacity that the host allows."""
 
 
 class FaintGrowthSettings(Settings):
     share: float = Field(0.05, gt=0, allow_inf_nan=False)
-    """How many Gaussians are added, as a part of those that there are."""
+    """Number of added Gaussians, as a share of the current number."""
 
 
 class FaintGrowth(Densification[FaintGrowthSettings]):
-    """Adds invisible copies of Gaussians; what is to become of them, another policy says."""
+    """Adds invisible copies of Gaussians, for another policy to use."""
 
     def refine(self, step: Step) -> Edit | None:
-        """Return the additions; None where the share is less than one Gaussian."""
+        """Return the additions; None if the share is less than one Gaussian."""
         import torch
 
         from core_rasterizer import Edit, Gaussians

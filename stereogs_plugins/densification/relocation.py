@@ -1,7 +1,7 @@
-"""`relocation`: the dead are put to use where Gaussians are opaque (3DGS-MCMC, Kheradmand et al. 2024).
+"""`relocation`: move dead Gaussians to opaque ones (3DGS-MCMC, Kheradmand et al. 2024).
 
-Nothing is cloned, split or pruned: a Gaussian that has faded becomes a copy of one drawn by opacity,
-and the two share its opacity and size so that the picture stays nearly the same (equation 9).
+No Gaussian is cloned, split or pruned: a faded one becomes a copy of one drawn by opacity. The two share
+its opacity and size so that the picture stays nearly the same (equation 9).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 class RelocationSettings(Settings):
     dead_opacity: float = Field(0.005, ge=0, lt=1)
-    """Gaussians that are not more opaque than this are dead."""
+    """Gaussians with at most this opacity are dead."""
 
 
 class DeadRelocation(Densification[RelocationSettings]):
-    """Each dead Gaussian becomes a copy of a living one, drawn in proportion to its opacity."""
+    """Makes each dead Gaussian a copy of a living one, drawn in proportion to its opacity."""
 
     def refine(self, step: Step) -> Edit | None:
-        """Return the relocation; None where nobody is dead, or all are. Logs how many moved."""
+        """Return the relocation; None if none or all are dead. Logs the number of moves."""
         import torch
 
         from core_rasterizer import Edit, Relocation

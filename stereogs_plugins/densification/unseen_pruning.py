@@ -1,7 +1,7 @@
-"""`unseen_pruning`: remove Gaussians that no photograph can judge (DNGaussian, Li et al. 2024).
+"""`unseen_pruning`: prune Gaussians that no training view constrains (DNGaussian, Li et al. 2024).
 
-What no training view sees is never corrected; what stands right before a camera hides the scene from
-views beside it.
+Gaussians outside all training views are never corrected; those close to a camera occlude the scene in
+neighbouring views.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 class UnseenPruningSettings(Settings):
     near: float = Field(0.0, ge=0)
-    """Gaussians nearer to a training camera than this go too, in units of the scene's near bound.
-    DNGaussian on LLFF: 10 of COLMAP's units, where near is about 16, to the cameras of a video."""
+    """Gaussians nearer to a training camera than this are pruned too, in units of the scene's near bound.
+    DNGaussian on LLFF: 10 COLMAP units (near is about 16), to the cameras of a rendered video."""
 
 
 class UnseenPruning(Densification[UnseenPruningSettings]):
-    """Prunes what reaches no training image, or has its centre too near to a camera."""
+    """Prunes Gaussians that touch no training image, or whose centre is too close to a camera."""
 
     def refine(self, step: Step) -> Edit:
-        """Return what is to be pruned.
+        """Return the pruning mask.
 
         Raises:
             PluginError: no Gaussian would be left.
@@ -43,7 +43,7 @@ class UnseenPruning(Densification[UnseenPruningSettings]):
         prune = ~seen | self._near(step)
         if prune.all():
             raise PluginError(
-                "no Gaussian would be left: none is in a training view and far enough from its camera",
+                "no Gaussian would be left: none is both in a training view and beyond `near`",
                 fix="check the initial points, or lower `near`",
             )
         return Edit(prune=prune)

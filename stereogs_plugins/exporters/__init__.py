@@ -1,1 +1,1 @@
-"""Exporters: file formats for the trained Gaussians."""
+"""Exporters: write the trained Gaussians, the cameras or a video to files."""

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 class ColmapSettings(Settings):
     text: bool = False
-    """Write the model as text, for people and other programs; else in COLMAP's binary format."""
+    """Write the model as text instead of COLMAP's binary format."""
 
 
 class ColmapExporter(Exporter[ColmapSettings]):
-    """Writes colmap/images and colmap/sparse/0: each view as a PNG, its pose, its lens, the sparse points.
+    """Writes colmap/images and colmap/sparse/0: PNG images, poses, intrinsics and the sparse points.
 
-    sparse/0/test.txt names the test views, as the 3DGS code reads it.
+    sparse/0/test.txt lists the test views, in the format of the 3DGS code.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -46,7 +46,7 @@ class ColmapExporter(Exporter[ColmapSettings]):
 
 
 def _reconstruction(scene: Scene) -> Any:
-    """A `pycolmap.Reconstruction`. Views that share a lens share a camera; points have no tracks."""
+    """Return a `pycolmap.Reconstruction`; views with equal intrinsics share a camera, points lack tracks."""
     pycolmap = photos.import_pycolmap()
     reconstruction = pycolmap.Reconstruction()
     cameras: dict[tuple[float, ...], int] = {}

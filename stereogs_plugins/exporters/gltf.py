@@ -26,8 +26,8 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 class GltfExporter(Exporter[Settings]):
     """Writes scene.glb: positions, rotations, scales, opacities and spherical harmonics as float32.
 
-    The numbers are those of the scene; a node turns it to glTF's axes, so that the first training camera
-    stands upright and looks along -z.
+    The values are in scene coordinates; a node rotates them to glTF's axes, so that the first training camera
+    is upright and looks along -z.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -41,10 +41,10 @@ class GltfExporter(Exporter[Settings]):
 
 
 def attributes(gaussians: Gaussians) -> Attributes:
-    """The extension's attributes by name, `[N, K]` float32 each.
+    """Return the extension's attributes by name, `[N, K]` float32 each.
 
     Rotations are unit quaternions (x, y, z, w), scales and opacities activated. Coefficient n of degree
-    l is what the 3DGS PLY calls coefficient l^2 + n.
+    l is coefficient l^2 + n of the 3DGS PLY.
     """
     import torch
     from torch.nn.functional import normalize
@@ -63,10 +63,10 @@ def attributes(gaussians: Gaussians) -> Attributes:
 
 
 def _write_glb(values: Attributes, rotation: list[float], path: Path) -> None:
-    """One mesh of points with these attributes.
+    """Write one mesh of points with these attributes.
 
     Args:
-        rotation: of the node that holds it, (x, y, z, w).
+        rotation: rotation of the mesh's node, (x, y, z, w).
     """
     import json
     import struct
@@ -95,7 +95,7 @@ def _document(values: Attributes, rotation: list[float]) -> dict[str, Any]:
                 "type": _TYPES[value.shape[1]],
             }
         )
-    positions = values["POSITION"]  # the one attribute whose bounds glTF demands
+    positions = values["POSITION"]  # the only attribute whose bounds glTF requires
     accessors[0] |= {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
     primitive = {
         "mode": _POINTS,

@@ -1,4 +1,4 @@
-"""`sog` and `html`: made from a PLY file by PlayCanvas's program splat-transform."""
+"""`sog` and `html`: converted from a PLY file by PlayCanvas's program splat-transform."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ PACKAGE = "@playcanvas/splat-transform"
 
 
 class SplatTransform(Exporter[Settings], ABC):
-    """Writes one file by the program, which must be on the PATH."""
+    """Writes one file with the program, which must be on the PATH."""
 
     file_name: ClassVar[str]
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write scene.ply, have the program read it, and return what it wrote.
+        """Write scene.ply, convert it, and return the path of the converted file.
 
         Raises:
-            PluginError: the program is not there, or it failed; scene.ply stays, for the command that the
-                message names.
+            PluginError: the program is missing or failed; scene.ply is kept, for the command in the message.
         """
         import shutil
         import subprocess
@@ -35,32 +34,32 @@ class SplatTransform(Exporter[Settings], ABC):
 
         ply, target = folder / "scene.ply", folder / self.file_name
         save_ply(model.gaussians(), ply)
-        # Without "cpu" it wants a GPU that WebGPU can use, and stops where there is none.
+        # Without "--gpu cpu" it requires a GPU with WebGPU.
         options = ["--quiet", "--overwrite", "--gpu", "cpu", str(ply), str(target)]
         program = shutil.which(PROGRAM)
         if program is None:
             raise PluginError(
-                f"the program {PROGRAM} is not on the PATH; {ply} is written",
+                f"the program {PROGRAM} is not on the PATH; {ply} was written",
                 fix=_command(["npx", PACKAGE, *options]),
             )
         done = subprocess.run([program, *options], capture_output=True, text=True, check=False)
         if done.returncode or not target.is_file():
-            said = (done.stderr or done.stdout).strip()
+            output = (done.stderr or done.stdout).strip()
             raise PluginError(
-                f"{PROGRAM} failed with exit status {done.returncode}: {said[-500:]}",
+                f"{PROGRAM} failed with exit status {done.returncode}: {output[-500:]}",
                 fix=_command([PROGRAM, *options[1:]]),
             )
         return [target]
 
 
 class SogExporter(SplatTransform):
-    """Writes scene.sog, PlayCanvas's compressed format for the web; and scene.ply, which it is made from."""
+    """Writes scene.sog, PlayCanvas's compressed format for the web; and scene.ply, its source."""
 
     file_name = "scene.sog"
 
 
 class HtmlExporter(SplatTransform):
-    """Writes scene.html, the scene and a viewer in one file; and scene.ply, which it is made from."""
+    """Writes scene.html, the scene and a viewer in one file; and scene.ply, its source."""
 
     file_name = "scene.html"
 
@@ -68,7 +67,7 @@ class HtmlExporter(SplatTransform):
 def _command(words: list[str]) -> str:
     import shlex
 
-    return f"the command is: {shlex.join(words)}"
+    return f"run: {shlex.join(words)}"
 
 
 @hookimpl

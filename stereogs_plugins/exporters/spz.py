@@ -1,4 +1,4 @@
-"""`spz`: Niantic's compressed format, about a sixth of the PLY, written by the package gsply."""
+"""`spz`: Niantic's compressed format, about 1/6 of the PLY's size, written by the package gsply."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from core_rasterizer import GaussianReader, Gaussians
 
 _ODD_IN_Y_PLUS_Z = (1, 2, 4, 7, 9, 11, 12, 14)
-"""Coefficients of spherical harmonics up to degree 3 that change sign with y and z together."""
+"""Coefficients of spherical harmonics up to degree 3 whose sign changes if y and z are negated."""
 
 
 class SpzExporter(Exporter[Settings]):
-    """Writes scene.spz, version 3: positions to 1/4096 of a world unit, everything else in 8 to 10 bits.
+    """Writes scene.spz, version 3: positions to 1/4096 world units, other parameters in 8 to 10 bits.
 
-    The format's axes are x right, y up, z back: the scene is turned by half a turn about x, and programs
-    that read the format turn it back.
+    The format's axes are x right, y up, z back: the scene is rotated by 180 degrees about x, and readers
+    rotate it back.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -41,14 +41,14 @@ class SpzExporter(Exporter[Settings]):
             gaussians.sh[:, 1:],
         )
         gsply.write_spz(path, gsply.GSData(*(field.contiguous().numpy() for field in fields)))
-        _forget_time(path)
+        _clear_time(path)
         return [path]
 
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians turned by 180 degrees about the x axis, with unit quaternions.
+    """Return the Gaussians rotated by 180 degrees about the x axis, with unit quaternions.
 
-    A Gaussian is its own mirror image, so that (w, x, -y, -z) turns it as well as a product would.
+    Gaussians are symmetric, so that the quaternion (w, x, -y, -z) is equivalent to the product.
     """
     import torch
     from torch.nn.functional import normalize
@@ -66,8 +66,8 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
     )
 
 
-def _forget_time(path: Path) -> None:
-    """Clear the time of writing in the header of a gzip file (RFC 1952): same scene, same bytes."""
+def _clear_time(path: Path) -> None:
+    """Clear the timestamp in the header of a gzip file (RFC 1952): same scene, same bytes."""
     with path.open("r+b") as file:
         file.seek(4)
         file.write(bytes(4))

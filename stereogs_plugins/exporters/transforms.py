@@ -1,4 +1,4 @@
-"""`transforms`: the photographs and their cameras as nerfstudio's transforms.json."""
+"""`transforms`: the photographs and cameras as nerfstudio's transforms.json."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 class TransformsExporter(Exporter[Settings]):
-    """Writes transforms/transforms.json and transforms/images: each view as a PNG, its pose and its lens.
+    """Writes transforms/transforms.json and transforms/images: PNG images, poses and intrinsics.
 
-    `train_filenames` and `test_filenames` hold the split.
+    `train_filenames` and `test_filenames` contain the split.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -50,7 +50,7 @@ def _file(view: View) -> str:
 
 
 def _described(camera: Camera) -> dict[str, Any]:
-    """A frame: nerfstudio's camera axes are OpenGL's, x right, y up, z back."""
+    """Return a frame's camera, with OpenGL's axes: x right, y up, z back."""
     pose = camera.camera_to_world.clone()
     pose[:, 1:3] *= -1
     return {

@@ -1,4 +1,4 @@
-"""`video`: a flight along a smooth path between the training views."""
+"""`video`: a flight along a smooth path through the training views."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 class VideoSettings(Settings):
     frames: int = Field(120, ge=2)
-    """Pictures of the flight; a second shows 30."""
+    """Number of frames, at 30 frames per second."""
 
 
 class VideoExporter(Exporter[VideoSettings]):
-    """Writes flight.mp4, or numbered PNG pictures where the extra `video` is not installed."""
+    """Writes flight.mp4, or numbered PNG files if the extra `video` is not installed."""
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write the file or the pictures and return the paths.
+        """Write the files and return their paths.
 
         Raises:
             RunError: the scene has one training view.

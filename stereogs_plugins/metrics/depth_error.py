@@ -1,7 +1,7 @@
-"""`depth_error` and `depth_within`: how far rendered depth is from the truth, where truth exists.
+"""`depth_error` and `depth_within`: errors of rendered depth against ground truth.
 
 Two measures of the depth-estimation literature: the mean of |d - t| / t, and the share of pixels whose
-|d - t| / t stays within a tolerance. Truth is a data set's own depth, or its sparse points.
+|d - t| / t is within a tolerance. The ground truth is the data set's depth, or its sparse points.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera, Rendering
 
 OPAQUE = 0.5
-"""A pixel that lets more light through than this has no rendered depth."""
+"""Minimum alpha of a pixel with a rendered depth."""
 
 
 class DepthErrorSettings(Settings):
     against: Literal["depth", "points"] = "depth"
-    """"depth": the view's own true depth; "points": the scene's sparse points that fall into the
-    view, those that something hides there too."""
+    """"depth": the view's true depth; "points": the scene's sparse points that project into the view,
+    including occluded ones."""
 
 
 class DepthWithinSettings(DepthErrorSettings):
     percent: float = Field(1.0, gt=0, lt=100)
-    """A depth counts as right within so many per cent of the truth; 1, 3 and 10 are usual."""
+    """Tolerance in per cent of the true depth; common values are 1, 3 and 10."""
 
 
 class DepthError(ViewMetric[DepthErrorSettings]):
-    """Mean absolute relative error |d - t| / t of rendered depth; a hole counts as depth 0, so as 1."""
+    """Mean absolute relative error |d - t| / t of rendered depth; holes have depth 0, so error 1."""
 
     higher_is_better = False
 
@@ -44,7 +44,7 @@ class DepthError(ViewMetric[DepthErrorSettings]):
 
 
 class DepthWithin(ViewMetric[DepthWithinSettings]):
-    """Share, 0 to 1, of rendered depths within `percent` of the truth; a hole is never within."""
+    """Share, 0 to 1, of rendered depths within `percent` of the true depth; holes are outside."""
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
         """Return the share of the pixels, or points, with a known truth inside the view's mask."""
@@ -57,7 +57,7 @@ class DepthWithin(ViewMetric[DepthWithinSettings]):
 def relative_errors(
     rendering: Rendering, view: View, scene: Scene, against: Literal["depth", "points"]
 ) -> Tensor | Unavailable:
-    """|d - t| / t wherever the truth t is known, `[K]` float64, K > 0; a hole has d = 0."""
+    """Return |d - t| / t where the true depth t is known, `[K]` float64, K > 0; holes have d = 0."""
     opaque = rendering.alpha > OPAQUE
     depth = (rendering.depth.double() / rendering.alpha.double()).where(opaque, 0.0)
     if against == "depth":
@@ -76,12 +76,12 @@ def relative_errors(
             rows, columns, truth = rows[inside], columns[inside], truth[inside]
         rendered = depth[rows, columns]
     if not len(truth):
-        return Unavailable("no true depth falls into the view")
+        return Unavailable("the view has no pixel with true depth")
     return (rendered - truth).abs() / truth
 
 
 def _project(positions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Row, column and depth of the points in front of the camera that fall into its image."""
+    """Return row, column and depth of the points that project into the camera's image."""
     u, v, depth = camera.project(positions)
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     seen = inside & (depth > 0)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 MIN_ERROR = 1e-10
-"""Mean squared errors below this count as this, so that equal images score 100 dB, not infinity."""
+"""Lower bound of the mean squared error: equal images score 100 dB, not infinity."""
 
 
 class PSNR(Metric[ImageMetricSettings]):
@@ -25,15 +25,13 @@ class PSNR(Metric[ImageMetricSettings]):
         """Return decibels, at most 100.
 
         Raises:
-            SceneError: a mask without a single pixel.
+            SceneError: the mask is empty.
         """
         first, second = map(self.settings.prepared, (rendered, photograph))
         squares = (first - second) ** 2
         if mask is not None:
             if not mask.any():
-                raise SceneError(
-                    "the mask is empty, so there is nothing to score", fix="check the mask file"
-                )
+                raise SceneError("the mask is empty", fix="check the mask file")
             squares = squares[mask]
         return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
 

@@ -23,7 +23,7 @@ Image: TypeAlias = "np.ndarray[Any, Any]"
 
 
 class SSIM(Metric[ImageMetricSettings]):
-    """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
+    """With a mask, both images are set to white outside it, and all pixels count (the DTU protocol)."""
 
     average_error_role = "structural_similarity"
 

@@ -1,4 +1,4 @@
-"""`ssim_skimage`: structural similarity with scikit-image's defaults, as the NeRF literature measures it.
+"""`ssim_skimage`: structural similarity with scikit-image's defaults, as in the NeRF literature.
 
 A uniform 7x7 window, sample covariance, mean over the image without a border of 3 pixels.
 """
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 WINDOW = 7
-"""Pixels along each side of it, scikit-image's default."""
+"""Side of the window in pixels, scikit-image's default."""
 
 
 class ScikitImageSSIM(Metric[ImageMetricSettings]):
-    """With a mask, both images are white outside it, and all pixels count (the DTU protocol)."""
+    """With a mask, both images are set to white outside it, and all pixels count (the DTU protocol)."""
 
     average_error_role = "structural_similarity"
 

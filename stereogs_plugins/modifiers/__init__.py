@@ -1,1 +1,1 @@
-"""Modifiers: what a training render leaves out."""
+"""Modifiers: scale opacities in training renders."""

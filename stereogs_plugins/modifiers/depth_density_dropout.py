@@ -1,13 +1,13 @@
-"""`depth_density_dropout`: what is near and crowded is left out more often (D2GS, Song et al. 2025).
+"""`depth_density_dropout`: drop near and dense Gaussians more often (D2GS, Song et al. 2025).
 
-With few views, Gaussians pile up close to the cameras and far ones stay rough. So the chance to be left
-out of a training render grows with nearness to its camera and with density, and with the iteration:
+With few views, Gaussians accumulate close to the cameras while distant regions stay coarse. So the drop
+probability grows with nearness to the training camera, with density, and with the iteration:
 
-    p = (depth_weight * nearness + density_weight * density) * rate * share of the third,
+    p = (depth_weight * nearness + density_weight * density) * rate * share of the third
 
-nearness 1 - (z - min) / (max - min) of z-depth, density minus the mean distance to six neighbours,
-scaled to [0, 1], the rate growing from `first_rate` to `last_rate` over the run. Unlike plain dropout,
-those that stay are not made more opaque.
+Nearness is 1 - (z - min) / (max - min) of the z-depth; density is minus the mean distance to six
+neighbours, scaled to [0, 1]; the rate grows from `first_rate` to `last_rate` over the run. Unlike plain
+dropout, the opacities of the kept Gaussians are not increased.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = 6
 THIRDS = ((0.33, 1.0), (0.67, 0.7), (1.0, 0.3))
-"""Up to which part of all Gaussians, sorted by depth, which factor of the chance holds."""
+"""End of each third of the Gaussians sorted by depth, as a share of all, and the third's factor of p."""
 
 
 class DepthDensityDropoutSettings(Settings):
     depth_weight: float = Field(0.3, ge=0, le=1)
-    """How much nearness counts."""
+    """Weight of nearness."""
     density_weight: float = Field(0.7, ge=0, le=1)
-    """How much density counts."""
+    """Weight of density."""
     first_rate: float = Field(0.05, ge=0, le=1)
-    """Factor of the chance at the first iteration, nearly."""
+    """Factor of the probability before the first iteration."""
     last_rate: float = Field(0.3, ge=0, le=1)
-    """Factor of the chance at the last iteration."""
+    """Factor of the probability in the last iteration."""
     density_every: int = Field(500, ge=1)
-    """Iterations until densities are measured anew; those who come in between have their parent's."""
+    """Iterations between updates of the densities; new Gaussians inherit their parent's density."""
 
 
 class DepthDensityDropout(Modifier[DepthDensityDropoutSettings]):
@@ -60,12 +60,12 @@ class DepthDensityDropout(Modifier[DepthDensityDropoutSettings]):
         return (torch.rand(len(means), generator=self.generator) >= chance).float()
 
     def chance(self, depth: Tensor, density: Tensor, done: float) -> Tensor:
-        """How likely each Gaussian is left out, `[N]`.
+        """Return the drop probability of each Gaussian, `[N]`.
 
         Args:
             depth: `[N]` z-depths, world units.
-            density: `[N]`, of any unit.
-            done: which part of the run is over, in [0, 1].
+            density: `[N]`, in any unit.
+            done: completed share of the run, in [0, 1].
         """
         import torch
 
@@ -82,21 +82,21 @@ class DepthDensityDropout(Modifier[DepthDensityDropoutSettings]):
         return score * rate * shares
 
     def carry(self, source: Tensor, fresh: Tensor) -> None:
-        """Those who are new have the density of those they come from."""
+        """Give new Gaussians the density of their source."""
         if self._density is not None:
             self._density = self._density[source]
 
     def state(self) -> dict[str, Tensor]:
-        """The densities measured last."""
+        """Return the densities measured last."""
         return {} if self._density is None else {"density": self._density}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore what `state` returned."""
         self._density = state.get("density")
 
 
 def density(means: Tensor) -> Tensor:
-    """Minus the mean distance to the six nearest others, or as many as there are, `[N]` world units.
+    """Return minus the mean distance to the min(6, N - 1) nearest neighbours, `[N]` world units.
 
     Args:
         means: `[N, 3]`, world units.
@@ -107,13 +107,13 @@ def density(means: Tensor) -> Tensor:
     count = len(means)
     if count < 2:
         return torch.zeros(count)
-    places = means.double().numpy()
-    distances, _ = KDTree(places).query(places, k=min(NEIGHBOURS + 1, count))
+    positions = means.double().numpy()
+    distances, _ = KDTree(positions).query(positions, k=min(NEIGHBOURS + 1, count))
     return -torch.from_numpy(distances[:, 1:]).mean(1).float()
 
 
 def _from_0_to_1(values: Tensor) -> Tensor:
-    """Shifted and scaled so that the smallest is 0 and the largest 1; all 0 where they are equal."""
+    """Normalize to [0, 1]; all 0 if the values are equal."""
     low, high = values.aminmax()
     return (values - low) / (high - low) if high > low else values * 0
 

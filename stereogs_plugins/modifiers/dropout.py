@@ -1,7 +1,7 @@
-"""`dropout`: in each training render some Gaussians are missing (DropGaussian, 2025; StereoGS).
+"""`dropout`: drop random Gaussians in each training render (DropGaussian, 2025; StereoGS).
 
-What remains must explain the photograph alone, so that none hides behind another. The starred rows
-of StereoGS use a fixed rate of 0.3; DropGaussian lets it grow to 0.2 over the run.
+The remaining Gaussians must explain the photograph, so that occluded ones receive gradients too. The starred
+rows of StereoGS use a fixed rate of 0.3; DropGaussian increases it to 0.2 over the run.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 class DropoutSettings(Settings):
     rate: float = Field(0.3, ge=0, lt=1)
-    """Share of Gaussians that a training render leaves out."""
+    """Share of the Gaussians that a training render drops."""
     ramp: bool = False
-    """Let the rate grow from 0 to `rate` over the run, in proportion to the iteration."""
+    """Increase the rate linearly from 0 to `rate` over the run."""
     compensate: bool = True
-    """Multiply the opacities of those that stay by 1 / (1 - rate)."""
+    """Multiply the opacities of the kept Gaussians by 1 / (1 - rate)."""
 
 
 class Dropout(Modifier[DropoutSettings]):

@@ -1,9 +1,8 @@
-"""`opacity_noise`: in each training render opacities are noisy (Chen et al. 2025, Quantifying and
+"""`opacity_noise`: multiply opacities by noise in each training render (Chen et al. 2025, Quantifying and
 Alleviating Co-Adaptation in Sparse-View 3D Gaussian Splatting).
 
-With few views Gaussians learn to make up for each other's errors in the training views and in no other.
-Where each one's share varies, they cannot count on each other. The noise has mean 1, so that what is
-rendered without it is nearly what was trained.
+With few views, Gaussians learn to cancel each other's errors in the training views only; noise on their
+opacities prevents that. Its mean is 1, so that renders without noise are close to the trained ones.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
 
 class OpacityNoiseSettings(Settings):
     sigma: float = Field(0.8, ge=0, le=1)
-    """Standard deviation of the factors, which are then kept within 1 - sigma and 1 + sigma."""
+    """Standard deviation of the factors, before they are clamped to [1 - sigma, 1 + sigma]."""
 
 
 class OpacityNoise(Modifier[OpacityNoiseSettings]):
-    """Opacity factors 1 + sigma * normal noise, the noise kept in [-1, 1] and the opacity below 1."""
+    """Opacity factors 1 + sigma * normal noise; the noise is clamped to [-1, 1] and the opacity to 1."""
 
     def opacity_scale(self, step: Step) -> Tensor:
         """Return `[N]` factors."""

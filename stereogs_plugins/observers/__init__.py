@@ -1,1 +1,1 @@
-"""Observers: how a run goes, told to the tools that people log with."""
+"""Observers: log the progress of a run to experiment trackers."""

@@ -1,4 +1,4 @@
-"""`mlflow`: a run as MLflow tracks it, in a database of its own in the run folder."""
+"""`mlflow`: an MLflow run, by default in a database in the run folder."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from registry.plugins import optional_module
 from registry.toolkit.drawing import LoggerSettings
 
 _IDENTITY = "stereogs.run"
-"""The tag by which a run that goes on is found."""
+"""Tag that identifies a resumed run."""
 
 
 class MlflowSettings(LoggerSettings):
     experiment: str = "stereogs"
-    """The experiment that the run belongs to; made if there is none."""
+    """Name of the experiment; created if it does not exist."""
     tracking_uri: str | None = None
-    """Of a server or a database, as MLflow writes it; null for a database in the run folder."""
+    """MLflow URI of a server or a database; null uses a database in the run folder."""
 
 
 class MlflowObserver(Observer[MlflowSettings]):
-    """An MLflow run, in files of the run folder unless told otherwise; needs the extra `mlflow`."""
+    """An MLflow run, in files of the run folder by default; requires the extra `mlflow`."""
 
     client: Any = None
     run_id: str = ""
 
     def started(self, run: RunStarted) -> None:
-        """Begin a run, or go on with the one of the same identity."""
+        """Start a run, or continue the one with the same identity."""
         if run.folder is None:
             return
-        # Else it reports its use to its makers, over the network.
+        # By default MLflow sends usage statistics over the network.
         os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
         mlflow = optional_module("mlflow", "pip install 'stereogs-plugins[mlflow]'")
         self.mlflow, own = mlflow, f"sqlite:///{run.folder / 'mlflow.db'}"
@@ -46,20 +46,20 @@ class MlflowObserver(Observer[MlflowSettings]):
             self.client.update_run(self.run_id, status="RUNNING")
         else:
             tags = {_IDENTITY: run.identity}
-            begun = self.client.create_run(experiment, tags=tags, run_name=run.title)
-            self.run_id = begun.info.run_id
+            created = self.client.create_run(experiment, tags=tags, run_name=run.title)
+            self.run_id = created.info.run_id
             self.client.log_dict(self.run_id, run.pipeline, "pipeline.json")
             self.client.log_dict(self.run_id, run.facts, "facts.json")
 
     def iterated(self, done: IterationDone) -> None:
-        """Log the numbers, and a picture where one is due."""
+        """Log the values, and a picture if one is due."""
         if self.client is None:
             return
         self._log(done.scalars(), done.iteration)
         picture = self.settings.picture(done)
         if picture is not None:
-            place = f"views/{done.view.name}/{done.iteration:07d}.png"
-            self.client.log_image(self.run_id, picture, place)
+            file = f"views/{done.view.name}/{done.iteration:07d}.png"
+            self.client.log_image(self.run_id, picture, file)
 
     def evaluated(self, scored: ViewsScored) -> None:
         """Log the scores."""
@@ -76,7 +76,7 @@ class MlflowObserver(Observer[MlflowSettings]):
         self.client.set_terminated(self.run_id, status)
 
     def _experiment(self, folder: Path) -> str:
-        """The experiment's number; the files of one that is kept in the run folder lie there too."""
+        """Return the experiment's id; artifacts of a local experiment go into `folder`."""
         known = self.client.get_experiment_by_name(self.settings.experiment)
         if known is not None:
             return str(known.experiment_id)

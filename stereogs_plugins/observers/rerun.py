@@ -14,23 +14,23 @@ _DC = 0.28209479177387814
 
 
 class RerunObserver(Observer[LoggerSettings]):
-    """An .rrd file for `rerun FILE`, one for each part of a run; needs the extra `rerun`."""
+    """An .rrd file for `rerun FILE`, one per part of a resumed run; requires the extra `rerun`."""
 
     rerun: Any = None
     stream: Any = None
 
     def started(self, run: RunStarted) -> None:
-        """Open a file; the viewer shows those of one run as one recording."""
+        """Open a file; the viewer merges the files of a run into one recording."""
         if run.folder is None:
             return
         self.rerun = optional_module("rerun", "pip install 'stereogs-plugins[rerun]'")
         self.stream = self.rerun.RecordingStream("stereogs", recording_id=run.identity)
         self.stream.save(str(run.folder / f"after-{run.iteration:07d}.rrd"))
         self.stream.send_recording_name(run.title)
-        self._draw(run.scene)
+        self._log_scene(run.scene)
 
     def iterated(self, done: IterationDone) -> None:
-        """Add a point to each curve; where a picture is due, the render and the Gaussians' centres."""
+        """Add a point to each curve; if a picture is due, log it and the Gaussians' centres."""
         if self.stream is None:
             return
         self._add(done.scalars(), done.iteration)
@@ -49,7 +49,7 @@ class RerunObserver(Observer[LoggerSettings]):
             self._add(scored.scalars(), scored.iteration)
 
     def ended(self, run: RunEnded) -> None:
-        """Write what is left, and the error if there was one."""
+        """Close the file; log the error of a failed run."""
         if self.stream is None:
             return
         if run.error is not None:
@@ -57,8 +57,8 @@ class RerunObserver(Observer[LoggerSettings]):
         self.stream.flush()
         self.stream.disconnect()
 
-    def _draw(self, scene: TrainingScene) -> None:
-        """What does not change: training cameras, their photographs, the scene's points."""
+    def _log_scene(self, scene: TrainingScene) -> None:
+        """Log the training cameras, their photographs and the scene's points, which are static."""
         rerun, log = self.rerun, self.stream.log
         log("world", rerun.ViewCoordinates.RIGHT_HAND_Y_DOWN, static=True)
         for view in scene.train:

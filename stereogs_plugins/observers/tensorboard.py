@@ -1,4 +1,4 @@
-"""`tensorboard`: losses, counts, scores and pictures as TensorBoard reads them."""
+"""`tensorboard`: losses, counts, scores and pictures as TensorBoard event files."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from registry.toolkit.drawing import LoggerSettings
 
 
 class TensorBoardObserver(Observer[LoggerSettings]):
-    """Event files for `tensorboard --logdir runs`; needs the extra `tensorboard`."""
+    """Event files for `tensorboard --logdir runs`; requires the extra `tensorboard`."""
 
     writer: Any = None
 
     def started(self, run: RunStarted) -> None:
-        """Open an event file; what an earlier part of the run wrote of iterations to come is dropped."""
+        """Open an event file; a resumed run drops earlier events of the iterations it repeats."""
         if run.folder is None:
             return
         module = optional_module(
@@ -28,10 +28,10 @@ class TensorBoardObserver(Observer[LoggerSettings]):
         if not run.resumed:
             for title, values in (("pipeline", run.pipeline), ("facts", run.facts)):
                 indented = json.dumps(values, indent=1).replace("\n", "\n    ")
-                self.writer.add_text(title, f"    {indented}", 0)  # Markdown's code block
+                self.writer.add_text(title, f"    {indented}", 0)  # a Markdown code block
 
     def iterated(self, done: IterationDone) -> None:
-        """Add a point to each curve."""
+        """Add a point to each curve, and a picture if one is due."""
         if self.writer is None:
             return
         for name, value in done.scalars().items():
@@ -48,7 +48,7 @@ class TensorBoardObserver(Observer[LoggerSettings]):
                 self.writer.add_scalar(name, value, scored.iteration)
 
     def ended(self, run: RunEnded) -> None:
-        """Write what is left, and the error if there was one."""
+        """Close the file; write the error of a failed run."""
         if self.writer is None:
             return
         if run.error is not None:

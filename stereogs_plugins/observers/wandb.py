@@ -1,4 +1,4 @@
-"""`wandb`: a run as Weights & Biases knows it, kept in the run folder until somebody syncs it."""
+"""`wandb`: a Weights & Biases run, stored in the run folder until it is synced."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from registry.toolkit.drawing import LoggerSettings
 
 class WandbSettings(LoggerSettings):
     project: str = "stereogs"
-    """The project that the run belongs to."""
+    """Name of the project."""
     mode: Literal["offline", "online"] = "offline"
-    """"offline" writes files alone, which `wandb sync` sends later; "online" sends at once."""
+    """"offline" only writes files, for `wandb sync`; "online" uploads at once."""
 
 
 class WandbObserver(Observer[WandbSettings]):
-    """A Weights & Biases run, offline unless told otherwise; needs the extra `wandb`."""
+    """A Weights & Biases run, offline by default; requires the extra `wandb`."""
 
     wandb: Any = None
     run: Any = None
 
     def started(self, run: RunStarted) -> None:
-        """Begin a run, or go on with the one of the same identity."""
+        """Start a run, or continue the one with the same identity."""
         if run.folder is None:
             return
         if self.settings.mode == "offline":
-            # Else it reports errors of its own to its makers, over the network.
+            # By default wandb sends its own error reports over the network.
             os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
         self.wandb = optional_module("wandb", "pip install 'stereogs-plugins[wandb]'")
         self.run = self.wandb.init(
@@ -44,7 +44,7 @@ class WandbObserver(Observer[WandbSettings]):
         )
 
     def iterated(self, done: IterationDone) -> None:
-        """Log the numbers, and a picture where one is due."""
+        """Log the values, and a picture if one is due."""
         if self.run is None:
             return
         values: dict[str, Any] = {**done.scalars()}
@@ -59,7 +59,7 @@ class WandbObserver(Observer[WandbSettings]):
             self.run.log(scored.scalars(), step=scored.iteration)
 
     def ended(self, run: RunEnded) -> None:
-        """Finish the run, as failed if it has."""
+        """Finish the run, with exit code 1 if it failed."""
         if self.run is None:
             return
         if run.error is not None:

@@ -1,6 +1,6 @@
-"""`constant_decay`: every Gaussian loses a fixed part of its opacity each time (Binocular3DGS, 2024).
+"""`constant_decay`: multiply all opacities by a constant factor (Binocular3DGS, 2024).
 
-Only what the photographs keep asking for stays opaque; floaters near the cameras fade and are pruned.
+Only Gaussians that the photometric loss supports stay opaque; floaters fade and are pruned.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hoo
 
 class ConstantDecaySettings(Settings):
     factor: float = Field(0.995, gt=0, le=1)
-    """What the opacities are multiplied by in each iteration that it is due."""
+    """Factor of the opacities in each iteration in which the policy is due."""
 
 
 class ConstantDecay(OpacityPolicy[ConstantDecaySettings]):
-    """alpha <- factor * alpha; the optimizer's moments stay as they are."""
+    """alpha <- factor * alpha; the optimizer's moments are kept."""
 
-    # 3DGS resets every 3,000 of 30,000 iterations, in their first half.
+    # 3DGS resets every 3,000 of 30,000 iterations, in the first half.
     ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
 
     def update(self, step: Step) -> OpacityUpdate:

@@ -1,8 +1,8 @@
-"""`expected_opacity`: at the end, opacities become what dropout left of them on average (Chen et al. 2025).
+"""`expected_opacity`: scale the final opacities to their mean under dropout (Chen et al. 2025).
 
-Dropout that does not raise the opacities of those that stay trains pictures in which a share p is
-missing. With all Gaussians in place, opacities times 1 - p show nearly the mean of many such pictures,
-at the cost of one. Give it `start: 100%`: earlier it would be a decay.
+Dropout without compensation trains renders in which a share p of the Gaussians is missing. A render with
+all Gaussians and opacities times 1 - p approximates the mean of many such renders. Set `start: 100%`:
+in earlier iterations it would act as a decay.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hoo
 
 class ExpectedOpacitySettings(Settings):
     rate: float = Field(ge=0, lt=1)
-    """The share p that training renders left out."""
+    """Dropout rate p of the training renders."""
 
 
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
-    """alpha <- (1 - p) alpha; no step of the optimizer moves it in that iteration."""
+    """alpha <- (1 - p) alpha; the optimizer skips opacities in that iteration."""
 
     def update(self, step: Step) -> OpacityUpdate:
-        """Return the opacities that are to be looked at."""
+        """Return the scaled opacities."""
         opacities = (1 - self.settings.rate) * step.model.opacities()
         return OpacityUpdate(opacities, reset_moments=True)
 

@@ -1,7 +1,7 @@
-"""`opacity_reset`: now and then all Gaussians become nearly transparent (3DGS, Kerbl et al. 2023).
+"""`opacity_reset`: periodically clamp all opacities to a small value (3DGS, Kerbl et al. 2023).
 
-Those that matter recover their opacity from the photographs; the others stay faint and are pruned.
-3DGS does it every 3,000 iterations, and before a white background once more when densification begins.
+Gaussians that the photographs support recover their opacity; the others stay faint and are pruned.
+3DGS resets every 3,000 iterations, and on a white background also when densification starts.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hoo
 
 class OpacityResetSettings(Settings):
     ceiling: float = Field(0.01, gt=0, lt=1)
-    """No opacity is higher than this after a reset."""
+    """Largest opacity after a reset."""
     recovery: int = Field(500, ge=0)
-    """Iterations that opacities need to grow back; with fewer left before the end nothing is reset."""
+    """Iterations that opacities need to recover; a reset with fewer iterations left is skipped."""
     only_on_white: bool = False
     """Reset only in scenes with a white background, as 3DGS does once, at iteration 500."""
 
 
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
-    """alpha <- min(alpha, ceiling); the optimizer forgets the opacities' moments."""
+    """alpha <- min(alpha, ceiling); the optimizer's moments of the opacities are reset."""
 
     def update(self, step: Step) -> OpacityUpdate | None:
-        """Return the lowered opacities, or None where nothing is to be reset."""
+        """Return the lowered opacities, or None if the reset is skipped."""
         if self.settings.only_on_white and min(step.scene.background) < 1:
             return None
         if step.iterations - step.iteration < self.settings.recovery:

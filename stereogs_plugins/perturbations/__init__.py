@@ -1,1 +1,1 @@
-"""Perturbations: what moves parameters after the optimizer's step."""
+"""Perturbations: change parameters after the optimizer's step."""

@@ -1,10 +1,9 @@
-"""`held_colors`: Gaussians that descend from guessed points keep the colours that they were guessed with.
+"""`held_colors`: freeze the colours of Gaussians that descend from guessed points.
 
-What lies behind the edge of something near is guessed by the initializer in the colour of what is seen
-beside it. In training it shines through what is before it, above all with dropout, and learns the colour of
-that: a blur of the foreground's colour stands beside it in the next camera. Where no photograph shows it (the
-kind `hidden` of `consistency_dense`), nothing true can be learned. Held, it leaves the foreground only one
-way to be right: to cover it.
+The initializer fills the surface hidden behind a foreground edge with the colour of its visible surroundings.
+In training, especially with dropout, these Gaussians show through the foreground and learn its colour, which
+appears as a blur next to the edge in novel views. No photograph shows them (kind `hidden` of
+`consistency_dense`), so nothing correct can be learned; frozen, they force the foreground to cover them.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ if TYPE_CHECKING:
 
 class HeldColorsSettings(Settings):
     kinds: tuple[str, ...] = Field(("hidden",), min_length=1)
-    """Of initial points (`PointCloud.kinds`). A kind that the initializer does not have holds nothing."""
+    """Kinds of initial points (`PointCloud.kinds`); kinds that the initializer lacks are ignored."""
 
 
 class HeldColors(Perturbation[HeldColorsSettings]):
-    """sh <- sh in the first iteration in which this is due, for the descendants of some kinds of points."""
+    """sh <- sh of the first iteration in which this is due, for descendants of some kinds of points."""
 
     _first: Tensor | None = None
-    """`[N, K, 3]`, of all Gaussians, so that it follows them as they are."""
+    """`[N, K, 3]`, of all Gaussians."""
 
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
-        """Return the offsets of the coefficients `[N, K, 3]`, 0 for all other Gaussians; at first, none."""
+        """Return the offsets of the coefficients `[N, K, 3]`, 0 for all other Gaussians."""
         import torch
 
         held = [step.kinds[kind] for kind in self.settings.kinds if kind in step.kinds]
@@ -46,7 +45,7 @@ class HeldColors(Perturbation[HeldColorsSettings]):
         return {"sh": torch.where(rows[:, None, None], self._first - now, 0)}
 
     def carry(self, source: Tensor, fresh: Tensor) -> None:
-        """A part of a Gaussian that was split keeps the colours of the whole."""
+        """Give the children of a split Gaussian its colours."""
         if self._first is not None:
             self._first = self._first[source]
 
@@ -55,7 +54,7 @@ class HeldColors(Perturbation[HeldColorsSettings]):
         return {} if self._first is None else {"first": self._first}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore what `state` returned."""
         self._first = state.get("first")
 
 

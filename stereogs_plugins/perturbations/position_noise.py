@@ -1,8 +1,8 @@
-"""`position_noise`: faint Gaussians wander, so that they find where they are needed (3DGS-MCMC).
+"""`position_noise`: add noise to the positions of faint Gaussians (3DGS-MCMC).
 
-Kheradmand et al. 2024: with the noise, training samples from a distribution (Langevin dynamics)
-instead of running down to the nearest minimum. The nearly opaque, which have found their place, stay.
-Their code's factor of 5e5 is meant for position rates in units of the scene's extent.
+Kheradmand et al. 2024: with noise, training samples from a distribution (Langevin dynamics) instead of
+descending to the nearest minimum. Nearly opaque Gaussians do not move. The factor 5e5 of the authors' code
+assumes learning rates of the positions relative to the scene's extent.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 class PositionNoiseSettings(Settings):
     factor: float = Field(5e5, ge=0, allow_inf_nan=False)
-    """Of the noise, beside the learning rate of the means."""
+    """Noise per learning rate of the means."""
     steepness: float = Field(100.0, ge=0, allow_inf_nan=False)
-    """How fast noise vanishes as the opacity rises above `opacity`."""
+    """How fast the noise decreases as the opacity rises above `opacity`."""
     opacity: float = Field(0.005, ge=0, le=1)
-    """The opacity at which noise has half its strength."""
+    """Opacity at which the noise has half its strength."""
 
 
 class PositionNoise(Perturbation[PositionNoiseSettings]):
@@ -37,15 +37,15 @@ class PositionNoise(Perturbation[PositionNoiseSettings]):
 
         settings, model = self.settings, step.model
         noise = torch.randn(model.count, 3, generator=self.generator)
-        restless = torch.sigmoid(-settings.steepness * (model.opacities() - settings.opacity))
-        strength = step.learning_rates["means"] * settings.factor * restless
+        faintness = torch.sigmoid(-settings.steepness * (model.opacities() - settings.opacity))
+        strength = step.learning_rates["means"] * settings.factor * faintness
         axes = rotations(model.read("quaternions"))
         along = torch.einsum("nji,nj->ni", axes, strength[:, None] * noise)
         return {"means": torch.einsum("nij,nj->ni", axes, model.scales().square() * along)}
 
 
 def rotations(quaternions: Tensor) -> Tensor:
-    """Rotation matrices `[N, 3, 3]` of quaternions (w, x, y, z) `[N, 4]` of any length."""
+    """Convert quaternions (w, x, y, z) `[N, 4]` of any length to rotation matrices `[N, 3, 3]`."""
     import torch
 
     w, x, y, z = torch.nn.functional.normalize(quaternions, dim=1).unbind(1)

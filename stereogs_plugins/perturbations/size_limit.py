@@ -1,9 +1,9 @@
-"""`size_limit`: no Gaussian grows to more than a small part of any training picture.
+"""`size_limit`: limit the size of Gaussians in all training images.
 
-Few photographs leave most of space unseen. With the high rates of a short training, Gaussians grow into it
-that no photograph contradicts, larger than the scene, and hang before the next camera as haze.
-3D Gaussian Splatting (Kerbl et al. 2023, the authors' code) removes what covers more than 20 pixels on the
-screen; here it only stops growing, since with few views nothing else may be there.
+With few photographs most of space is unobserved. At the high learning rates of a short training, Gaussians
+can grow there beyond the size of the scene, which novel views show as haze. 3D Gaussian Splatting (Kerbl
+et al. 2023, the authors' code) prunes Gaussians of more than 20 pixels; here only their size is limited,
+since with few views nothing else may cover the area.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 
 class SizeLimitSettings(Settings):
     angle: float = Field(0.1, gt=0, allow_inf_nan=False)
-    """The largest scale, over the distance to the nearest training camera; about radians."""
+    """Largest scale, relative to the distance to the nearest training camera; approximately radians."""
 
 
 class SizeLimit(Perturbation[SizeLimitSettings]):
     """scale <- min(scale, angle * distance to the nearest training camera), for each axis."""
 
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
-        """Return the offsets of the logarithms of the scales, `[N, 3]`, none above 0."""
+        """Return the offsets of the logarithms of the scales, `[N, 3]`, at most 0."""
         import torch
 
         means, log_scales = step.model.read("means"), step.model.read("log_scales")
         cameras = torch.stack([view.camera.center for view in step.scene.train]).to(means)
         distance = torch.cdist(means, cameras).amin(dim=1, keepdim=True)
-        limit = self.settings.angle * distance.clamp(min=1e-6 * step.extent)  # 0 has no logarithm
+        limit = self.settings.angle * distance.clamp(min=1e-6 * step.extent)  # avoids log(0)
         return {"log_scales": (limit.log() - log_scales).clamp(max=0)}
 
 

@@ -1,1 +1,1 @@
-"""Loss terms beside the photometric one."""
+"""Regularizers: loss terms added to the photometric loss."""

@@ -1,7 +1,7 @@
-"""`distant_l1`: the farthest pixels count more (D2GS, Song et al. 2025: distance-aware fidelity).
+"""`distant_l1`: additional L1 loss on the farthest pixels (D2GS, Song et al. 2025: distance-aware fidelity).
 
-A monocular depth prior says which pixels of a photograph are farthest; there, the difference of colours
-enters the loss once more. Their own masks come from a program that is not public.
+A monocular depth prior determines the farthest pixels of a photograph. The authors' masks come from an
+unpublished program.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 class DistantL1Settings(Settings):
     prior: str | None = None
-    """Which monocular depth prior to ask; null takes the pipeline's only one."""
+    """Name of the monocular depth prior; null uses the only one."""
     share: float = Field(0.1, gt=0, le=1)
-    """How many of a photograph's pixels are far, as a part of all."""
+    """Share of a photograph's pixels that count as far."""
 
 
 class DistantL1(Regularizer[DistantL1Settings]):
-    """mean over all pixels and channels of |render - target| where a pixel is far, 0 elsewhere.
+    """mean over all pixels and channels of |render - target| at far pixels, 0 elsewhere.
 
-    The render's colours are clamped to [0, 1], as in the authors' code.
+    The rendered colours are clamped to [0, 1], as in the authors' code.
     """
 
     def __init__(self, settings: DistantL1Settings, context: Context) -> None:
@@ -36,10 +36,10 @@ class DistantL1(Regularizer[DistantL1Settings]):
         self._far: dict[str, Tensor] = {}
 
     def loss(self, step: Step) -> Tensor:
-        """The term for this iteration's view.
+        """Return the loss for this iteration's view.
 
         Raises:
-            PluginError: no such prior.
+            PluginError: the prior is missing.
         """
         view = step.view
         if view.name not in self._far:
@@ -51,11 +51,11 @@ class DistantL1(Regularizer[DistantL1Settings]):
 
 
 def farthest(inverse: Tensor, share: float) -> Tensor:
-    """Which pixels are among the farthest, `[H, W]` bool; those as far as the last of them are too.
+    """Return the mask of the farthest pixels, `[H, W]` bool, including ties.
 
     Args:
         inverse: `[H, W]` inverse depth.
-        share: how many of the pixels.
+        share: share of the pixels.
     """
     count = max(1, round(share * inverse.numel()))
     return inverse <= inverse.flatten().kthvalue(count).values

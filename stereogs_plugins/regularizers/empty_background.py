@@ -1,9 +1,9 @@
-"""`empty_background`: nothing stands where a photograph shows its background.
+"""`empty_background`: penalize alpha where the photograph shows background.
 
-Before a plain backdrop a Gaussian of the backdrop's colour costs the photometric loss nothing, and hides the
-object from other views. Binocular3DGS (Han et al. 2024) takes the mean of alpha over all pixels, counted by
-1 - the photograph's alpha; CoR-GS (Zhang et al. 2024) and DNGaussian (Li et al. 2024) on DTU the mean of
-alpha^2 over the pixels of the backdrop alone.
+A Gaussian with the colour of a plain backdrop does not change the photometric loss, but occludes the object
+in other views. Binocular3DGS (Han et al. 2024) uses the mean of alpha over all pixels, weighted by 1 - the
+photograph's alpha; CoR-GS (Zhang et al. 2024) and DNGaussian (Li et al. 2024) on DTU use the mean of alpha^2
+over the background pixels.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ if TYPE_CHECKING:
 
 class EmptyBackgroundSettings(Settings):
     squared: bool = False
-    """The mean of alpha squared over the background instead of that of alpha over all pixels."""
+    """Use the mean of alpha squared over the background instead of the mean of alpha over all pixels."""
     dark: int | None = Field(None, ge=1, le=255)
-    """In photographs without an alpha channel, pixels whose brightest channel is below this (of 255), and
-    the 50 pixels to their left too, are background; published for DTU: 30, 15 for scan 110. null: no
-    pixels are."""
+    """In photographs without alpha, pixels are background if all channels are below this 8-bit value, there
+    and in the 50 pixels to their left; published for DTU: 30, 15 for scan 110. null: no background."""
 
 
 class EmptyBackground(Regularizer[EmptyBackgroundSettings]):
@@ -42,7 +41,7 @@ class EmptyBackground(Regularizer[EmptyBackgroundSettings]):
         self._known: dict[str, Tensor | None] = {}
 
     def loss(self, step: Step) -> Tensor:
-        """The term for this iteration's view; 0 where its photograph shows no background."""
+        """Return the loss for this iteration's view; 0 if its photograph has no background."""
         import torch
 
         view = step.view
@@ -54,12 +53,12 @@ class EmptyBackground(Regularizer[EmptyBackgroundSettings]):
         alpha = step.rendering.alpha
         share = at_size(background, *alpha.shape)
         if self.settings.squared:
-            # In a smaller render none of the background's few pixels may be left.
+            # A reduced render may contain no background pixel.
             return (alpha.square() * share).sum() / share.sum().clamp(min=1e-6)
         return (alpha * share).mean()
 
     def _background(self, view: TrainingView) -> Tensor | None:
-        """How much of each pixel is background, `[H, W]`, or None where there is none."""
+        """Return the background share of each pixel, `[H, W]`, or None without background."""
         if view.alpha is not None:
             share = 1 - view.alpha
         elif self.settings.dark is not None:

@@ -1,6 +1,6 @@
 """`gaussian_shape`: keep Gaussians round, small and opaque (DNGaussian, Li et al. 2024).
 
-Three losses on parameters alone, each with a weight of its own; the defaults are the authors' for LLFF.
+Three losses on the parameters, each with its own weight; the defaults are the authors' for LLFF.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 FAINT = 0.2
-"""Opacities up to here are averaged apart from those above; the term raises both."""
+"""Opacities up to this value are averaged separately from those above; the loss increases both."""
 
 
 class GaussianShapeSettings(Settings):
@@ -31,7 +31,7 @@ class GaussianShape(Regularizer[GaussianShapeSettings]):
     """elongation mean(max s / min s) + size mean (max s)^2 + opacity (1 - mean o^2 + mean (1 - o)^2)."""
 
     def loss(self, step: Step) -> Tensor:
-        """The weighted sum."""
+        """Return the weighted sum."""
         scales, opacities = step.parameter("scales"), step.parameter("opacities")
         largest, smallest = scales.amax(dim=1), scales.amin(dim=1)
         settings = self.settings
@@ -43,7 +43,7 @@ class GaussianShape(Regularizer[GaussianShapeSettings]):
 
 
 def _faintness(opacities: Tensor) -> Tensor:
-    """The opacity term; a side that has no Gaussian adds nothing to it."""
+    """Return the opacity loss; an empty side contributes 0."""
     opaque, faint = opacities[opacities > FAINT], opacities[opacities <= FAINT]
     term = opacities.new_zeros(())
     if len(opaque):

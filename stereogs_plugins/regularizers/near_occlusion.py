@@ -1,8 +1,7 @@
-"""`near_occlusion`: what floats right before the camera is penalized (FreeNeRF, Yang et al. 2023).
+"""`near_occlusion`: penalize Gaussians right in front of the camera (FreeNeRF, Yang et al. 2023).
 
-The paper averages the density of the first M samples of each ray. Of Gaussians, those up to the depth of
-sample M are rendered alone: nothing is in front of them, so that the alpha of this picture is what they
-take away from the photograph.
+The paper averages the density of the first M samples of each ray. Here only the Gaussians up to the depth of
+sample M are rendered; the alpha of this render is their contribution to the image.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ if TYPE_CHECKING:
 
 class NearOcclusionSettings(Settings):
     share: float = Field(20 / 128, gt=0, le=1)
-    """How far from near to far bound is too near: M of FreeNeRF's 128 samples, 20 on LLFF, 10 on DTU."""
+    """Penalized share of the range from near to far bound: M / 128 in FreeNeRF, M = 20 on LLFF, 10 on DTU."""
 
 
 class NearOcclusion(Regularizer[NearOcclusionSettings]):
-    """The mean alpha of the Gaussians with z < near + share (far - near), in the view at hand."""
+    """Mean alpha of the Gaussians with z < near + share (far - near), in the iteration's view."""
 
     def loss(self, step: Step) -> Tensor:
-        """The term; 0 while nothing is that near."""
+        """Return the loss; 0 if no Gaussian is in the range."""
         import torch
 
         near, far = step.scene.bounds

@@ -1,7 +1,7 @@
-"""`parameter_l1`: the mean opacity or scale, so that what no photograph needs fades or shrinks.
+"""`parameter_l1`: L1 penalty on opacities or scales, which fades or shrinks unsupported Gaussians.
 
-3DGS-MCMC (Kheradmand et al. 2024) has both, with a weight of 0.01 each; as opacities and
-scales are positive, the mean is an L1 norm.
+3DGS-MCMC (Kheradmand et al. 2024) uses both, each with weight 0.01. Opacities and scales are positive, so
+that the mean is an L1 norm.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 class ParameterL1Settings(Settings):
     parameter: Literal["opacities", "scales"]
-    """What is to be small: opacities, or scales in world units."""
+    """Penalized parameter: opacities, or scales in world units."""
 
 
 class ParameterL1(Regularizer[ParameterL1Settings]):
     """mean alpha over the Gaussians, or mean sigma over the Gaussians and their three axes."""
 
     def loss(self, step: Step) -> Tensor:
-        """The mean, in autograd."""
+        """Return the mean, in autograd."""
         return step.parameter(self.settings.parameter).mean()
 
 

@@ -1,8 +1,8 @@
-"""`pearson_depth`: rendered depth must rise and fall as a monocular prior says (FSGS, Zhu et al. 2024).
+"""`pearson_depth`: correlate rendered depth with a monocular depth prior (FSGS, Zhu et al. 2024).
 
-A network's depth of one image has no scale, shift or unit; Pearson's correlation asks for none. FSGS
-holds training views to it, and virtual views too: there the prior looks at the render itself, and where
-it is `differentiable` a gradient also flows through it to the colours.
+Monocular depth has no scale, shift or unit, and Pearson's correlation requires none. FSGS applies it to
+training views and to virtual views, where the prior runs on the render itself; a `differentiable` prior
+also passes gradients to the colours.
 """
 
 from __future__ import annotations
@@ -21,31 +21,30 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 CONSTANT = 1e-6
-"""Maps whose relative deviation from their mean is below this are constant but for rounding."""
+"""Maps with a smaller relative deviation from their mean count as constant."""
 
 
 class PearsonDepthSettings(Settings):
     prior: str | None = None
-    """Which monocular depth prior to ask; null takes the pipeline's only one."""
+    """Name of the monocular depth prior; null uses the only one."""
     views: Literal["training", "box", "between", "sphere"] = "training"
-    """The iteration's training view, or a virtual view drawn anew each time: in the box around the
-    training cameras (FSGS's code on LLFF), between two neighbours (its paper), or on a sphere."""
+    """The iteration's training view, or a random virtual view: in the box around the training cameras
+    (FSGS's code on LLFF), between two neighbours (its paper), or on a sphere."""
     offset: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """Correlate with 1 / (inverse depth + offset) too, and take what fits better; FSGS: 200 for training
-    views, in the units of DPT. null compares with minus the inverse depth alone."""
+    """Also correlate with 1 / (inverse depth + offset), and use the better fit; FSGS: 200 for training
+    views, in the units of DPT. null only correlates with minus the inverse depth."""
     ramp_start: int = Field(0, ge=0)
-    """The iteration after which the term's own factor grows from 0 ..."""
+    """Iteration after which the loss factor grows from 0 to 1."""
     ramp_length: int = Field(0, ge=0)
-    """... to 1, in so many iterations; 0 has it at 1 from the start."""
+    """Iterations until the factor is 1; 0: it is 1 from the start."""
 
 
 class PearsonDepth(Regularizer[PearsonDepthSettings]):
-    """1 - Pearson's correlation of rendered depth z and the prior's depth, of all pixels of a view.
+    """1 - Pearson's correlation of rendered depth z and the prior's depth, over the pixels of a view.
 
-    z is as blended, not divided by alpha. Where one of the two is constant the term is 0. Photographs with
-    an alpha show something before nothing, which has no depth: of them, only the pixels that are `solid`
-    count, and in virtual views those that the render covers wholly. Nothing would be rendered at depth 0, the
-    half-transparent rim too near, and the term would fill both with fog.
+    z is as blended, not divided by alpha. The loss is 0 if either map is constant. For photographs with alpha
+    only `solid` pixels are used, and in virtual views only opaque pixels of the render: empty pixels have
+    depth 0 and semi-transparent rims are too near, and the loss would fill both with fog.
     """
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
@@ -53,10 +52,10 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         self._known: dict[str, Tensor] = {}
 
     def loss(self, step: Step) -> Tensor:
-        """The term, in [0, 2] times the ramp.
+        """Return the loss, in [0, 2] times the ramp.
 
         Raises:
-            PluginError: no such prior; or inverse depth that `offset` does not make positive.
+            PluginError: the prior is missing; or inverse depth plus `offset` is not positive.
         """
         depth, inverse, shown = self._maps(step)
         if shown is not None:
@@ -67,7 +66,7 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         return self._ramp(step.iteration) * loss
 
     def _maps(self, step: Step) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Rendered depth and the prior's inverse depth, `[H, W]`; the pixels that count, None: all."""
+        """Return rendered depth and the prior's inverse depth, `[H, W]`, and a pixel mask or None."""
         prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
         kind = self.settings.views
         if kind != "training":
@@ -88,7 +87,7 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
 
 
 def reciprocal(inverse: Tensor, offset: float) -> Tensor:
-    """1 / (inverse depth + offset), `[H, W]`.
+    """Return 1 / (inverse depth + offset), `[H, W]`.
 
     Raises:
         PluginError: the sum is not positive everywhere.
@@ -96,15 +95,15 @@ def reciprocal(inverse: Tensor, offset: float) -> Tensor:
     lowest = float(inverse.detach().min())
     if not lowest + offset > 0:
         raise PluginError(
-            f"the prior's inverse depth goes down to {lowest:g}, and the offset of {offset:g} does not "
-            "make it positive",
+            f"the prior's inverse depth has the minimum {lowest:g}; plus the offset of {offset:g} it must "
+            "be positive",
             fix="use a larger offset, or null",
         )
     return 1 / (inverse + offset)
 
 
 def correlation(first: Tensor, second: Tensor) -> Tensor:
-    """Pearson's correlation of two maps of one shape; 1, without gradient, if one is constant."""
+    """Return Pearson's correlation of two maps of the same shape; 1 without gradient if one is constant."""
     parts = [(values - values.mean(), values.detach()) for values in (first, second)]
     lengths = [deviation.norm() for deviation, _ in parts]
     for length, (_, values) in zip(lengths, parts, strict=True):

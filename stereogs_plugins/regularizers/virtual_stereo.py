@@ -1,8 +1,8 @@
-"""`virtual_stereo`: what a camera beside the photograph's sees, moved back by the disparity, must be
-the photograph (Binocular3DGS, Han et al. 2024).
+"""`virtual_stereo`: a render from a shifted camera, warped back by the rendered disparity, must match the
+photograph (Binocular3DGS, Han et al. 2024).
 
-The rendered depth z says how far a pixel moves when the camera does: by -f t / z for a shift t along the
-camera's x axis. Gradients reach the Gaussians through both renders, the colours and the depth.
+For a shift t along the camera's x axis, a pixel with rendered depth z has the disparity -f t / z.
+Gradients reach the Gaussians through both renders: the colours and the depth.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 EDGE = 0.33
-"""How much an edge of the photograph frees the disparity (the authors' code)."""
+"""Decay of the smoothness with the photograph's gradient (the authors' code)."""
 
 
 class VirtualStereoSettings(Settings):
     max_shift: float = Field(0.4, gt=0, allow_inf_nan=False)
-    """World units; the shift is uniform between plus and minus this. The default is the authors', for
-    COLMAP's units, where near content then moves by 10 pixels at most."""
+    """World units; the shift is uniform in [-max_shift, max_shift]. The default is the authors', for
+    COLMAP's units, where near content then moves by at most 10 pixels."""
     smoothness: float = Field(0.05, ge=0, allow_inf_nan=False)
-    """Weight of the disparity's edge-aware smoothness beside the difference of colours."""
+    """Weight of the edge-aware smoothness of the disparity, relative to the colour difference."""
 
 
 class VirtualStereo(Regularizer[VirtualStereoSettings]):
-    """mean over all pixels of |warped - photograph|, where the warp has something, plus smoothness.
+    """mean |warped - photograph| over all pixels, 0 where the warp is undefined, plus smoothness.
 
-    The depth is z as blended, not divided by alpha. Where it is so small that the disparity would be
-    wider than the image, a pixel counts for nothing.
+    The depth is z as blended, not divided by alpha. Pixels whose disparity would exceed the image width
+    are ignored.
     """
 
     def loss(self, step: Step) -> Tensor:
-        """The term for this iteration's view."""
+        """Return the loss for this iteration's view."""
         import torch
 
         sample = step.sample
@@ -54,14 +54,14 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
 
 
 def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
-    """The image as the unshifted camera sees it.
+    """Warp the image of the shifted camera to the unshifted camera.
 
     Args:
         image: `[H, W, 3]` of the shifted camera.
-        disparity: `[H, W]` pixels: what pixel (u, v) of the unshifted camera shows is at (u + d, v).
+        disparity: `[H, W]` pixels: pixel (u, v) of the unshifted camera corresponds to (u + d, v).
 
     Returns:
-        `[H, W, 3]`, bilinear in columns and 0 outside the image; and `[H, W]` bool, where it is inside.
+        `[H, W, 3]`, bilinear in columns and 0 outside the image; and `[H, W]` bool, True inside the image.
     """
     import torch
 
@@ -78,7 +78,7 @@ def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def edge_aware_smoothness(disparity: Tensor, image: Tensor, seen: Tensor) -> Tensor:
-    """mean |d'| exp(-0.33 |I'|) over columns plus the same over rows, central differences of pixels.
+    """Return mean |d'| exp(-0.33 |I'|) over columns plus the same over rows, by central differences.
 
     Args:
         disparity: `[H, W]`.

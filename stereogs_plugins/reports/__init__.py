@@ -1,1 +1,1 @@
-"""Pages that show a finished run."""
+"""Reports: pages about a finished run."""

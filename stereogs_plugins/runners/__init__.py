@@ -1,1 +1,1 @@
-"""Where the runs of an ablation or a bench are trained."""
+"""Runners: train the runs of an ablation or a bench."""

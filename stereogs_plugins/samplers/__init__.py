@@ -1,1 +1,1 @@
-"""Samplers: what an iteration learns from."""
+"""Samplers: choose and change the view that an iteration trains on."""

@@ -1,11 +1,11 @@
-"""`camera_refinement`: training cameras move a little to where their photographs fit (BARF, Lin et al. 2021).
+"""`camera_refinement`: optimize small corrections of the training cameras (BARF, Lin et al. 2021).
 
-Cameras that were estimated from the photographs are off by a fraction of a pixel, and what should be sharp
-then becomes blurred or double. Each view's pose has a small rigid motion of its own, trained along with the
-Gaussians by the gradient of the rendered image. Their mean over the views is held at zero: a motion of all
-cameras is one of the scene, and would carry it away from the test views, which are never refined.
+Estimated cameras are off by a fraction of a pixel, which blurs or doubles details. Each training pose has
+a small rigid motion, trained together with the Gaussians by the gradient of the rendered image. The mean
+over the views stays zero: a common motion of all cameras would move the scene relative to the test views,
+which are never refined.
 
-Leave it out where poses are exact: it then learns noise.
+Do not use it with exact poses: it then fits noise.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ if TYPE_CHECKING:
 
 class CameraRefinementSettings(Settings):
     rotation_rate: float = Field(1e-4, ge=0, allow_inf_nan=False)
-    """Adam's step size of the rotations, radians: at a focal length of 400 pixels, 1e-4 is 0.04 pixels."""
+    """Adam's learning rate of the rotations, radians: at a focal length of 400 pixels 1e-4 is 0.04 pixels."""
     translation_rate: float = Field(1e-4, ge=0, allow_inf_nan=False)
-    """Adam's step size of the translations, in units of the scene's extent."""
+    """Adam's learning rate of the translations, in units of the scene's extent."""
 
 
 class CameraRefinement(Sampler[CameraRefinementSettings]):
     """world_to_camera <- exp([omega]x, v) world_to_camera, for each view's rotation omega and motion v."""
 
     def begin_training(self, scene: TrainingScene) -> None:
-        """Give every training view a motion, zero at first."""
+        """Give every training view a motion, initially zero."""
         self._extent = scene.extent
         self._rotations = ViewParameters(scene, (3,))
         self._translations = ViewParameters(scene, (3,))
 
     def parameters(self) -> Sequence[ParameterGroup]:
-        """The views' rotation vectors, radians, and motions, in units of the scene's extent."""
+        """Return the views' rotation vectors, radians, and translations, in units of the scene's extent."""
         return [
             self._rotations.group("rotations", self.settings.rotation_rate),
             self._translations.group("translations", self.settings.translation_rate),
@@ -59,7 +59,7 @@ class CameraRefinement(Sampler[CameraRefinementSettings]):
     def sample(self, step: Step, sample: Sample) -> Sample:
         """Return the sample with the view's camera moved, in autograd.
 
-        Logs how far: radians and world units.
+        Logs the size of the motion, radians and world units.
         """
         rotation = self._rotations.of(sample.view)
         translation = self._extent * self._translations.of(sample.view)
@@ -70,11 +70,11 @@ class CameraRefinement(Sampler[CameraRefinementSettings]):
 
 
 def rigid_motion(rotation: Tensor, translation: Tensor) -> Tensor:
-    """The exponential of a twist, `[4, 4]` float64, in autograd.
+    """Return the exponential of a twist, `[4, 4]` float64, in autograd.
 
     Args:
         rotation: omega `[3]`, float64: the axis times the angle in radians.
-        translation: v `[3]`, float64; the motion itself where there is no rotation.
+        translation: v `[3]`, float64; equals the translation if omega is 0.
     """
     import torch
 

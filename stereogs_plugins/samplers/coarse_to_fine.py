@@ -1,9 +1,9 @@
-"""`coarse_to_fine`: begin with blurred photographs and colours without direction (FreeNeRF on Gaussians).
+"""`coarse_to_fine`: start with blurred photographs and view-independent colours (FreeNeRF on Gaussians).
 
-FreeNeRF (Yang et al., CVPR 2023) unmasks the bands of a positional encoding linearly until a
-moment T, so that few views cannot be explained by detail before the coarse shape stands. Gaussians have
-no such encoding: here the photograph's blur shrinks to nothing and the spherical-harmonic bands grow to
-all, linearly until T.
+FreeNeRF (Yang et al., CVPR 2023) unmasks the frequency bands of the positional encoding linearly until
+iteration T, so that detail cannot explain the few views before the coarse shape is learned. Gaussians have
+no such encoding: here the photograph's blur shrinks to 0 and all spherical-harmonic bands are enabled,
+linearly until T.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SMALLEST_BLUR = 0.2
-"""Pixels; less changes no pixel by a grey level."""
+"""Pixels; a smaller blur changes no 8-bit value."""
 
 
 class CoarseToFineSettings(Settings):
     until: float = Field(0.9, gt=0, le=1)
     """T as a share of the run. FreeNeRF: 0.9, 0.7 and 0.5 with 3, 6 and 9 views."""
     blur: float = Field(4.0, ge=0, allow_inf_nan=False)
-    """Standard deviation of the photograph's blur at the start, pixels; 0 leaves it sharp."""
+    """Standard deviation of the photograph's blur at the start, pixels; 0 disables the blur."""
     bands: bool = True
-    """Let the SH bands in use grow, a fraction of a band at a time, in place of `training.sh_every`."""
+    """Increase the number of SH bands in use by fractions of a band, instead of `training.sh_every`."""
 
 
 class CoarseToFine(Sampler[CoarseToFineSettings]):
-    """sigma = (1 - t / T) blur, SH degree = min(1, t / T) times the model's; t counts iterations."""
+    """sigma = (1 - t / T) blur, SH degree = min(1, t / T) times the model's, in iteration t."""
 
     def sample(self, step: Step, sample: Sample) -> Sample:
-        """Return the sample as coarse as it is due."""
+        """Return the sample with the iteration's blur and SH degree."""
         progress = min(1.0, step.iteration / (self.settings.until * step.iterations))
         degree = progress * step.model.sh_degree if self.settings.bands else sample.sh_degree
         sigma = (1 - progress) * self.settings.blur
@@ -44,7 +44,7 @@ class CoarseToFine(Sampler[CoarseToFineSettings]):
 
 
 def _blurred(image: Tensor, sigma: float) -> Tensor:
-    """`[H, W, 3]` in [0, 1] through a Gaussian of `sigma` pixels; beyond the edge it is mirrored."""
+    """Blur an image `[H, W, 3]` in [0, 1] by a Gaussian of `sigma` pixels, mirrored at the border."""
     import torch
     from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
 

@@ -1,7 +1,7 @@
-"""`independent_views`: each iteration draws its training view anew (Binocular3DGS, Han et al. 2024).
+"""`independent_views`: draw the training view with replacement (Binocular3DGS, Han et al. 2024).
 
-The host goes through all views before one comes again, as 3DGS does. Put this sampler first: those after
-it change what it draws.
+By default all views are used before one repeats, as in 3DGS. Put this sampler before all others, which
+modify the view that it draws.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from registry import Register, Sample, Sampler, Settings, Step, hookimpl
 
 
 class IndependentViews(Sampler[Settings]):
-    """A training view drawn uniformly, whatever came before."""
+    """A training view drawn uniformly and independently in each iteration."""
 
     def sample(self, step: Step, sample: Sample) -> Sample:
         """Return the sample with another view, its camera and its image."""

@@ -1,6 +1,6 @@
-"""`random_background`: another colour behind each render (3DGS's `random_background`; CoR-GS).
+"""`random_background`: a random background colour in each iteration (3DGS's `random_background`; CoR-GS).
 
-Gaussians can then not stand in for the background, and the fields of CoR-GS learn from different noise.
+Gaussians then cannot imitate the background, and the fields of CoR-GS train with different noise.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from registry import Register, Sample, Sampler, Settings, Step, hookimpl
 
 class RandomBackgroundSettings(Settings):
     opaque: bool = True
-    """Whether photographs that are opaque get one too, so that Gaussians must cover all of them."""
+    """Use it for opaque photographs too, so that Gaussians must cover them completely."""
 
 
 class RandomBackground(Sampler[RandomBackgroundSettings]):
-    """A colour uniform in [0, 1]^3; photographs with an alpha are put on it too."""
+    """A colour uniform in [0, 1]^3; photographs with alpha are composited on it too."""
 
     def sample(self, step: Step, sample: Sample) -> Sample:
-        """Return the sample before a random background; as it is, if it is to have none."""
+        """Return the sample with a random background, or unchanged if the photograph is excluded."""
         import torch
         from torch.nn.functional import interpolate
 
@@ -28,12 +28,10 @@ class RandomBackground(Sampler[RandomBackgroundSettings]):
             return sample
         color = torch.rand(3, generator=self.generator)
         if alpha is not None:
-            if (
-                alpha.shape != target.shape[:2]
-            ):  # a sampler has shrunk the photograph, by means of its pixels
+            if alpha.shape != target.shape[:2]:  # another sampler has reduced the photograph
                 alpha = interpolate(alpha[None, None], size=target.shape[:2], mode="area")[0, 0]
-            behind = torch.tensor(sample.background)
-            target = (target + (1 - alpha)[..., None] * (color - behind)).clamp(0, 1)
+            change = color - torch.tensor(sample.background)
+            target = (target + (1 - alpha)[..., None] * change).clamp(0, 1)
         red, green, blue = color.tolist()
         return replace(sample, target=target, background=(red, green, blue))
 

@@ -1,8 +1,8 @@
-"""`resolution_schedule`: small photographs first, whole ones later (coarse to fine in pixels).
+"""`resolution_schedule`: train on reduced photographs first, on full resolution later.
 
-What an iteration costs follows the pixels. Early iterations move Gaussians by whole pixels and need no
-fine ones: the idea of DashGaussian (Chen et al., CVPR 2025), which ties the size to the frequencies in
-the photographs; here it is one size until the host's `stop`.
+The cost of an iteration is proportional to its pixels, and early iterations move Gaussians by whole pixels.
+DashGaussian (Chen et al., CVPR 2025) chooses the resolution from the frequencies in the photographs; here
+it is constant until the component's `stop`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 class ResolutionScheduleSettings(Settings):
     shrink: int = Field(2, ge=1)
-    """Width and height are divided by this, rounded up; 1 changes nothing."""
+    """Divisor of width and height, which are rounded up; 1 keeps the size."""
 
 
 class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
-    """The same view through a camera of fewer pixels; each is the mean of those that it covers.
+    """The same view with fewer pixels, each the mean of the pixels that it covers.
 
-    A term that compares with a map of the photograph takes its pixels at the render's size
-    (`registry.toolkit.networks.image_fitting.at_size`), as those of this package do.
+    A regularizer that uses a map of the photograph must resize it to the render's size
+    (`registry.toolkit.networks.image_fitting.at_size`).
     """
 
     def __init__(self, settings: ResolutionScheduleSettings, context: Context) -> None:
@@ -43,7 +43,7 @@ class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
             if sample.view.name not in self._known:
                 self._known[sample.view.name] = self._smaller(camera, target)
             camera, target = self._known[sample.view.name]
-        else:  # another sampler has changed it, and may change it anew each time
+        else:  # changed by another sampler, maybe differently in each iteration
             camera, target = self._smaller(camera, target)
         return replace(sample, camera=camera, target=target)
 

@@ -88,13 +88,15 @@ def test_scores_are_the_protocols(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(nerfbaselines.DatasetNotFoundError, match="holds no views"):
+    with pytest.raises(nerfbaselines.DatasetNotFoundError, match="does not contain views"):
         load_dataset(str(tmp_path), "train")
     monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     with pytest.raises(nerfbaselines.DatasetNotFoundError, match="no folder 'fern'"):
         prepared("llff-3", "fern", tmp_path / "made")
     (tmp_path / "llff_fern").mkdir()
-    with pytest.raises(nerfbaselines.DatasetNotFoundError, match="not laid out as llff or colmap"):
+    with pytest.raises(
+        nerfbaselines.DatasetNotFoundError, match="does not have the layout of llff or colmap"
+    ):
         prepared("llff-3", "fern", tmp_path / "made")
     monkeypatch.delenv("STEREOGS_DATA")
     with pytest.raises(nerfbaselines.DatasetNotFoundError, match="set STEREOGS_DATA"):

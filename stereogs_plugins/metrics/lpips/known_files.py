@@ -1,7 +1,7 @@
-"""The files that LPIPS takes from the folder of models where a pipeline names none: by name and hash.
+"""Default files of LPIPS in the folder STEREOGS_MODELS, by name and hash.
 
-The hashes are part of what the score means: wherever it is taken without a file of one's own, it is
-this network's. Where the files come from: docs/prior_models.md.
+The hashes define the score: without a custom file it is always computed with these networks.
+Origin of the files: docs/prior_models.md.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 FOLDER_VARIABLE = "STEREOGS_MODELS"
-"""Environment variable: the folder that is looked in."""
+"""Environment variable with the folder of the files."""
 
 NetworkName = Literal["vgg", "alex"]
 
 
 class Files(NamedTuple):
-    """A network up to its five layers, and the weights of their channels."""
+    """The feature network, and the weights of the channels of its five layers."""
 
     network: Path
     sha256: str
@@ -39,11 +39,11 @@ KNOWN: dict[NetworkName, Files] = {
         "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0",
     ),
 }
-"""Relative to the folder; the VGG file holds its weights as float16."""
+"""Paths relative to the folder; the VGG weights are float16."""
 
 
 def known_files(network: NetworkName) -> Files | None:
-    """A network's files in the folder of models, or None if one of them is not there."""
+    """Return a network's default files, or None if one is missing."""
     root = os.environ.get(FOLDER_VARIABLE)
     if not root:
         return None

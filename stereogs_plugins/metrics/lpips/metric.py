@@ -2,9 +2,9 @@
 
     d = sum over five layers of the mean over pixels of sum_c w_c (f_c / |f| - g_c / |g|)²
 
-with f and g the network's features of the two images. The network was made for colours in [-1, 1].
-Papers on sparse views feed colours in [0, 1] and report that: `lpips`. `lpips_proper` feeds 2 x - 1. The
-two numbers differ and cannot be compared, so they have different names.
+with f and g the network's features of the two images. The network was trained on colours in [-1, 1].
+Papers on sparse views use colours in [0, 1]: `lpips`. `lpips_proper` uses 2 x - 1. The two scores are not
+comparable.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 """ImageNet's mean and deviation for colours in [-1, 1], red, green and blue."""
 EPSILON = 1e-10
-"""Added to the length of a pixel's features, so that no features have no direction."""
+"""Added to the norm of a pixel's features, to avoid a division by 0."""
 
 Distance: TypeAlias = "Callable[[Tensor, Tensor], float]"
 
 
 class LPIPSSettings(ImageMetricSettings):
     network: NetworkName = "vgg"
-    """Which network the files hold; the published tables use VGG. Give a second one a `name`."""
+    """Network of the files; the published tables use VGG. Give a second network a `name`."""
     file: Path | None = None
-    """A local .onnx or TorchScript file: either the network up to its five layers, one image in and
-    five features out, or all of LPIPS, two images in and one number out. null: this project's files in
-    the folder STEREOGS_MODELS (docs/protocols.md); without them the score is not available."""
+    """A local .onnx or TorchScript file: either the feature network, from one image to five features, or
+    all of LPIPS, from two images to one number. null: the default files in the folder STEREOGS_MODELS
+    (docs/protocols.md); without them the score is not available."""
     sha256: Sha256 | None = None
     """The file's SHA-256, 64 hexadecimal digits."""
     heads: Path | None = None
-    """The weights of the five layers, .safetensors, .npz or .pth; null if `file` holds all of LPIPS."""
+    """The weights of the five layers, .safetensors, .npz or .pth; null if `file` is all of LPIPS."""
     heads_sha256: Sha256 | None = None
     """The SHA-256 of `heads`."""
 
@@ -56,14 +56,14 @@ class LPIPSSettings(ImageMetricSettings):
     def _named_by_hash(self) -> Self:
         for path, digest in (("file", "sha256"), ("heads", "heads_sha256")):
             if (getattr(self, path) is None) != (getattr(self, digest) is None):
-                raise ValueError(f"`{path}` and `{digest}` go together; `sha256sum` prints a hash")
+                raise ValueError(f"`{path}` and `{digest}` require each other; see `sha256sum`")
         if self.heads is not None and self.file is None:
             raise ValueError("`heads` without `file`: the network is missing")
         return self
 
 
 class LPIPS(Metric[LPIPSSettings]):
-    """On colours in [0, 1], as papers on sparse views measure it; with a mask, white outside it."""
+    """On colours in [0, 1], as in papers on sparse views; with a mask, white outside it."""
 
     higher_is_better = False
     average_error_role: ClassVar[AverageErrorRole | None] = "perceptual_distance"
@@ -76,7 +76,7 @@ class LPIPS(Metric[LPIPSSettings]):
         """Return the distance, 0 for equal images.
 
         Raises:
-            PluginError: the files have another hash or do not hold what the settings say.
+            PluginError: the files have another hash or do not match the settings.
         """
         from registry.toolkit.drawing import white_outside
 
@@ -101,7 +101,7 @@ class LPIPS(Metric[LPIPSSettings]):
             return self._known_distance()
         for path in (settings.file, settings.heads):
             if path is not None and not path.expanduser().is_file():
-                return Unavailable(f"there is no file {path}, and nothing is downloaded")
+                return Unavailable(f"the file {path} does not exist; files are not downloaded")
         network = read_network(settings.file.expanduser(), settings.sha256)
         if settings.heads is None or settings.heads_sha256 is None:
             return _WholeDistance(network, settings.file)
@@ -116,13 +116,13 @@ class LPIPS(Metric[LPIPSSettings]):
         if found is None:
             wanted = KNOWN[name]
             return Unavailable(
-                "no network is named: set `file`, `sha256` and, if need be, `heads`, or the variable "
+                "no network is set: set `file`, `sha256` and, for features, `heads`, or the variable "
                 f"{FOLDER_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
             )
         try:
             heads = read_heads(found.heads, found.heads_sha256, name)
             network = read_network(found.network, found.sha256)
-        except PluginError as error:  # nobody named these files: no run fails for them
+        except PluginError as error:  # default files must not fail a run
             return Unavailable(f"{error.where}: {error.what}")
         return _FeatureDistance(network, heads, found.network)
 
@@ -135,7 +135,7 @@ class ProperLPIPS(LPIPS):
 
 
 class _WholeDistance:
-    """LPIPS by a network that measures by itself."""
+    """LPIPS by a network that computes the distance."""
 
     def __init__(self, network: Network, file: Path) -> None:
         self._network, self._file = network, file
@@ -144,9 +144,9 @@ class _WholeDistance:
         outputs = self._network(first, second)
         if len(outputs) != 1 or outputs[0].numel() != 1:
             raise PluginError(
-                "the network does not answer two images with one number",
+                "the network does not return one number for two images",
                 where=str(self._file),
-                fix="set `heads` if it answers an image with features",
+                fix="set `heads` if it is a feature network",
             )
         return float(outputs[0])
 
@@ -177,13 +177,13 @@ class _FeatureDistance:
             raise PluginError(
                 f"the network's features have the shapes {shapes}",
                 where=str(self._file),
-                fix=f"it must give five, [1, C, h, w] with C = {', '.join(str(c) for _, c in wanted)}",
+                fix=f"it must return five, [1, C, h, w] with C = {', '.join(str(c) for _, c in wanted)}",
             )
         return [output[0].double() for output in outputs]
 
 
 def _directions(features: Tensor) -> Tensor:
-    """Each pixel's features `[C, h, w]` with length 1."""
+    """Normalize each pixel's features `[C, h, w]`."""
     return features / (features.square().sum(0).sqrt() + EPSILON)
 
 

@@ -1,4 +1,4 @@
-"""Rendered depth held to what is known of it: `depth_from_initializer`, `depth_ranking`, `patch_depth`."""
+"""Depth supervision of training views: `depth_from_initializer`, `depth_ranking`, `patch_depth`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""`depth_from_initializer`: rendered depth beside what the initializer knows (MVPGS, Xu et al. 2024).
+"""`depth_from_initializer`: supervise depth with the initializer's depth maps (MVPGS, Xu et al. 2024).
 
-The initializer must hand its depth maps on (`PointCloud.maps`).
+The initializer must provide its depth maps (`PointCloud.maps`).
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 class DepthFromInitializer(Regularizer[Settings]):
-    """mean |D - z| / z over the pixels whose depth z is known; D is depth as blended, as in the paper."""
+    """mean |D - z| / z over the pixels with a known depth z; D is depth as blended, as in the paper."""
 
     def loss(self, step: Step) -> Tensor:
-        """The term for the view at hand; 0 where nothing of it is known.
+        """Return the loss for the iteration's view; 0 if its depth is unknown.
 
         Raises:
-            PluginError: the initializer handed no depth maps on.
+            PluginError: the initializer provides no depth maps.
         """
         if not step.maps:
             raise PluginError(
-                "the initializer has handed no depth maps on",
+                "the initializer provides no depth maps",
                 fix="use one that does, for example consistency_dense with `hand_on_depth: true`",
             )
         known = step.maps.get(step.view.name)

@@ -1,8 +1,8 @@
-"""`depth_ranking`: of two pixels, the one that a prior takes to be nearer must be rendered nearer.
+"""`depth_ranking`: rendered depth must have the same order as a depth prior.
 
-SparseNeRF (Wang et al., ICCV 2023), on Gaussians: order survives the unknown scale of
-monocular depth. Pixels that the prior takes to be at one depth are to be rendered at one depth too.
-MVPGS (Xu et al. 2024) compares pairs from anywhere in the image, without margin or continuity.
+SparseNeRF (Wang et al., ICCV 2023), on Gaussians: the order of depths does not depend on the unknown scale of
+monocular depth. Neighbouring pixels with equal prior depth must also have equal rendered depth.
+MVPGS (Xu et al. 2024) compares pairs from the whole image, without margin or continuity.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 NEIGHBOUR_REACH = 3
-"""Pixels in rows and columns within which a pixel's partner at the same depth is looked for."""
+"""Largest distance of candidate neighbours in rows and columns, pixels."""
 CANDIDATES = 8
-"""Of the neighbours, drawn at random; the one that the prior takes to be most alike is compared."""
+"""Number of random neighbours; the one with the most similar prior depth is compared."""
 
 
 class DepthRankingSettings(Settings):
     prior: str | None = None
-    """Name of a monocular or multi-view depth prior; null takes the only one, monocular ones first."""
+    """Name of a monocular or multi-view depth prior; null uses the only one, monocular first."""
     pairs: int = Field(4096, ge=1)
-    """Drawn in each iteration. MVPGS: 512."""
+    """Number of pairs per iteration. MVPGS: 512."""
     reach: int | None = Field(32, ge=1)
-    """Largest distance of a pair in rows and in columns, pixels; null: anywhere in the image."""
+    """Largest distance of a pair in rows and in columns, pixels; null: unlimited."""
     margin: float = Field(1e-4, ge=0, allow_inf_nan=False)
-    """By how much a pair may disagree, in units of the geometric mean of the scene's near and far."""
+    """Margin of the hinge, in units of the geometric mean of the scene's near and far bounds."""
     continuity: float = Field(0.01, ge=0, allow_inf_nan=False)
-    """Weight of the part that keeps alike pixels together. SparseNeRF: 0.01 on LLFF, 1 on DTU."""
+    """Weight of the continuity loss between similar pixels. SparseNeRF: 0.01 on LLFF, 1 on DTU."""
 
 
 class DepthRanking(Regularizer[DepthRankingSettings]):
     """mean max(0, D_near - D_far + margin) + continuity times, for both pixels of the pair,
-    mean max(0, |D - D_neighbour| - margin); D is depth as blended over sqrt(near far). What is not `solid` in
-    a photograph with an alpha has no place in the order.
+    mean max(0, |D - D_neighbour| - margin); D is depth as blended over sqrt(near far). In photographs with
+    alpha only `solid` pixels are compared.
     """
 
     def __init__(self, settings: DepthRankingSettings, context: Context) -> None:
@@ -49,7 +49,7 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
         self._farness = Farness(settings.prior)
 
     def loss(self, step: Step) -> Tensor:
-        """The term for the view at hand; pairs whose order is unknown or equal count as 0."""
+        """Return the loss for the iteration's view; pairs of unknown or equal order count as 0."""
         settings = self.settings
         farness, known = self._farness.of(step)
         depth = step.rendering.depth / math.sqrt(math.prod(step.scene.bounds))
@@ -73,20 +73,19 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
 
         wide = (pixels[0].repeat(CANDIDATES), pixels[1].repeat(CANDIDATES))
         candidates = self._beside(wide, known, NEIGHBOUR_REACH)
-        unlike = (farness[wide] - farness[candidates]).abs()
-        # A pixel is no neighbour of itself.
+        difference = (farness[wide] - farness[candidates]).abs()
         itself = (wide[0] == candidates[0]) & (wide[1] == candidates[1])
         usable = known[wide] & known[candidates] & ~itself
-        unlike = torch.where(usable, unlike, torch.inf).reshape(CANDIDATES, -1)
-        least = unlike.min(dim=0)
-        alike = tuple(
+        difference = torch.where(usable, difference, torch.inf).reshape(CANDIDATES, -1)
+        least = difference.min(dim=0)
+        similar = tuple(
             index.reshape(CANDIDATES, -1).gather(0, least.indices[None])[0] for index in candidates
         )
-        apart = ((depth[pixels] - depth[alike]).abs() - self.settings.margin).clamp(min=0)
-        return (apart * least.values.isfinite()).mean()
+        gap = ((depth[pixels] - depth[similar]).abs() - self.settings.margin).clamp(min=0)
+        return (gap * least.values.isfinite()).mean()
 
     def _anywhere(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Rows and columns of random pixels."""
+        """Return rows and columns of random pixels."""
         import torch
 
         rows, columns = (
@@ -98,7 +97,7 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
     def _beside(
         self, pixels: tuple[Tensor, Tensor], like: Tensor, reach: int
     ) -> tuple[Tensor, Tensor]:
-        """Random pixels at most `reach` rows and columns away, within the image."""
+        """Return random pixels at most `reach` rows and columns away, within the image."""
         import torch
 
         rows, columns = (

@@ -1,8 +1,8 @@
-"""`patch_depth`: rendered and estimated depth agree, patch by normalized patch (DNGaussian, Li et al. 2024).
+"""`patch_depth`: compare rendered and prior depth in normalized patches (DNGaussian, Li et al. 2024).
 
-Monocular depth has no scale, and errs slowly across the image; within patches whose mean and spread are
-taken out its shape can be compared. The hard form renders with opaque Gaussians of fixed shape and moves
-only their centres, the soft form moves only opacities. Both are meant for `step: alone`.
+Monocular depth has no scale, and its error varies slowly across the image; patches normalized by mean and
+standard deviation can be compared. The hard form renders opaque Gaussians of fixed shape and moves only
+their centres; the soft form changes only opacities. Use both with `step: alone`.
 """
 
 from __future__ import annotations
@@ -15,38 +15,41 @@ from pydantic import Field
 from registry import Context, PluginError, Regularizer, Settings, Step
 
 from .estimate import Farness
-from .patches import Patches
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 HARD_OPACITY = 0.95
-"""Of every Gaussian in the hard form."""
+"""Opacity of every Gaussian in the hard form."""
+SHARE_OF_IMAGE = 0.01
+"""Share of the image's standard deviation added to that of a patch, to avoid amplifying flat patches."""
+SMALLEST = 1e-8
+"""Added to square roots, whose slope at 0 is infinite, and to divisors."""
 
 
 class PatchDepthSettings(Settings):
     form: Literal["hard", "soft"]
-    """Whether centres move, with opacities fixed at 0.95, or opacities."""
+    """hard: moves centres, with opacities fixed at 0.95; soft: changes opacities."""
     prior: str | None = None
-    """Name of a monocular or multi-view depth prior; null takes the only one, monocular ones first."""
+    """Name of a monocular or multi-view depth prior; null uses the only one, monocular first."""
     smallest: int = Field(5, ge=2)
     """Smallest side of the square patches, pixels. DNGaussian: 5 on LLFF and Blender, 17 on DTU."""
     largest: int = Field(17, ge=2)
-    """Largest; each iteration draws a side. DNGaussian: 17 on LLFF and Blender, 53 on DTU."""
+    """Largest side; each iteration draws one. DNGaussian: 17 on LLFF and Blender, 53 on DTU."""
     tolerance: float = Field(2.5e-4, ge=0, allow_inf_nan=False)
-    """Normalized depths may differ by so much for nothing. DNGaussian: 2.5e-4 on LLFF, 0.01 on DTU."""
+    """Differences of normalized depth up to this are ignored. DNGaussian: 2.5e-4 on LLFF, 0.01 on DTU."""
     local_weight: float = Field(0.1, ge=0, allow_inf_nan=False)
-    """Of patches in units of their own spread."""
+    """Weight of patches normalized by their own standard deviation."""
     global_weight: float = Field(1.0, ge=0, allow_inf_nan=False)
-    """Of patches in units of the whole image's spread."""
+    """Weight of patches normalized by the image's standard deviation."""
 
 
 class PatchDepth(Regularizer[PatchDepthSettings]):
-    """The mean squared difference of normalized depths over the pixels that differ by more than a tolerance.
+    """Mean squared difference of normalized depths over the pixels that differ by more than a tolerance.
 
     With the mean m and standard deviation s of a patch and S of the image, local normalization is
-    (x - m) / (s + 0.01 S), global (x - m) / S with no gradient through S. What is not `solid` in a
-    photograph with an alpha is in no patch.
+    (x - m) / (s + 0.01 S), global (x - m) / S without gradient through S. In photographs with alpha only
+    `solid` pixels are used.
 
     Raises:
         PluginError: the smallest side is larger than the largest.
@@ -57,17 +60,17 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
         if settings.smallest > settings.largest:
             raise PluginError(
                 f"the smallest patch, {settings.smallest}, is larger than the largest, {settings.largest}",
-                fix="exchange `smallest` and `largest`",
+                fix="swap `smallest` and `largest`",
             )
         self._farness = Farness(settings.prior)
 
     @property
     def moves(self) -> Collection[str]:
-        """The centres, or the opacities."""
+        """The parameters with a gradient: the centres, or the opacities."""
         return ("means",) if self.settings.form == "hard" else ("opacity_logits",)
 
     def loss(self, step: Step) -> Tensor:
-        """The term for the view at hand; 0 where no patch is known."""
+        """Return the loss for the iteration's view; 0 if no patch is known."""
         import torch
 
         settings = self.settings
@@ -94,3 +97,44 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
         scale = HARD_OPACITY / step.model.opacities()
         detach = ("log_scales", "quaternions", "opacity_logits")
         return step.render(camera, opacity_scale=scale, detach=detach).depth
+
+
+class Patches:
+    """Square, non-overlapping patches of a map, starting at its first row and column.
+
+    Args:
+        image: `[H, W]`.
+        known: `[H, W]` bool; other pixels are excluded from means and standard deviations.
+        side: pixels, at most H and W.
+
+    Attributes:
+        values, known: `[P, side * side]`; a patch with fewer than two known pixels is unknown.
+    """
+
+    def __init__(self, image: Tensor, known: Tensor, side: int) -> None:
+        self.values = _cut(image, side)
+        self.known = _cut(known, side)
+        self.known = self.known & (self.known.sum(dim=1, keepdim=True) >= 2)
+        self._spread = _spread(image[known][None], known[known][None])[0]
+
+    def normalized(self, form: Literal["local", "global"]) -> Tensor:
+        """Subtract each patch's mean; divide by its own or the image's deviation; 0 where unknown."""
+        count = self.known.sum(dim=1, keepdim=True).clamp(min=1)
+        mean = (self.values * self.known).sum(dim=1, keepdim=True) / count
+        centred = (self.values - mean) * self.known
+        if form == "global":
+            return centred / (self._spread.detach() + SMALLEST)
+        own = _spread(self.values, self.known)
+        return centred / (own + SHARE_OF_IMAGE * self._spread + SMALLEST)
+
+
+def _cut(image: Tensor, side: int) -> Tensor:
+    return image.unfold(0, side, side).unfold(1, side, side).reshape(-1, side * side)
+
+
+def _spread(values: Tensor, known: Tensor) -> Tensor:
+    """Return the standard deviation `[P, 1]` of the known values, with Bessel's correction."""
+    count = known.sum(dim=1, keepdim=True)
+    mean = (values * known).sum(dim=1, keepdim=True) / count.clamp(min=1)
+    squares = ((values - mean) * known).square().sum(dim=1, keepdim=True)
+    return (squares / (count - 1).clamp(min=1) + SMALLEST**2).sqrt()

@@ -1,4 +1,4 @@
-"""`stereo_depth`: depth from a photograph and a render of what a camera to its right would see (StereoGS)."""
+"""`stereo_depth`: depth by stereo matching of a photograph and a rendered right view (StereoGS)."""
 
 from .regularizer import StereoDepth, stereogs_register_regularizers
 

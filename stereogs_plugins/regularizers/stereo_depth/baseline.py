@@ -1,4 +1,4 @@
-"""How far to the right the virtual camera of a stereo pair stands."""
+"""Baseline of the virtual stereo pair."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from pydantic import Field, model_validator
 from registry import PluginError, Settings, Step, TrainingView
 
 SHARE_OF_WIDTH = 0.20
-"""Of the image width: the disparity of near content under the adaptive rule."""
+"""Disparity of near content under the adaptive rule, as a share of the image width."""
 LARGEST_SHARE = 0.35
-"""Of the image width: beyond this disparity too little of the two images overlaps."""
+"""Largest disparity of near content, as a share of the image width, for sufficient overlap."""
 MATCHER_MARGIN = 0.9
-"""Near content stays below this share of what the matcher can answer."""
+"""Largest disparity of near content, as a share of the matcher's largest disparity."""
 SMALLEST_MEDIAN = 4.0
-"""Pixels: below this, errors of a fraction of a pixel are large errors in depth."""
+"""Pixels: at smaller disparities, sub-pixel errors are large errors in depth."""
 _NEAR, _MIDDLE = 0.05, 0.5
 _SOLID = 0.5
-"""Alpha from which a rendered depth counts."""
+"""Minimum alpha of a valid rendered depth."""
 
 
 class BaselineSettings(Settings):
     """The distance between the two cameras of a pair."""
 
     mode: Literal["adaptive", "world", "extent"] = "adaptive"
-    """adaptive: so that near content has the disparity value * image width; world: value in world units;
+    """adaptive: near content has the disparity value * image width; world: value in world units;
     extent: value * the scene's extent."""
     value: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    """What `mode` says; null is 0.2 for adaptive, the others need a number. StereoGS: world, 4.0."""
+    """Value for `mode`; null means 0.2 for adaptive, other modes require a value. StereoGS: world, 4.0."""
 
     @model_validator(mode="after")
     def _has_a_value(self) -> Self:
@@ -41,29 +41,29 @@ class BaselineSettings(Settings):
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Of one training view: near (5th percentile) and middle (median) z-depth, world units."""
+    """Near (5th percentile) and middle (median) z-depth of a training view, world units."""
 
     view: TrainingView
     near: float
     middle: float
 
     def disparity(self, depth: float, baseline: float) -> float:
-        """In pixels, of content at `depth`."""
+        """Return the disparity of content at `depth`, pixels."""
         return self.view.camera.fx * baseline / depth
 
 
 def choose_baseline(settings: BaselineSettings, step: Step, max_disparity: float | None) -> float:
-    """The baseline in world units for the scene as the Gaussians show it now.
+    """Return the baseline in world units, from the current renders of the training views.
 
     Adaptive: d = value * W * z_near / f_x in every training view, where z_near is the 5th percentile
-    of its depth; lengthened until the median depth has 4 px of disparity, and then shortened until
-    near content stays within 0.35 W and 0.9 of the matcher's reach. The scene takes the views' median.
+    of its depth; increased until the median depth has 4 px of disparity, then decreased until near
+    content is within 0.35 W and 0.9 of the matcher's largest disparity. The result is the median over views.
 
     Args:
-        max_disparity: the matcher's reach in pixels, or None.
+        max_disparity: the matcher's largest disparity in pixels, or None.
 
     Raises:
-        PluginError: a baseline of the user's for which nothing could be matched in some view.
+        PluginError: the user's baseline is too long for some view.
     """
     ranges = [_depth_range(step, view) for view in step.scene.train]
     if settings.mode == "adaptive":
@@ -97,7 +97,7 @@ def _check_overlap(
     elif max_disparity is not None and middle > max_disparity:
         problem = (
             f"the median depth has a disparity of {middle:.0f} px, and the prior "
-            f"answers up to {max_disparity:g} px"
+            f"supports up to {max_disparity:g} px"
         )
         largest = baseline * MATCHER_MARGIN * max_disparity / middle
     else:
@@ -110,7 +110,7 @@ def _check_overlap(
 
 
 def _depth_range(step: Step, view: TrainingView) -> DepthRange:
-    """From a render of the view; from the scene's bounds if it shows nothing solid."""
+    """Return the range from a render of the view, or from the scene's bounds if no pixel is solid."""
     import numpy as np
 
     rendering = step.render(view.camera, gradient=False)

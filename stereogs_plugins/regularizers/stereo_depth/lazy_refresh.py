@@ -1,4 +1,4 @@
-"""Asks a stereo model again only when the picture that it would be shown has changed."""
+"""Reuse of stereo disparities until the right image has changed."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 REDUCTION = 4
-"""The picture is kept, and compared, as means of blocks of this many pixels squared."""
+"""Side of the blocks, in pixels, whose means are stored and compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
     picture: Tensor
-    """`[3, h, w]`, the right image when the model was asked, in blocks."""
+    """`[3, h, w]`, block means of the matched right image."""
     disparity: Tensor
-    """`[H, W]`, what came of it."""
+    """`[H, W]`, the resulting disparity."""
 
 
 class LazyRefresh:
-    """Per training view, the last disparity and the right image that it was found with.
+    """The last disparity of each training view and the right image that it was computed from.
 
     Args:
-        threshold: how much the right image may have changed since (mean absolute difference, colours
-            in [0, 1]) for the disparity to be used again; 0 never uses one again.
+        threshold: largest change of the right image (mean absolute difference, colours in [0, 1]) at which
+            a disparity is reused; 0 disables reuse.
 
     Attributes:
-        asked, reused: how often a new disparity was kept, and how often an old one was given.
+        asked, reused: number of new disparities, and of reused ones.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -42,7 +42,7 @@ class LazyRefresh:
         self.reused = 0
 
     def find(self, view: str, right: Tensor) -> Tensor | None:
-        """The view's disparity if its right image `[H, W, 3]` is still nearly the same."""
+        """Return the view's disparity if its right image `[H, W, 3]` has changed by at most the threshold."""
         answer = self._answers.get(view)
         if answer is None or self._threshold == 0:
             return None
@@ -52,12 +52,12 @@ class LazyRefresh:
         return answer.disparity
 
     def keep(self, view: str, right: Tensor, disparity: Tensor) -> None:
-        """Remember a new disparity in place of the old one."""
+        """Store a new disparity, replacing the old one."""
         self.asked += 1
         self._answers[view] = _Answer(_blocks(right), disparity)
 
     def state(self) -> dict[str, Tensor]:
-        """Everything, for a checkpoint."""
+        """Return the state for a checkpoint."""
         state = {"counts": torch.tensor([self.asked, self.reused])}
         for view, answer in self._answers.items():
             state[f"{view}/picture"] = answer.picture
@@ -65,7 +65,7 @@ class LazyRefresh:
         return state
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore what `state` returned."""
         self.asked, self.reused = state["counts"].tolist()
         views = [key.removesuffix("/picture") for key in state if key.endswith("/picture")]
         self._answers = {

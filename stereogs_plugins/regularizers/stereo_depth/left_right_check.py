@@ -1,4 +1,4 @@
-"""Which pixels of a stereo pair's left image have a disparity to trust: what the right one confirms."""
+"""Left-right consistency check of stereo disparities."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 def agreeing(left: Disparity, right: Disparity, tolerance: float) -> Tensor:
-    """Where both images' disparities tell the same, bool `[H, W]`; elsewhere something is occluded or wrong.
+    """Return where the disparities of both images agree, bool `[H, W]`; other pixels are occluded or wrong.
 
     |D_l(u, v) - D_r(u - D_l(u, v), v)| <= tolerance (StereoGS), with D_r bilinear in u. A pixel whose
-    partner lies outside the right image, or is not known there, does not agree.
+    match is outside the right image, or invalid there, does not agree.
 
     Args:
-        left, right: each on its own image's grid, `[H, W]`, both positive.
-        tolerance: in pixels.
+        left, right: positive disparities `[H, W]`, each on its own image's grid.
+        tolerance: pixels.
     """
     width = left.values.shape[1]
     partner = torch.arange(width, dtype=torch.float32) - left.values

@@ -1,8 +1,8 @@
-"""`stereo_depth`: depth from a photograph and a render of what a camera to its right would see (StereoGS).
+"""`stereo_depth`: depth by stereo matching of a photograph and a rendered right view (StereoGS).
 
-The pair of the training photograph and the virtual right view goes through a stereo model. Where its
-two disparities agree, f_x d / D_l is a depth, and the loss is the difference of inverse depths. No
-gradient flows into the right view or the model: only the depth rendered at the left moves.
+A stereo model matches the training photograph with a render from a virtual camera to its right. Where the
+left and right disparities agree, f_x d / D_l is a depth, and the loss is the difference of inverse depths.
+Gradients flow into the depth rendered at the left camera only, not into the right view or the model.
 """
 
 from __future__ import annotations
@@ -25,48 +25,47 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SMALLEST_DISPARITY = 0.1
-"""Pixels; below, depth explodes."""
+"""Pixels; at smaller disparities the depth diverges."""
 SMALLEST_ALPHA = 0.05
-"""Below, the Gaussians show too little to have a depth."""
+"""Pixels with a lower alpha have no valid depth."""
 SMALLEST_DEPTH = 1e-3
-"""In units of the scene's near bound; below, 1 / depth explodes."""
+"""In units of the scene's near bound; at smaller depths 1 / depth diverges."""
 
 
 class StereoDepthSettings(Settings):
     prior: str | None = None
-    """Name of the stereo prior; null takes the only one."""
+    """Name of the stereo prior; null uses the only one."""
     baseline: BaselineSettings = BaselineSettings()
-    """Distance between the two cameras; settled at the first call, and then fixed for the run."""
+    """Distance between the two cameras; computed at the first call, then constant."""
     tau: float = Field(2.0, ge=0, allow_inf_nan=False)
-    """Pixels by which the disparities of the two images may differ."""
+    """Largest difference between the disparities of the two images, pixels."""
     validity_mask: bool = True
-    """False trusts every pixel that has a disparity at all (the paper's ablation)."""
+    """If False, all pixels with a disparity are used (the paper's ablation)."""
     background: Literal["alpha", "intensity", "none"] = "alpha"
-    """Pixels to leave out: what is not `solid` in a photograph with an alpha (Blender); dark ones
-    with a dark run to their left (DTU); or none. Matched, a backdrop would be filled with fog."""
+    """Excluded pixels: those not `solid` in a photograph with alpha (Blender); dark ones with a dark
+    run to their left (DTU); or none. Depth of a backdrop would produce fog."""
     background_level: int = Field(30, ge=0, le=255)
     """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
     depth: Literal["accumulated", "expected"] = "accumulated"
-    """The rendered depth: as blended (the paper), or divided by alpha, so that opacities feel no pull."""
+    """Rendered depth: as blended (the paper), or divided by alpha, which has no gradient to opacities."""
     normalize: Literal["none", "zref", "disparity"] = "none"
     """Unit of the difference: 1 / world unit (the paper), relative to the median depth, or pixels."""
     reduction: Literal["mean_valid", "mean_all", "sum"] = "mean_valid"
-    """Over the trusted pixels: their mean, their sum over the number of all pixels, or their sum."""
+    """Reduction over the valid pixels: their mean, their sum over the number of all pixels, or their sum."""
     refresh_threshold: float = Field(0.01, ge=0, allow_inf_nan=False)
-    """Ask the prior again only when the right view has changed by more than this (mean absolute
-    difference of 4x4-pixel means, colours in [0, 1]) since it last answered; 0 always asks."""
+    """Run the prior again only if the right view has changed by more than this (mean absolute
+    difference of 4x4-pixel means, colours in [0, 1]) since the last call; 0 always runs it."""
 
 
 class StereoDepth(Regularizer[StereoDepthSettings]):
-    """mean |1 / Z - 1 / Z_stereo| over the pixels that a left-right check trusts.
+    """mean |1 / Z - 1 / Z_stereo| over the pixels that pass a left-right check.
 
-    The rendered depth is that of the training render, dropout included; the right view is rendered
-    without. Zero pixels to trust give a loss of 0.
+    The rendered depth is that of the training render, including dropout; the right view is rendered without
+    dropout. The loss is 0 if no pixel is valid.
 
-    Logs, each after the component's name: `_valid` (share of pixels in the loss), `_occluded` (share that
-    fails the check; when the prior is asked), `_seconds` (in the prior, in this iteration), `_baseline`
-    (world units), and counted since the start of the run `_inferences`, `_reused` and `_skipped` (calls
-    without a pixel to trust).
+    Logs, prefixed by the component's name: `_valid` (share of pixels in the loss), `_occluded` (share that
+    fails the check, if the prior runs), `_seconds` (in the prior, this iteration), `_baseline` (world units),
+    and as totals of the run `_inferences`, `_reused` and `_skipped` (calls without a valid pixel).
     """
 
     needs_priors = ("stereo_disparity",)
@@ -80,16 +79,16 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         self._skipped = 0
 
     def loss(self, step: Step) -> Tensor:
-        """The term for this iteration's view; 0 if no pixel can be trusted.
+        """Return the loss for this iteration's view; 0 if no pixel is valid.
 
         Raises:
-            PluginError: no such prior, or a baseline without overlap.
+            PluginError: the prior is missing, or the baseline is too long.
         """
         prior = StereoPrior.choose(step.priors, self.settings.prior)
         if self._baseline is None:
             self._baseline = choose_baseline(self.settings.baseline, step, prior.max_disparity)
         camera = step.view.camera.shifted_right(self._baseline)
-        # Before the background that the photograph has, whatever this iteration puts behind the Gaussians.
+        # Use the photograph's background, even if a sampler replaced it in this iteration.
         behind = step.scene.background
         right = step.render(camera, gradient=False, background=behind).rgb.clamp(0, 1)
         disparity = self._refresh.find(step.view.name, right)
@@ -109,7 +108,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         return loss
 
     def _trusted(self, step: Step, left: Disparity, right: Disparity) -> Tensor:
-        """The left disparity `[H, W]`, 0 where it is not to be trusted."""
+        """Return the left disparity `[H, W]`, 0 where it is invalid."""
         import torch
 
         from .left_right_check import agreeing
@@ -131,7 +130,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         return torch.zeros(view.image.shape[:2], dtype=torch.bool)
 
     def _difference(self, step: Step, disparity: Tensor, baseline: float) -> Tensor:
-        """The loss. Pixels are selected before anything is divided: 0 times infinity is not 0."""
+        """Return the loss. Pixels are selected before any division, since 0 * inf is NaN."""
         depth, alpha = step.rendering.depth, step.rendering.alpha
         disparity = at_size(disparity, *depth.shape)
         used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
@@ -153,11 +152,11 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         pixels = {"mean_valid": count, "mean_all": used.numel(), "sum": 1}
         return difference.sum() / pixels[self.settings.reduction]
 
-    def _log(self, step: Step, what: str, value: float) -> None:
-        step.log(f"{self.context.name}_{what}", value)
+    def _log(self, step: Step, name: str, value: float) -> None:
+        step.log(f"{self.context.name}_{name}", value)
 
     def state(self) -> dict[str, Tensor]:
-        """The baseline once it is settled, and what the prior answered last."""
+        """Return the baseline, if known, and the last disparities."""
         import torch
 
         state = {f"refresh/{key}": value for key, value in self._refresh.state().items()}
@@ -167,15 +166,12 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         return state
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Go on as the run that `state` came from would have."""
+        """Restore what `state` returned."""
         self._skipped = int(state["skipped"])
         self._baseline = float(state["baseline"]) if "baseline" in state else None
+        refresh = "refresh/"
         self._refresh.restore(
-            {
-                key.removeprefix("refresh/"): value
-                for key, value in state.items()
-                if key.startswith("refresh/")
-            }
+            {k.removeprefix(refresh): v for k, v in state.items() if k.startswith(refresh)}
         )
 
 

@@ -1,5 +1,4 @@
-"""What must look right where no photograph was taken: `field_agreement`, `depth_smoothness`,
-`forward_warping` and `cycle_filtered_warping`."""
+"""Losses on virtual views: agreement of fields, smooth depth, and two kinds of warping."""
 
 from __future__ import annotations
 

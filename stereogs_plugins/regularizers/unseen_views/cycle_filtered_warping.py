@@ -1,9 +1,9 @@
-"""`cycle_filtered_warping`: photographs, looked up by rendered depth, where that depth comes full circle.
+"""`cycle_filtered_warping`: compare virtual views with photographs where the depth is cycle consistent.
 
-The appearance loss of ICO-GS (2026, arXiv 2603.02893). A virtual camera near a training camera is
-rendered; each of its pixels is looked up in all photographs. It counts in those where the way there and
-back, by the depths that are rendered at both ends, returns to nearly the depth that it began with, and
-only if at least half of the photographs agree.
+The appearance loss of ICO-GS (2026, arXiv 2603.02893). A virtual view near a training camera is rendered,
+and its pixels are projected into all photographs by their depth. A photograph is used where projecting back
+by its own rendered depth returns nearly the original depth, and a pixel only if at least half of the
+photographs agree.
 """
 
 from __future__ import annotations
@@ -15,35 +15,33 @@ from pydantic import Field
 
 from registry import Regularizer, Settings, Step
 
-from .warp import look_up
-
 if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera, Rendering
 
 SMALLEST_ALPHA = 0.05
-"""Below, the Gaussians show too little to have a depth."""
+"""Pixels with a lower alpha have no valid depth."""
 
 
 class CycleFilteredWarpingSettings(Settings):
     radius: float = Field(0.1, gt=0)
-    """Radius of the sphere round a training camera on which virtual cameras stand, in units of the
-    scene's extent; they look its way. The paper's number is not known here."""
+    """Distance of virtual cameras from a training camera, whose direction they share, in units of the
+    scene's extent. The paper's value is unknown."""
     max_depth_error: float = Field(0.01, gt=0)
-    """Between a pixel's depth and that of its way back, as a part of the largest depth in the render."""
+    """Largest cycle error of a pixel's depth, relative to the largest depth in the render."""
     agreeing: float = Field(0.5, gt=0, le=1)
-    """Share of the training views that must be within it."""
+    """Minimum share of the training views within `max_depth_error`."""
 
 
 class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
-    """mean |render - photograph at the rendered depth| over the pixels and photographs that count.
+    """mean |render - photograph at the rendered depth| over the consistent pixels and photographs.
 
-    Gradients flow through the virtual view's colours and depth; the photographs' own depths only filter.
+    Gradients flow through the virtual view's colours and depth; the training views' depths only filter.
     """
 
     def loss(self, step: Step) -> Tensor:
-        """The term at a camera drawn for this iteration; 0 where no pixel counts."""
+        """Return the loss at a random camera; 0 if no pixel is consistent."""
         import torch
 
         camera = self._camera(step)
@@ -68,7 +66,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
         return together.mean() if len(together) else torch.zeros(())
 
     def _camera(self, step: Step) -> Camera:
-        """A random training camera, moved onto the sphere round it."""
+        """Return a random training camera, moved by `radius` in a random direction."""
         import torch
 
         views = step.scene.train
@@ -81,7 +79,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
     def _returns(
         self, step: Step, there: Camera, camera: Camera, points: Tensor, depth: Tensor
     ) -> Tensor:
-        """Which pixels of `camera` come back from another to nearly their own depth, bool `[H, W]`."""
+        """Return the pixels of `camera` that are cycle consistent with `there`, bool `[H, W]`."""
         u, v, z = there.project(points)
         known = _depth(step.render(there, gradient=False))
         met, inside = look_up(known[..., None], u, v)
@@ -91,5 +89,28 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
 
 
 def _depth(rendering: Rendering) -> Tensor:
-    """Depth over alpha `[H, W]`, world units; too small where alpha nearly vanishes."""
+    """Return depth over alpha `[H, W]`, world units; too small where alpha is nearly 0."""
     return rendering.depth / rendering.alpha.clamp(min=SMALLEST_ALPHA)
+
+
+def look_up(image: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Sample an image bilinearly at pixel positions, in autograd of all arguments.
+
+    Args:
+        image: `[H, W, C]`.
+        u, v: columns and rows `[...]`; the centre of the top-left pixel is (0.5, 0.5).
+
+    Returns:
+        `[..., C]`; and bool `[...]`, False outside the image, where the values are those of its border.
+    """
+    import torch
+    from torch.nn.functional import grid_sample
+
+    height, width = image.shape[:2]
+    with torch.no_grad():
+        inside = (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
+    grid = torch.stack([2 * u / width - 1, 2 * v / height - 1], dim=-1).reshape(1, 1, -1, 2)
+    values = grid_sample(
+        image.permute(2, 0, 1)[None], grid.to(image), padding_mode="border", align_corners=False
+    )
+    return values[0, :, 0].T.reshape(*u.shape, image.shape[2]), inside

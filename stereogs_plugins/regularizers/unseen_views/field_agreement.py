@@ -1,7 +1,7 @@
-"""`field_agreement`: fields must show the same from where no photograph was taken.
+"""`field_agreement`: renders of several fields must agree in virtual views.
 
-The co-regularization of CoR-GS (Zhang et al. 2024). Where two fields that learn the same photographs
-differ, at least one of them is wrong.
+The co-regularization of CoR-GS (Zhang et al. 2024). Where two fields trained on the same photographs differ,
+at least one of them is wrong.
 """
 
 from __future__ import annotations
@@ -20,23 +20,22 @@ if TYPE_CHECKING:
 
 class FieldAgreementSettings(Settings):
     views: VirtualViewKind = "box"
-    """Where the virtual camera of each iteration stands: in a box or on a sphere around the training
-    cameras, or between two neighbours."""
+    """Positions of the virtual cameras: in a box or on a sphere around the training cameras, or
+    between two neighbours."""
     ssim_weight: float = Field(0.2, ge=0, le=1)
-    """Share of D-SSIM beside L1."""
+    """Weight of D-SSIM; L1 has 1 minus this."""
 
 
 class FieldAgreement(Regularizer[FieldAgreementSettings]):
-    """(1 - ssim_weight) L1 + ssim_weight (1 - SSIM) to each other field's render, which feels nothing.
+    """(1 - ssim_weight) L1 + ssim_weight (1 - SSIM) to each other field's render, without gradient to it.
 
-    Each field draws cameras of its own; what the paper asks of both at one camera, it asks of each at
-    another.
+    Each field draws its own cameras; the paper uses the same camera for both.
     """
 
     needs_fields = 2
 
     def loss(self, step: Step) -> Tensor:
-        """The sum over the other fields (`training.fields`).
+        """Return the sum over the other fields (`training.fields`).
 
         Raises:
             PluginError: there is a single field.
@@ -46,9 +45,7 @@ class FieldAgreement(Regularizer[FieldAgreementSettings]):
         from core_rasterizer import photometric_loss
 
         if not step.others:
-            raise PluginError(
-                "there is no other field to agree with", fix="set `training.fields` to 2"
-            )
+            raise PluginError("agreement requires two fields", fix="set `training.fields` to 2")
         camera = virtual_views.draw(self.settings.views, step.scene, self.generator)
         rendered, device = step.render(camera).rgb, step.model.device
         terms = [

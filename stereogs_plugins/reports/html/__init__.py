@@ -1,4 +1,4 @@
-"""`html`: a run as one page, report.html: scores, pictures, how training went, and what was run."""
+"""`html`: a run as one page, report.html: the scene in 3D, scores, pictures and training curves."""
 
 from .report import HtmlReport, stereogs_register_reports
 

@@ -1,7 +1,7 @@
-"""`html`: a run as one page, report.html: the scene in 3D, scores, pictures, and how training went.
+"""`html`: a run as one page, report.html: the scene in 3D, scores, pictures and training curves.
 
-The page holds its pictures and, unless `beside` is set, its Gaussians and the viewer itself, so that it can
-be mailed or moved away from its run. It asks the network for nothing.
+The page embeds its pictures and, unless `beside` is set, the Gaussians and the viewer, so that it can be
+mailed or moved. It does not access the network.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ FILE = "report.html"
 
 class HtmlReportSettings(Settings):
     beside: bool = False
-    """Put the Gaussians and the viewer into files beside the page, not into it."""
+    """Write the Gaussians and the viewer to files next to the page instead of embedding them."""
     largest_mb: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 20.0
-    """Megabytes of Gaussians that the page may hold; without `beside`, a larger scene has no 3D view."""
+    """Largest embedded scene, megabytes; without `beside`, a larger scene has no 3D view."""
 
 
 class HtmlReport(Report[HtmlReportSettings]):
     """Writes report.html into the run folder."""
 
     def write(self, folder: Path, scene: Scene) -> list[Path]:
-        """Return report.html, and the files beside it if there are any.
+        """Write report.html and the files next to it, and return their paths.
 
         Raises:
             RunError: a file of the run is missing or damaged.
@@ -99,7 +99,7 @@ class HtmlReport(Report[HtmlReportSettings]):
 
 
 def _summary(run: RunFiles) -> str:
-    """How good it is, what it took, where and how; what is not known is left out."""
+    """Return a table of scores, cost, device and command; unknown values are omitted."""
     from .scores import score, with_unit
 
     results, origin = run.results, run.provenance
@@ -121,7 +121,7 @@ def _summary(run: RunFiles) -> str:
     facts = {
         "date": str(origin.get("started", "")).replace("T", " ").replace("+00:00", " UTC") or None,
         "device": origin.get("device", {}).get("name"),
-        "command": _typed(origin.get("command", [])) or None,
+        "command": _command(origin.get("command", [])) or None,
         "commit": f"{source['commit']}{changed}" if "commit" in source else None,
         "SHA-256 of the Gaussians": results.get("hash"),
     }
@@ -131,15 +131,15 @@ def _summary(run: RunFiles) -> str:
     )
 
 
-def _typed(command: list[str]) -> str:
-    """The command as it was typed: where the program lies is nobody's business."""
+def _command(command: list[str]) -> str:
+    """Return the command without the program's private path."""
     return shlex.join([PurePath(part).name if k == 0 else part for k, part in enumerate(command)])
 
 
 def _initialization(run: RunFiles) -> str:
-    """Points by kind, the initializer's pictures, and what else it reports."""
-    apart = (_BY_KIND, _COLUMNS, _BY_VIEW)
-    facts = {name: value for name, value in run.initialization.items() if name not in apart}
+    """Return points by kind, the initializer's pictures, and its other facts."""
+    separate = (_BY_KIND, _COLUMNS, _BY_VIEW)
+    facts = {name: value for name, value in run.initialization.items() if name not in separate}
     columns = headings(run.initialization.get(_COLUMNS, ()))
     paths = run.initial_pictures
     figures = in_parallel(lambda path: figure(path.stem, columns + image(path, path.stem)), paths)
@@ -154,7 +154,7 @@ def _initialization(run: RunFiles) -> str:
 
 
 _BY_KIND, _COLUMNS, _BY_VIEW = "points_by_kind", "picture_columns", "views"
-_COLORS = "Depths: what is near is yellow, what is far dark blue, what is not known black."
+_COLORS = "Depths: near is yellow, far is dark blue, unknown is black."
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:

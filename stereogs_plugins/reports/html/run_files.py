@@ -1,4 +1,4 @@
-"""What a run folder holds, for a report; files that a run did not write are simply absent."""
+"""Files of a run folder for a report; optional files may be missing."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CHECKPOINT = "checkpoint"
-"""The folder of a run's Gaussians; a folder of results alone has none."""
+"""Folder of a run's Gaussians; optional."""
 
 
 @dataclass(frozen=True)
 class RunFiles:
-    """One run.
+    """Contents of a run folder.
 
     Args:
         results: results.json.
         provenance: provenance.json.
         pipeline: pipeline.yaml as text.
         metrics: the lines of metrics.jsonl, in order.
-        initialization: what the initializer reported.
-        initial_pictures: its pictures, by name.
+        initialization: the initializer's facts.
+        initial_pictures: the initializer's pictures, sorted by name.
     """
 
     results: dict[str, Any]
@@ -39,7 +39,7 @@ class RunFiles:
 
     @property
     def training(self) -> dict[str, Any]:
-        """The pipeline's training settings; empty if it has none."""
+        """The pipeline's training settings, or an empty mapping."""
         import yaml
 
         content = yaml.safe_load(self.pipeline)
@@ -51,13 +51,13 @@ def read_run(folder: Path) -> RunFiles:
     """Read a run folder.
 
     Raises:
-        RunError: there are no results yet, they cannot be believed, or a file is not what it should be.
+        RunError: results.json is missing or inconsistent, or another file is damaged.
     """
     if not (folder / "results.json").is_file():
         raise RunError(
-            "the run has no results.json to report about",
+            "the run has no results.json",
             where=str(folder),
-            fix=f"let the training come to its end: stereogs resume {folder}",
+            fix=f"finish the training: stereogs resume {folder}",
         )
     pipeline, metrics = folder / "pipeline.yaml", folder / "metrics.jsonl"
     lines = metrics.read_text("utf-8").splitlines() if metrics.is_file() else []
@@ -79,7 +79,7 @@ def _object(text: str, where: str) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except ValueError as error:
-        raise RunError(f"this is not JSON: {error}", where=where) from error
+        raise RunError(f"not JSON: {error}", where=where) from error
     if not isinstance(content, dict):
-        raise RunError(f"a JSON object is expected, not {type(content).__name__}", where=where)
+        raise RunError(f"expected a JSON object, not {type(content).__name__}", where=where)
     return content

@@ -1,4 +1,4 @@
-"""The run's Gaussians in 3D: what the page holds, or has beside it, for the viewer."""
+"""The 3D view of the run's Gaussians, embedded in the page or in files next to it."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     from registry import Scene, View
 
 BESIDE = "report_files"
-"""The folder for what does not lie in the page."""
+"""Folder of the files next to the page."""
 _VIEWER_FILE, _DATA_FILE = "viewer.js", "scene.js"
 _VIEWER = files(__package__) / "viewer"
 _NEAR_ALL = 90.0
-"""Per cent of the Gaussians that lie within the viewer's unit cube, ten wide."""
+"""Per cent of the Gaussians within the viewer's cube of width 10, along each axis."""
 _RADIUS = 5.0
 _LICENSES = "Licences of the 3D viewer (Spark, three.js, fflate)"
 
 
 @dataclass(frozen=True)
 class SceneView:
-    """A part of the page.
+    """The 3D part of the page.
 
     Args:
         content: HTML.
-        files: that were written beside the page.
+        files: files written next to the page.
     """
 
     content: str
@@ -59,32 +59,32 @@ def scene_view(
     beside: bool,
     largest_mb: float,
 ) -> SceneView:
-    """A view that is turned with mouse, keys or fingers and starts at the first test view.
+    """Return an interactive 3D view that starts at the first test view.
 
     Args:
         gaussians: at least one.
         training: the pipeline's training settings: `dilation` and `compensate_dilation` are used.
-        folder: the run's, for files beside the page.
-        beside: put the viewer and the Gaussians into files beside the page, not into it.
-        largest_mb: of a page's Gaussians; larger ones are not held, and a note says so.
+        folder: the run folder, for files next to the page.
+        beside: write the viewer and the Gaussians to files next to the page instead of embedding them.
+        largest_mb: largest embedded scene; a larger one is replaced by a note.
     """
     center, factor = _frame(gaussians)
     packed = spz(_framed(gaussians, center, factor))
     megabytes = len(packed) / 1e6
     if not beside and megabytes > largest_mb:
         text = (
-            f"The Gaussians take {megabytes:.0f} MB, more than the {largest_mb:g} MB that this page "
-            f"may hold. `stereogs report {folder.name} --beside` puts them into files beside it."
+            f"The Gaussians take {megabytes:.0f} MB; at most {largest_mb:g} MB are embedded. "
+            f"`stereogs report {folder.name} --beside` writes them to files next to the page."
         )
         return SceneView(web_page.note(text))
     setup = _setup(scene, training, center, factor)
     written: tuple[Path, ...] = ()
     if beside:
         written = _write_beside(folder / BESIDE, packed)
-        held = "".join(f'<script src="{BESIDE}/{file.name}"></script>' for file in written)
+        data = "".join(f'<script src="{BESIDE}/{file.name}"></script>' for file in written)
     else:
-        held = _held("viewer-data", gzip.compress(_read("viewer.js").encode(), 4, mtime=0))
-        held += _held("scene-data", packed)
+        data = _embedded("viewer-data", gzip.compress(_read("viewer.js").encode(), 4, mtime=0))
+        data += _embedded("scene-data", packed)
     names = [f"{kind} {view.name}" for kind, view in _views(scene)]
     shape = f"{scene.train[0].camera.width} / {scene.train[0].camera.height}"
     return SceneView(
@@ -92,17 +92,17 @@ def scene_view(
         f'<div class="canvas" style="aspect-ratio:{shape};width:calc(80vh * {shape})">'
         "The 3D view needs JavaScript.</div>"
         f"<label>as seen by <select disabled>{''.join(map(_option, names))}</select></label> "
-        + web_page.note("Drag to turn, scroll or pinch to come nearer, two fingers to move.")
+        + web_page.note("Drag to rotate, scroll or pinch to zoom, drag with two fingers to pan.")
         + "</div>"
         + f'<script type="application/json" id="scene-setup">{_json(setup)}</script>'
-        + f"{held}<script>{_read('start.js')}</script>"
+        + f"{data}<script>{_read('start.js')}</script>"
         + web_page.folded(_LICENSES, web_page.verbatim(_read("LICENSES.txt"))),
         written,
     )
 
 
 def _frame(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
-    """Where the scene is put in the viewer: SPZ keeps sizes around 1 best, whatever the world's unit."""
+    """Return the scene's centre and scale factor for the viewer: SPZ is most precise at sizes near 1."""
     means = gaussians.means.double().numpy()
     center = np.median(means, axis=0)
     radius = float(np.percentile(np.abs(means - center), _NEAR_ALL))
@@ -122,7 +122,7 @@ def _framed(gaussians: Gaussians, center: NDArray[np.float64], factor: float) ->
 def _setup(
     scene: Scene, training: dict[str, Any], center: NDArray[np.float64], factor: float
 ) -> dict[str, Any]:
-    """What `showScene` in viewer/scene_view.js wants to know."""
+    """Return the argument `setup` of `showScene` in viewer/scene_view.js."""
     rotations = [view.camera.world_to_camera.numpy()[:3, :3] for view in scene.train]
     return {
         "up": [-float(value) for value in np.mean(rotations, axis=0)[1]],
@@ -140,7 +140,7 @@ def _views(scene: Scene) -> Sequence[tuple[str, View]]:
 
 def _pose(view: View, center: NDArray[np.float64], factor: float) -> dict[str, Any]:
     camera = view.camera
-    # OpenGL's cameras look along -z with y up, OpenCV's along z with y down.
+    # OpenGL cameras look along -z with y up, OpenCV cameras along z with y down.
     pose = camera.camera_to_world.numpy() @ np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = (pose[:3, 3] - center) * factor
     fov = math.degrees(2 * math.atan(camera.height / (2 * camera.fy)))
@@ -148,10 +148,10 @@ def _pose(view: View, center: NDArray[np.float64], factor: float) -> dict[str, A
 
 
 def remove_beside(folder: Path) -> None:
-    """Take away what an earlier report put beside its page, and nothing else.
+    """Remove the files that an earlier report wrote next to its page, and no others.
 
     Args:
-        folder: the run's.
+        folder: the run folder.
     """
     beside = folder / BESIDE
     for name in (_VIEWER_FILE, _DATA_FILE):
@@ -161,7 +161,7 @@ def remove_beside(folder: Path) -> None:
 
 
 def _write_beside(folder: Path, packed: bytes) -> tuple[Path, ...]:
-    """As scripts: a page from a disk may load nothing else."""
+    """Write scripts, the only files that a local page may load."""
     folder.mkdir(exist_ok=True)
     viewer, data = folder / _VIEWER_FILE, folder / _DATA_FILE
     write_text(viewer, _read("viewer.js"))
@@ -169,7 +169,7 @@ def _write_beside(folder: Path, packed: bytes) -> tuple[Path, ...]:
     return viewer, data
 
 
-def _held(name: str, data: bytes) -> str:
+def _embedded(name: str, data: bytes) -> str:
     return f'<script type="text/plain" id="{name}">{_base64(data)}</script>'
 
 

@@ -1,4 +1,4 @@
-"""Scores as a table, and as text."""
+"""Tables and formatting of scores."""
 
 from __future__ import annotations
 
@@ -10,18 +10,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _ABSENT, _INFINITE = "\u2013", "\u221e"
-
-
 _UNITS = {"psnr": "dB"}
 
 
 def with_unit(metric: str) -> str:
-    """The metric's name, and its unit if it has one."""
+    """Return the metric's name, with its unit if it has one."""
     return f"{metric}, {_UNITS[metric]}" if metric in _UNITS else metric
 
 
 def scores(results: Mapping[str, Any]) -> str:
-    """Each view of both splits, the means below them, and why a metric is missing."""
+    """Return a table of all views with the means, and the reasons for missing metrics."""
     missing: Mapping[str, str] = results.get("unavailable", {})
     metrics = list(dict.fromkeys([*results["test"], *results["train"]]))
     rows = []
@@ -37,7 +35,7 @@ def scores(results: Mapping[str, Any]) -> str:
 
 
 def score(row: Mapping[str, float | None], metric: str, missing: Mapping[str, str]) -> str:
-    """Four digits. JSON has no infinity: what is None although it was measured is infinite."""
+    """Format a score. JSON has no infinity: None for an available metric means infinite."""
     value = row.get(metric)
     if value is None:
         return _INFINITE if metric in row and metric not in missing else _ABSENT

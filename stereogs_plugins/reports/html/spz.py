@@ -1,6 +1,6 @@
-"""Gaussians as an SPZ file: 20 bytes each and one for each higher coefficient of colour, then gzip.
+"""SPZ encoding: 20 bytes per Gaussian plus one per SH coefficient above degree 0, compressed by gzip.
 
-The layout is that of version 2 of Niantic's format (github.com/nianticlabs/spz, README, "SPZ format").
+Version 2 of Niantic's format (github.com/nianticlabs/spz, README, "SPZ format").
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _GZIP_LEVEL = 4
 
 
 def spz(gaussians: Gaussians) -> bytes:
-    """The file's bytes; equal for equal Gaussians.
+    """Return the file's bytes; deterministic.
 
-    Positions keep 24 bits over the scene's largest coordinate, logarithms of scales 1/16 within
-    -10 .. 5.9 (what lies beyond is clamped), everything else 8 bits.
+    Positions have 24 bits relative to the scene's largest coordinate, log-scales steps of 1/16 clamped to
+    -10 .. 5.9, other parameters 8 bits.
 
     Args:
         gaussians: at least one, finite.
@@ -43,14 +43,14 @@ def spz(gaussians: Gaussians) -> bytes:
     colors, higher = gaussians.sh[:, 0].numpy(), gaussians.sh[:, 1:].numpy()
     quaternions = gaussians.quaternions.numpy()
     quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    # Only x, y and z are kept: w is the positive root of what they leave of 1.
-    turned = quaternions[:, 1:] * np.where(quaternions[:, :1] < 0, -1, 1)
+    # Only x, y and z are stored: w = sqrt(1 - x^2 - y^2 - z^2).
+    xyz = quaternions[:, 1:] * np.where(quaternions[:, :1] < 0, -1, 1)
     parts = (
         fixed.view(np.uint8).reshape(len(fixed), 3, 4)[:, :, :3],
         _byte(opacities * 255),
         _byte((colors * _COLOR_SCALE + 0.5) * 255),
         _byte((gaussians.log_scales.numpy() + _LOG_SCALE_OFFSET) * _LOG_SCALE_STEPS),
-        _byte(turned * 127.5 + 127.5),
+        _byte(xyz * 127.5 + 127.5),
         _byte(higher * _SH_STEPS + _SH_MIDDLE),
     )
     header = struct.pack("<IIIBBBB", _MAGIC, _VERSION, len(fixed), gaussians.sh_degree, bits, 0, 0)
@@ -59,7 +59,7 @@ def spz(gaussians: Gaussians) -> bytes:
 
 
 def _fractional_bits(largest: float) -> int:
-    """Bits behind the point of a signed 24-bit number that still holds `largest`."""
+    """Return the most fractional bits of a signed 24-bit number that can represent `largest`."""
     return max(0, min(_POSITION_BITS, _POSITION_BITS - 1 - math.frexp(largest)[1]))
 
 

@@ -1,4 +1,4 @@
-"""Which of the numbers in metrics.jsonl share a plot."""
+"""Plots of the values in metrics.jsonl."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _GROUPS = (
     ("Gaussians", re.compile(r"gaussians")),
     ("Loss terms of regularizers", re.compile(r"regularizers\.(.+)")),
     ("Gradient of opacities: quantiles, %", re.compile(r"opacity_gradient_q(\d+)")),
-    ("The same over its mean: quantiles, %", re.compile(r"opacity_beta_q(\d+)")),
+    ("Gradient of opacities over its mean: quantiles, %", re.compile(r"opacity_beta_q(\d+)")),
     ("Stereo: share of pixels", re.compile(r".+_(?:valid|occluded)")),
-    ("Stereo: calls so far", re.compile(r".+_(?:inferences|reused|skipped)")),
+    ("Stereo: number of calls", re.compile(r".+_(?:inferences|reused|skipped)")),
 )
-"""Title, and the names that it holds; a title with {} is one plot for each name."""
+"""Title of a plot, and its values by name; a title with {} makes one plot per name."""
 _NO_PLOT = ("iteration", "seconds")
 
 
 def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, Any]) -> str:
-    """Figures of everything that the lines of metrics.jsonl tell; unknown names get one each, folded.
+    """Plot all values of metrics.jsonl; unknown names get one folded plot each.
 
     Args:
-        metrics: the lines.
-        results: of the run; its test scores end the curves of test scores.
+        metrics: lines of metrics.jsonl.
+        results: results.json; its test scores are the last points of their curves.
     """
     end = {"iteration": results.get("iterations", 0), "test": results["test"]}
     lines = [*metrics, end] if metrics else []
@@ -44,11 +44,11 @@ def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, A
     axis = _axis(lines)
     known = [line_plot(title, own, axis) for (order, title), own in ordered if order < len(_GROUPS)]
     others = [line_plot(title, own, axis) for (order, title), own in ordered[len(known) :]]
-    return grid(known) + folded("what else was logged", grid(others))
+    return grid(known) + folded("other logged values", grid(others))
 
 
 def _axis(lines: Sequence[Mapping[str, Any]]) -> Axis:
-    """Iterations from 0 to the last, with the seconds of training that they took."""
+    """Return an axis from iteration 0 to the last, with the seconds of training."""
     seconds = {0: 0.0} | {
         line["iteration"]: line["seconds"] for line in lines if {"iteration", "seconds"} <= {*line}
     }
@@ -76,7 +76,7 @@ def _by_name(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Point]]:
 
 
 def _place(name: str) -> tuple[tuple[int, str], str]:
-    """The order and title of a name's plot, and the name's label in it."""
+    """Return the order and title of a name's plot, and the name's label in it."""
     for order, (title, pattern) in enumerate(_GROUPS):
         match = pattern.fullmatch(name)
         if match:

@@ -1,4 +1,4 @@
-"""Test views: the render wiped over the photograph, where it errs, and how far away it sees things."""
+"""Test views: a wipe between photograph and render, the error, and the rendered depth."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from registry import Scene, View
 
 MOST_VIEWS = 24
-"""More than these are shown in part: a page of hundreds of pictures cannot be mailed."""
+"""Limit of the views shown, for the size of the page."""
 RENDERS = "renders"
 _LARGEST_ERROR = 0.3
-"""The error of the scale's last colour: of colours between 0 and 1, averaged over the channels."""
+"""Error of the scale's last colour; colours are in [0, 1], errors averaged over the channels."""
 _LONGEST_SIDE = 1000
 
 
 def unseen_views(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
-    """A part for each test view that has a render, of which one is shown at a time."""
+    """Return a part per test view with a render, one shown at a time."""
     files = {view: ViewPictures.of(view.name, folder / RENDERS) for view in _some(scene.test)}
     shown = [view for view, its in files.items() if its.render.is_file() and its.depth.is_file()]
     made = in_parallel(lambda view: _part(view, files[view], results), shown)
     parts = {view.name: part for view, part in zip(shown, made, strict=True)}
-    text = f"{len(parts)} of {len(scene.test)} test views; the others lie in the folder {RENDERS}."
+    text = f"{len(parts)} of {len(scene.test)} test views; the others are in the folder {RENDERS}."
     remark = note(text) if 0 < len(parts) < len(scene.test) else ""
     return choice("view", parts) + remark
 
 
 def _some(views: tuple[View, ...]) -> list[View]:
-    """All, or as many as are shown, evenly spaced."""
+    """Return up to MOST_VIEWS views, evenly spaced."""
     count = min(len(views), MOST_VIEWS)
     return [views[index * len(views) // count] for index in range(count)]
 
@@ -65,7 +65,7 @@ def _error(view: View, files: ViewPictures) -> str:
     error = (rendered - view.image).abs().mean(dim=2)
     picture = image(_picture(ramp_picture(error / _LARGEST_ERROR)), "error", _LONGEST_SIDE)
     scale = color_scale(RAMP, ["0", f"{_LARGEST_ERROR / 2:g}", f"{_LARGEST_ERROR:g} and more"])
-    return figure("Error: mean difference of the colours, which go from 0 to 1", picture + scale)
+    return figure("Error: mean difference of colours in [0, 1]", picture + scale)
 
 
 def _depth(files: ViewPictures) -> str:
@@ -76,9 +76,7 @@ def _depth(files: ViewPictures) -> str:
         middle = 2 / (1 / near + 1 / far)  # colours are linear in inverse depth
         scale = color_scale(RAMP, [f"{far:.4g} and more", f"{middle:.4g}", f"{near:.4g}"])
     picture = image(files.depth, "depth", _LONGEST_SIDE)
-    return figure(
-        "Depth along the camera's axis, in world units; black: nothing there", picture + scale
-    )
+    return figure("Depth along the camera's axis, world units; black: empty", picture + scale)
 
 
 def _picture(values: Tensor) -> Image.Image:

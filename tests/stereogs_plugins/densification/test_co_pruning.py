@@ -9,8 +9,8 @@ from torch import Tensor
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry import OtherField, PluginError, Step
 from registry.testing import check
-from stereogs_plugins.densification.co_pruning import CoPruning, stereogs_register_densifications
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.densification.co_pruning import CoPruning
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 
 def at(positions: Tensor) -> Gaussians:
@@ -33,8 +33,7 @@ def step_beside(own: Tensor, *others: Tensor) -> Step:
     return replace(step, others=tuple(beside))
 
 
-def test_it_is_registered_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_densifications) == {"co_pruning": CoPruning}
+def test_it_keeps_the_contract() -> None:
     check(CoPruning, distance=0.1)
 
 
@@ -67,7 +66,7 @@ def test_the_order_in_which_two_fields_are_pruned_changes_nothing() -> None:
 
 def test_a_single_field_and_fields_without_anything_in_common_are_refused() -> None:
     policy = build(CoPruning, distance=0.5)
-    with pytest.raises(PluginError, match="no other field"):
+    with pytest.raises(PluginError, match="two fields"):
         policy.refine(step_with(some_gaussians([0.1], [0.5])))
     with pytest.raises(PluginError, match=r"counterpart within 0\.5"):
         policy.refine(step_beside(torch.zeros(3, 3), torch.full((3, 3), 9.0)))

@@ -4,15 +4,11 @@ import torch
 
 from core_rasterizer import Adam, apply_edit
 from registry.testing import check
-from stereogs_plugins.densification.faint_growth import (
-    FaintGrowth,
-    stereogs_register_densifications,
-)
-from tests.stereogs_plugins.building import build, moment_with, offered, some_gaussians, step_with
+from stereogs_plugins.densification.faint_growth import FaintGrowth
+from tests.stereogs_plugins.building import build, moment_with, some_gaussians, step_with
 
 
-def test_is_offered_as_faint_growth_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_densifications) == {"faint_growth": FaintGrowth}
+def test_it_keeps_the_contract() -> None:
     check(FaintGrowth, share=0.5)
 
 

@@ -6,12 +6,8 @@ import torch
 from core_rasterizer import Adam, GaussianModel, Gaussians, apply_edit, open_device
 from registry import Step
 from registry.testing import check, step_of, tiny_scene
-from stereogs_plugins.densification.proximity_unpooling import (
-    ProximityUnpooling,
-    proximity,
-    stereogs_register_densifications,
-)
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.densification.proximity_unpooling import ProximityUnpooling, proximity
+from tests.stereogs_plugins.building import build
 
 CROSS = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4], [20, 0, 0]])
 
@@ -25,9 +21,7 @@ def moment(sizes: list[float]) -> tuple[Step, GaussianModel]:
     return step_of(model, tiny_scene(), extent=1.0), model
 
 
-def test_is_offered_as_proximity_unpooling_and_keeps_the_contract() -> None:
-    expected = {"proximity_unpooling": ProximityUnpooling}
-    assert offered(stereogs_register_densifications) == expected
+def test_it_keeps_the_contract() -> None:
     check(ProximityUnpooling)
     check(ProximityUnpooling, size=0.02, distance=0.06, split_distance=0.1)
 

@@ -5,15 +5,11 @@ import torch
 
 from core_rasterizer import Adam, apply_edit
 from registry.testing import check
-from stereogs_plugins.densification.relocation import (
-    DeadRelocation,
-    stereogs_register_densifications,
-)
-from tests.stereogs_plugins.building import build, moment_with, offered, some_gaussians, step_with
+from stereogs_plugins.densification.relocation import DeadRelocation
+from tests.stereogs_plugins.building import build, moment_with, some_gaussians, step_with
 
 
-def test_is_offered_as_relocation_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_densifications) == {"relocation": DeadRelocation}
+def test_it_keeps_the_contract() -> None:
     check(DeadRelocation)
     check(DeadRelocation, dead_opacity=0.5)
 

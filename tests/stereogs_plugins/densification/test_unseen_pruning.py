@@ -4,15 +4,11 @@ import pytest
 
 from registry import PluginError
 from registry.testing import check
-from stereogs_plugins.densification.unseen_pruning import (
-    UnseenPruning,
-    stereogs_register_densifications,
-)
-from tests.stereogs_plugins.building import at_depths, build, offered, step_with
+from stereogs_plugins.densification.unseen_pruning import UnseenPruning
+from tests.stereogs_plugins.building import at_depths, build, step_with
 
 
-def test_it_is_registered_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_densifications) == {"unseen_pruning": UnseenPruning}
+def test_it_keeps_the_contract() -> None:
     check(UnseenPruning)
 
 

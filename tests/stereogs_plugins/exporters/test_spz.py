@@ -12,8 +12,8 @@ import torch
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry import PluginError
 from registry.testing import check
-from stereogs_plugins.exporters.spz import SpzExporter, half_turned, stereogs_register_exporters
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.exporters.spz import SpzExporter, half_turned
+from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.exporters.looking import SCENE, colorful, likeness
 
 HALF_TURN = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
@@ -55,10 +55,6 @@ def smallest_three(packed: np.ndarray[tuple[int], np.dtype[np.uint32]]) -> torch
                 word >>= 10
         result[row, largest] = max(0.0, 1 - float((result[row] ** 2).sum())) ** 0.5
     return torch.from_numpy(result[:, [3, 0, 1, 2]]).float()
-
-
-def test_is_offered_as_spz() -> None:
-    assert offered(stereogs_register_exporters) == {"spz": SpzExporter}
 
 
 def test_half_a_turn_of_the_scene_and_of_the_camera_cancel_out() -> None:

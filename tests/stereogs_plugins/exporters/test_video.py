@@ -10,13 +10,9 @@ from PIL import Image
 from core_rasterizer import GaussianModel, open_device
 from registry.testing import check
 from registry.toolkit.drawing import smooth_path
-from stereogs_plugins.exporters.video import VideoExporter, stereogs_register_exporters
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.exporters.video import VideoExporter
+from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.exporters.looking import SCENE, colorful
-
-
-def test_is_offered_as_video() -> None:
-    assert offered(stereogs_register_exporters) == {"video": VideoExporter}
 
 
 def test_keeps_the_contract() -> None:

@@ -76,7 +76,7 @@ def test_only_pixels_inside_the_mask_count() -> None:
     assert metric.measure_view(rendered(depth), view(mask=mask), scene()) == pytest.approx(0.5)
     empty = torch.zeros_like(mask)
     answer = metric.measure_view(rendered(depth), view(mask=empty), scene())
-    assert answer == Unavailable("no true depth falls into the view")
+    assert answer == Unavailable("the view has no pixel with true depth")
 
 
 @pytest.mark.parametrize("metric", [DepthError, DepthWithin])

@@ -29,22 +29,10 @@ from tests.stereogs_plugins.metrics.lpips_network import (
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 
 
-def save_npz(path: Path, tensors: dict[str, Tensor]) -> None:
-    np.savez(path, **{name: tensor.numpy() for name, tensor in tensors.items()})
-
-
-def save_pth(path: Path, tensors: dict[str, Tensor]) -> None:
-    torch.save(tensors, path)
-
-
-def save_safetensors(path: Path, tensors: dict[str, Tensor]) -> None:
-    save_file(tensors, path)
-
-
-SAVERS: dict[str, Callable[[Path, dict[str, Tensor]], None]] = {
-    ".npz": save_npz,
-    ".pth": save_pth,
-    ".safetensors": save_safetensors,
+SAVERS: dict[str, Callable[[Path, dict[str, Tensor]], object]] = {
+    ".npz": lambda path, tensors: np.savez(path, **{k: v.numpy() for k, v in tensors.items()}),
+    ".pth": lambda path, tensors: torch.save(tensors, path),
+    ".safetensors": lambda path, tensors: save_file(tensors, path),
 }
 
 
@@ -168,7 +156,7 @@ def test_without_a_file_it_says_so(
     monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     answer = build(LPIPS).measure(*images(), None)
     assert isinstance(answer, Unavailable)
-    assert "no network is named" in answer.reason
+    assert "no network is set" in answer.reason
     chosen = settings(network, save_heads(tmp_path / "heads.npz"))
     for missing in ("file", "heads"):
         metric = build(LPIPS, **{**chosen, missing: tmp_path / "gone"})
@@ -180,9 +168,9 @@ def test_without_a_file_it_says_so(
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"file": Path("a.onnx")}, "`file` and `sha256` go together"),
-        ({"sha256": "0" * 64}, "`file` and `sha256` go together"),
-        ({"heads": Path("a.npz")}, "`heads` and `heads_sha256` go together"),
+        ({"file": Path("a.onnx")}, "`file` and `sha256` require each other"),
+        ({"sha256": "0" * 64}, "`file` and `sha256` require each other"),
+        ({"heads": Path("a.npz")}, "`heads` and `heads_sha256` require each other"),
         ({"heads": Path("a.npz"), "heads_sha256": "0" * 64}, "the network is missing"),
         ({"file": Path("a.onnx"), "sha256": "0" * 63}, "pattern"),
         ({"network": "squeeze"}, "'vgg' or 'alex'"),
@@ -219,7 +207,7 @@ def test_files_that_hold_something_else(network: Path, tmp_path: Path) -> None:
     good = save_heads(tmp_path / "heads.npz")
     junk = tmp_path / "junk.pt"
     junk.write_bytes(b"PK\x03\x04 no archive")
-    assert "no TorchScript module" in refusal(settings(junk, good))
+    assert "not a TorchScript module" in refusal(settings(junk, good))
     for ending in SAVERS:
         broken = tmp_path / f"broken{ending}"
         broken.write_bytes(b"no weights")

@@ -6,16 +6,11 @@ import pytest
 import torch
 
 from registry.testing import check
-from stereogs_plugins.modifiers.depth_density_dropout import (
-    DepthDensityDropout,
-    density,
-    stereogs_register_modifiers,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.modifiers.depth_density_dropout import DepthDensityDropout, density
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 
-def test_is_offered_as_depth_density_dropout_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_modifiers) == {"depth_density_dropout": DepthDensityDropout}
+def test_it_keeps_the_contract() -> None:
     check(DepthDensityDropout, last_rate=0.9)
 
 

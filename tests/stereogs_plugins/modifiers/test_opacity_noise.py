@@ -4,14 +4,13 @@ import pytest
 import torch
 
 from registry.testing import check
-from stereogs_plugins.modifiers.opacity_noise import OpacityNoise, stereogs_register_modifiers
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.modifiers.opacity_noise import OpacityNoise
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 COUNT = 20_000
 
 
-def test_is_offered_as_opacity_noise_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_modifiers) == {"opacity_noise": OpacityNoise}
+def test_it_keeps_the_contract() -> None:
     check(OpacityNoise)
 
 

@@ -5,15 +5,11 @@ import torch
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry.testing import check, step_of, tiny_scene
 from stereogs_plugins.modifiers.dropout import Dropout
-from stereogs_plugins.opacity.expected_opacity import (
-    ExpectedOpacity,
-    stereogs_register_opacity_policies,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.opacity.expected_opacity import ExpectedOpacity
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 
-def test_is_offered_as_expected_opacity_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_opacity_policies) == {"expected_opacity": ExpectedOpacity}
+def test_it_keeps_the_contract() -> None:
     check(ExpectedOpacity, rate=0.2)
 
 

@@ -7,11 +7,8 @@ from registry import Step
 from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
-from stereogs_plugins.perturbations.held_colors import (
-    HeldColors,
-    stereogs_register_perturbations,
-)
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.perturbations.held_colors import HeldColors
+from tests.stereogs_plugins.building import build
 
 SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
 
@@ -37,8 +34,7 @@ def disturbed(model: GaussianModel) -> torch.Tensor:
     return model.read("sh")
 
 
-def test_is_offered_as_held_colors_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_perturbations) == {"held_colors": HeldColors}
+def test_it_keeps_the_contract() -> None:
     check(HeldColors)
 
 

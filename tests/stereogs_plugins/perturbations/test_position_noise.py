@@ -7,18 +7,13 @@ import torch
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry.testing import check, step_of, tiny_scene
-from stereogs_plugins.perturbations.position_noise import (
-    PositionNoise,
-    rotations,
-    stereogs_register_perturbations,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.perturbations.position_noise import PositionNoise, rotations
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 COUNT = 20_000
 
 
-def test_is_offered_as_position_noise_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_perturbations) == {"position_noise": PositionNoise}
+def test_it_keeps_the_contract() -> None:
     check(PositionNoise)
 
 

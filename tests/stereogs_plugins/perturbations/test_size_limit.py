@@ -4,8 +4,8 @@ import torch
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry.testing import check, step_of, tiny_scene
-from stereogs_plugins.perturbations.size_limit import SizeLimit, stereogs_register_perturbations
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.perturbations.size_limit import SizeLimit
+from tests.stereogs_plugins.building import build
 
 CENTERS = torch.tensor([[-0.2, 0.0, 0.0], [0.2, 0.0, 0.0]])
 """Of the tiny scene's training cameras."""
@@ -27,8 +27,7 @@ def limited(means: torch.Tensor, scales: torch.Tensor, angle: float) -> torch.Te
     return (gaussians.log_scales + offsets["log_scales"]).exp()
 
 
-def test_is_offered_as_size_limit_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_perturbations) == {"size_limit": SizeLimit}
+def test_it_keeps_the_contract() -> None:
     check(SizeLimit)
 
 

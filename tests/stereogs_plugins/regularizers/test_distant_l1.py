@@ -8,11 +8,8 @@ import torch
 from core_rasterizer import Rendering
 from registry import Step
 from registry.testing import check
-from stereogs_plugins.regularizers.distant_l1 import (
-    DistantL1,
-    stereogs_register_regularizers,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.regularizers.distant_l1 import DistantL1
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 from .monocular import Brightness
 
@@ -23,8 +20,7 @@ def seen(step: Step, rgb: torch.Tensor) -> Step:
     return step
 
 
-def test_is_offered_as_distant_l1_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_regularizers) == {"distant_l1": DistantL1}
+def test_it_keeps_the_contract() -> None:
     check(DistantL1, priors={"mono": build(Brightness)})
 
 

@@ -5,17 +5,13 @@ from functools import partial
 import pytest
 
 from registry.testing import check
-from stereogs_plugins.regularizers.near_occlusion import (
-    NearOcclusion,
-    stereogs_register_regularizers,
-)
-from tests.stereogs_plugins.building import at_depths, build, moment_with, offered
+from stereogs_plugins.regularizers.near_occlusion import NearOcclusion
+from tests.stereogs_plugins.building import at_depths, build, moment_with
 
 haze = partial(at_depths, scale=0.2, opacity=0.6)
 
 
-def test_it_is_registered_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_regularizers) == {"near_occlusion": NearOcclusion}
+def test_it_keeps_the_contract() -> None:
     check(NearOcclusion)
     check(NearOcclusion, share=1.0)
 

@@ -13,13 +13,8 @@ from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
 from registry.toolkit.views import virtual_views
 from registry.training.initial_model import initial_gaussians, new_model
-from stereogs_plugins.regularizers.pearson_depth import (
-    SOLID,
-    PearsonDepth,
-    correlation,
-    stereogs_register_regularizers,
-)
-from tests.stereogs_plugins.building import build, offered
+from stereogs_plugins.regularizers.pearson_depth import SOLID, PearsonDepth, correlation
+from tests.stereogs_plugins.building import build
 
 from .monocular import Brightness, DifferentiableBrightness
 
@@ -40,8 +35,7 @@ def moment(prior: Brightness) -> tuple[Step, GaussianModel]:
 
 
 @pytest.mark.parametrize("views", ["training", "box", "between", "sphere"])
-def test_is_offered_as_pearson_depth_and_keeps_the_contract(views: str) -> None:
-    assert offered(stereogs_register_regularizers) == {"pearson_depth": PearsonDepth}
+def test_it_keeps_the_contract(views: str) -> None:
     check(PearsonDepth, priors={"mono": build(Brightness)}, views=views, offset=200.0)
 
 
@@ -122,7 +116,7 @@ def test_in_virtual_views_of_an_object_what_is_rendered_solid_counts() -> None:
 
 
 def test_an_offset_that_is_too_small_is_refused() -> None:
-    with pytest.raises(PluginError, match="goes down to -3"):
+    with pytest.raises(PluginError, match="has the minimum -3"):
         fitted(1.0, INVERSE - 4)
 
 

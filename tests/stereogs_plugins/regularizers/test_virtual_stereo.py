@@ -12,17 +12,15 @@ from stereogs_plugins.regularizers.virtual_stereo import (
     VirtualStereo,
     edge_aware_smoothness,
     moved_back,
-    stereogs_register_regularizers,
 )
-from tests.stereogs_plugins.building import build, moment_with, offered, some_gaussians
+from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
 
 def random(*shape: int) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
 
 
-def test_is_offered_as_virtual_stereo_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_regularizers) == {"virtual_stereo": VirtualStereo}
+def test_it_keeps_the_contract() -> None:
     check(VirtualStereo)
 
 

@@ -184,7 +184,7 @@ def test_what_training_logged_is_plotted(run: RunFolder) -> None:
     assert plots == [
         "Loss",
         "Test: psnr, dB",
-        "The same over its mean: quantiles, %",
+        "Gradient of opacities over its mean: quantiles, %",
         "Stereo: share of pixels",
         "own",
     ]

@@ -16,7 +16,7 @@ from rich.console import Console
 from core_rasterizer import Device, open_device
 from registry.pipeline.yaml_source import parse
 from registry.plugins.discovery import SELECTION, Plugins
-from stereogs_plugins.runners.ray_cluster import land
+from stereogs_plugins.runners.ray_cluster import extract
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 from stereogs_plugins.tools.experiments.running.choosing import choose_runner
@@ -50,7 +50,7 @@ def test_a_result_takes_the_place_of_what_lay_there(tmp_path: Path) -> None:
     folder = tmp_path / "one"
     folder.mkdir()
     (folder / "left over").write_text("from a run that was lost")
-    land(packed({"run/results.json": b"{}"}), folder)
+    extract(packed({"run/results.json": b"{}"}), folder)
     assert [path.name for path in folder.iterdir()] == ["results.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
 
@@ -61,7 +61,7 @@ def test_what_is_no_result_changes_nothing(tmp_path: Path, archive: bytes) -> No
     folder.mkdir(parents=True)
     (folder / "results.json").write_text("{}")
     with pytest.raises((tarfile.TarError, OSError)):
-        land(archive, folder)
+        extract(archive, folder)
     assert (folder / "results.json").read_text() == "{}"
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
     assert [path.name for path in tmp_path.iterdir()] == ["inside"]

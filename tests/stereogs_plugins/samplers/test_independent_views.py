@@ -2,15 +2,11 @@ from __future__ import annotations
 
 from core_rasterizer import GaussianModel, open_device
 from registry.testing import check, step_of, tiny_scene
-from stereogs_plugins.samplers.independent_views import (
-    IndependentViews,
-    stereogs_register_samplers,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians
+from stereogs_plugins.samplers.independent_views import IndependentViews
+from tests.stereogs_plugins.building import build, some_gaussians
 
 
-def test_is_offered_as_independent_views_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_samplers) == {"independent_views": IndependentViews}
+def test_it_keeps_the_contract() -> None:
     check(IndependentViews)
 
 

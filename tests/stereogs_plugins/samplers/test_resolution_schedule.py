@@ -9,11 +9,8 @@ from core_rasterizer import GaussianModel, open_device
 from registry import Sample, Step
 from registry.contract.checks.answers import check_sample
 from registry.testing import check
-from stereogs_plugins.samplers.resolution_schedule import (
-    ResolutionSchedule,
-    stereogs_register_samplers,
-)
-from tests.stereogs_plugins.building import build, offered, some_gaussians, step_with
+from stereogs_plugins.samplers.resolution_schedule import ResolutionSchedule
+from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 
 def some_step() -> Step:
@@ -29,8 +26,7 @@ def shrunk(step: Step, image: torch.Tensor, shrink: int) -> Sample:
     return check_sample(build(ResolutionSchedule, shrink=shrink).sample(step, sample), 1)
 
 
-def test_it_is_registered_and_keeps_the_contract() -> None:
-    assert offered(stereogs_register_samplers) == {"resolution_schedule": ResolutionSchedule}
+def test_it_keeps_the_contract() -> None:
     check(ResolutionSchedule)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from registry import PluginError
 from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import PatchDepth
-from stereogs_plugins.regularizers.known_depth.patches import Patches
+from stereogs_plugins.regularizers.known_depth.patch_depth import Patches
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
 from ..monocular import Brightness

@@ -12,7 +12,7 @@ from registry.testing import check
 from registry.testing.bench import Bench
 from registry.toolkit.views import virtual_views
 from stereogs_plugins.regularizers.unseen_views import ForwardWarping
-from stereogs_plugins.regularizers.unseen_views.warp import forward_splat
+from stereogs_plugins.regularizers.unseen_views.forward_warping import forward_splat
 from tests.stereogs_plugins.building import build
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from stereogs_plugins.regularizers.unseen_views.warp import forward_splat, look_up
+from stereogs_plugins.regularizers.unseen_views.cycle_filtered_warping import look_up
+from stereogs_plugins.regularizers.unseen_views.forward_warping import forward_splat
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at
 
 COLORS = torch.rand(40, 60, 3, generator=torch.Generator().manual_seed(0))

@@ -18,29 +18,10 @@ from tests.data import models_folder
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.metrics.lpips_network import sha256
 
-VGG = (
-    64,
-    64,
-    "pool",
-    128,
-    128,
-    "pool",
-    256,
-    256,
-    256,
-    "pool",
-    512,
-    512,
-    512,
-    "pool",
-    512,
-    512,
-    512,
-)
+VGG = (64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512)
+"""Channels of the convolutions; 0 is a max pooling."""
 COMPARED = {"vgg": (3, 8, 15, 22, 29), "alex": (1, 4, 7, 9, 11)}
 """The ReLUs of torchvision's `features` that LPIPS compares."""
-
-
 NETWORKS = [pytest.param("vgg", marks=pytest.mark.proof), "alex"]
 
 
@@ -58,11 +39,11 @@ def torchvisions(network: NetworkName) -> nn.Sequential:
     layers: list[nn.Module] = []
     channels = 3
     for item in VGG:
-        if isinstance(item, str):
-            layers.append(nn.MaxPool2d(2, 2))
-        else:
+        if item:
             layers += [nn.Conv2d(channels, item, 3, padding=1), nn.ReLU()]
             channels = item
+        else:
+            layers.append(nn.MaxPool2d(2, 2))
     return nn.Sequential(*layers)
 
 

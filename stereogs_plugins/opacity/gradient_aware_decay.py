@@ -1,8 +1,8 @@
-"""`gradient_aware_decay`: opacities decay, the less the more the loss depends on them (StereoGS).
+"""`gradient_aware_decay`: decay opacities, less where the loss has a larger gradient (StereoGS).
 
 With g_i = |dL/d alpha_i|, beta_i = g_i / mean(g) and gamma = 1 - (1 - base) exp(-sensitivity beta_i),
 each opacity becomes gamma_i alpha_i: after the backward pass, before densification and before Adam.
-It takes the place of the periodic reset.
+It replaces the periodic reset.
 """
 
 from __future__ import annotations
@@ -19,44 +19,44 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
+PERCENTS = (5, 25, 50, 75, 95)
 QUANTILES_EVERY = 25
-"""Iterations between two looks at the quantiles, which need a sort."""
+"""Iterations between two logs of the quantiles, which require a sort."""
 
 Function = Literal["exp_beta", "exp_g", "step", "linear", "constant"]
 
 
 class GradientAwareDecaySettings(Settings):
     function: Function = "exp_beta"
-    """How the gradient weakens the decay: the paper's exp_beta, or one of those it compares with."""
+    """How the gradient reduces the decay: the paper's exp_beta, or one of its alternatives."""
     base: float = Field(0.99, gt=0, le=1)
-    """The factor of a Gaussian without gradient; 1 switches the decay off."""
+    """Decay factor of a Gaussian without gradient; 1 disables the decay."""
     sensitivity: float = Field(0.5, ge=0)
-    """How fast a gradient weakens the decay."""
+    """How strongly a gradient reduces the decay."""
     wrt: Literal["activated", "logit"] = "activated"
-    """Which gradient: of the opacity itself, or of its logit, which vanishes near 0 and 1."""
+    """Gradient with respect to the opacity, or to its logit, which vanishes near 0 and 1."""
     scope: Literal["all", "visible", "contributing"] = "all"
-    """Who decays: every Gaussian, as in the paper; those that touched a pixel in this iteration; or those
-    whose opacity had a gradient in it. The latter two spare what dropout left out."""
+    """Gaussians that decay: all, as in the paper; those that touch a pixel in this iteration; or those whose
+    opacity has a gradient. The latter two exclude Gaussians dropped by dropout."""
 
 
 class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
-    """alpha <- gamma(gradient) * alpha; the optimizer's moments stay as they are."""
+    """alpha <- gamma(gradient) * alpha; the optimizer's moments are kept."""
 
-    # 3DGS resets every 3,000 of 30,000 iterations, in their first half.
+    # 3DGS resets every 3,000 of 30,000 iterations, in the first half.
     ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
-        from .decay_statistics import UnseenPruned
-
         super().__init__(settings, context)
-        self._unseen = UnseenPruned()
+        self._seen: Tensor | None = None  # had a gradient since the last edit, `[N]` bool
+        self._pruned_unseen = 0
 
     def update(self, step: Step) -> OpacityUpdate | None:
-        """Return the decayed opacities; None, and no decay, if a gradient is not finite.
+        """Return the decayed opacities; None if a gradient is not finite.
 
-        Logs what the paper plots: means, the share of gradients below their mean (beta < 1), every 25
-        iterations the 5, 25, 50, 75 and 95 % quantiles of gradient and beta; and how many Gaussians
-        have been pruned so far that got no gradient between two edits.
+        Logs the statistics that the paper plots: means, the share of gradients below their mean (beta < 1),
+        every 25 iterations the 5, 25, 50, 75 and 95 % quantiles of gradient and beta; and the number of
+        Gaussians pruned so far that had no gradient since the previous edit.
         """
         import torch
 
@@ -68,34 +68,35 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         step.log("opacity_gradient_undefined", float(not math.isfinite(mean)))
         if not math.isfinite(mean):
             return None
-        # Without any gradient (nothing was visible) all decay alike.
+        # Without any gradient (nothing visible) all decay by `base`.
         relative = gradient / mean if mean > 0 else torch.zeros_like(gradient)
         factor = self.factor(gradient, relative)
         if self.settings.scope != "all":
             decays = gradient > 0 if self.settings.scope == "contributing" else step.model.touched()
             factor = torch.where(decays, factor, 1.0)
-        self._unseen.see(gradient > 0)
+        contributing = gradient > 0
+        self._seen = contributing if self._seen is None else self._seen | contributing
         self._log(step, gradient, relative, factor)
         return OpacityUpdate(factor * opacities)
 
     def _log(self, step: Step, gradient: Tensor, relative: Tensor, factor: Tensor) -> None:
-        from .decay_statistics import quantiles
-
         mean = float(gradient.mean())
         step.log("opacity_gradient_mean", mean)
         step.log("opacity_gradient_below_mean", float((relative < 1).float().mean()))
         step.log("opacity_decay_mean", float(factor.mean()))
-        step.log("pruned_unseen", self._unseen.pruned)
+        step.log("pruned_unseen", self._pruned_unseen)
         if step.iteration % QUANTILES_EVERY == 0:
-            for percent, value in quantiles(gradient).items():
+            ordered = gradient.sort().values
+            for percent in PERCENTS:
+                value = float(ordered[round(percent / 100 * (len(ordered) - 1))])
                 step.log(f"opacity_gradient_q{percent:02d}", value)
                 step.log(f"opacity_beta_q{percent:02d}", value / mean if mean > 0 else 0.0)
 
     def factor(self, gradient: Tensor, relative: Tensor) -> Tensor:
-        """Gamma `[N]` in [base, 1] for absolute gradients and for those relative to their mean.
+        """Return gamma `[N]` in [base, 1] from absolute gradients and from gradients over their mean.
 
-        `step` and `linear` are the paper's; linear is clamped, because beyond relative = 1 /
-        sensitivity it would make opacities grow.
+        `step` and `linear` follow the paper; linear is clamped, because for relative > 1 / sensitivity
+        opacities would grow.
         """
         import torch
 
@@ -110,16 +111,26 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         return 1 - loss * weakened[self.settings.function]()
 
     def carry(self, source: Tensor, fresh: Tensor) -> None:
-        """Count what was pruned without ever having had a gradient since the edit before."""
-        self._unseen.edit(source)
+        """Count the pruned Gaussians that had no gradient since the previous edit."""
+        import torch
+
+        if self._seen is not None:
+            pruned = torch.ones_like(self._seen)
+            pruned[source] = False
+            self._pruned_unseen += int((pruned & ~self._seen).sum())
+        self._seen = None
 
     def state(self) -> dict[str, Tensor]:
-        """Who has had a gradient since the last edit, and the count of those pruned without."""
-        return self._unseen.state()
+        """Return the Gaussians with a gradient since the last edit, and the count of those pruned without."""
+        import torch
+
+        state = {"pruned_unseen": torch.tensor(self._pruned_unseen)}
+        return state if self._seen is None else {**state, "seen": self._seen}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
-        self._unseen.restore(state)
+        """Restore what `state` returned."""
+        self._pruned_unseen = int(state["pruned_unseen"])
+        self._seen = state.get("seen")
 
 
 @hookimpl
