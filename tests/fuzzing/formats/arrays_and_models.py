@@ -89,7 +89,7 @@ class OnnxFiles(Target):
         """Open and ask it."""
         model = OnnxModel(self.folder / "model.onnx", provider="cpu")
         if [spec.name for spec in model.inputs] == ["x"]:
-            with mock.patch("registry.toolkit.networks.onnx_model.LONGEST_ANSWER", 0.2):
+            with mock.patch("registry.toolkit.networks.onnx_model.TIME_LIMIT", 0.2):
                 answers = model.run({"x": torch.ones(1, 1, 4, 4)})
             assert all(answer.dtype == torch.float32 for answer in answers.values())
 

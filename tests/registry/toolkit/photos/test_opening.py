@@ -38,9 +38,7 @@ def flat_png(path: Path, width: int, height: int) -> Path:
     return path
 
 
-def test_an_eps_file_starts_no_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_eps_file_starts_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started = tmp_path / "started"
     ghostscript = tmp_path / "bin" / "gs"
     ghostscript.parent.mkdir()

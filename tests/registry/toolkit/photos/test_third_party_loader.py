@@ -78,7 +78,9 @@ def test_its_scene_is_undistorted_resized_and_split(
     assert "undistorted" in str(scene.fact("changed"))
 
 
-def test_missing_files_and_fields_are_explained(loader: type[SceneLoader[Any]], folder: Path) -> None:
+def test_missing_files_and_fields_are_explained(
+    loader: type[SceneLoader[Any]], folder: Path
+) -> None:
     (folder / "3.png").unlink()
     with pytest.raises(SceneError, match="a photograph is missing"):
         build(loader, path=folder, train_views=None).load()

@@ -28,9 +28,7 @@ def waves() -> Pixels:
         ("FULL_OPENCV", (-0.1, 0.03, 0.001, 0.002, 0.004, 0.01, -0.02, 0.001)),
     ],
 )
-def test_every_pixel_agrees_with_kornia(
-    model: Distortion, coefficients: tuple[float, ...]
-) -> None:
+def test_every_pixel_agrees_with_kornia(model: Distortion, coefficients: tuple[float, ...]) -> None:
     bent = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT, model, coefficients)
     picture = waves()
     straight, pixels = undistort(bent, picture, "here")
