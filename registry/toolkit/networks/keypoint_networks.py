@@ -94,7 +94,7 @@ class KeypointNetworks:
         return f"{self._finder.fingerprint} {self._matcher.fingerprint}"
 
     def turns(self, image: Tensor) -> bool:
-        """Return whether an image `[H, W, 3]` is landscape and the finder's fixed size portrait, or reverse."""
+        """Return whether an image `[H, W, 3]` and the finder's fixed size differ in orientation."""
         height, width = self._frozen
         if height is None or width is None:
             return False

@@ -1,7 +1,9 @@
-"""Triangulate points from a few photographs whose cameras are known, with pycolmap on the CPU.
+"""Triangulate points from a few photographs with known cameras, with pycolmap on the CPU.
 
-SIFT features are matched along the epipolar lines that the known poses give ("guided"): with three
-photographs that finds about 1.4 times the points of blind matching, and nothing is left to chance.
+    points = triangulated_points(scene, seed=self.context.seed)
+
+SIFT features are matched along the epipolar lines of the known poses ("guided"). With three photographs
+this finds about 1.4 times the points of unguided matching; the result is deterministic.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from core_rasterizer.matching import source_views
 from ...contract.scene import PointCloud
 from ...errors import SceneError
 from ..drawing.pictures import grey
-from ..photos.cameras.safe_pycolmap import import_pycolmap
+from ..photos.undistortion import import_pycolmap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,22 +36,22 @@ if TYPE_CHECKING:
 __all__ = ["Triangulation", "triangulate", "triangulated_points"]
 
 CONTRAST_THRESHOLD = 0.002
-"""Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
+"""Contrast threshold of SIFT features; COLMAP's 0.0067 suits dozens of photographs, not three."""
 MOST_PARTNERS = 8
-"""Photographs that one is matched with, so that time grows with their number and not with its square."""
+"""Partners that each photograph is matched with, so that time grows linearly."""
 BOUNDS_MARGIN = 1.1
-"""A point nearer than near / margin or farther than far * margin comes from a wrong match."""
+"""Points nearer than near / margin or farther than far * margin count as wrong matches."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """P points that at least two photographs agree on.
+    """P points that at least two photographs observe.
 
     Args:
         positions: `[P, 3]` float32, world units.
-        colors: `[P, 3]` float32 in [0, 1], mean over the photographs that see the point.
+        colors: `[P, 3]` float32 in [0, 1], mean over the photographs that observe the point.
         errors: `[P]` float32 mean reprojection error, pixels.
-        seen_by: `[P, V]` bool, which of the V photographs each point was made from, two or more.
+        seen_by: `[P, V]` bool, True for the two or more of V photographs that observe the point.
     """
 
     positions: Tensor
@@ -68,13 +70,13 @@ class _Features:
 def triangulated_points(
     scene: TrainingScene, *, max_reprojection_error: float = 2.0, min_angle: float = 1.5, seed: int
 ) -> PointCloud:
-    """At least one point, from the training photographs alone and within the scene's bounds.
+    """Return at least one point, from the training photographs only and within the scene's bounds.
 
     Args:
-        max_reprojection_error, min_angle, seed: as for `triangulate`.
+        max_reprojection_error, min_angle, seed: See `triangulate`.
 
     Raises:
-        SceneError: one training view, or views that agree on no point.
+        SceneError: The scene has one training view, or no point is found.
     """
     if len(scene.train) < 2:
         raise SceneError(
@@ -108,15 +110,15 @@ def triangulate(
     min_angle: float,
     seed: int,
 ) -> Triangulation:
-    """Triangulate; poses and intrinsics stay as they are.
+    """Triangulate points; poses and intrinsics stay fixed.
 
     Args:
-        views: at least two photographs. Each is matched with up to eight that see the same from a little to
-            the side.
-        bounds: (near, far) z-depth of the scene's content, world units; nearer and farther points may come.
-        max_reprojection_error: pixels; also the largest distance of a match from its epipolar line.
-        min_angle: least angle between two rays that make a point, degrees.
-        seed: of pycolmap's random choices; one seed, one result.
+        views: At least two photographs. Each is matched with up to eight that see the same content from
+            a short baseline.
+        bounds: (near, far) z-depth of the scene's content, world units; points may lie outside.
+        max_reprojection_error: Largest reprojection error and distance from epipolar lines, pixels.
+        min_angle: Smallest angle between two rays of a point, degrees.
+        seed: Seed of pycolmap's random choices.
     """
     colmap = import_pycolmap()
     cameras = [_colmap_camera(colmap, k, view.camera) for k, view in enumerate(views, start=1)]
@@ -147,10 +149,10 @@ def triangulate(
 
 
 def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> list[tuple[int, int]]:
-    """Which photographs are matched: each with those that are likely to show the same, a pair once.
+    """Return the index pairs of photographs to match, each with those likely to show the same content.
 
     Args:
-        cameras: of the photographs; up to nine are all matched with each other.
+        cameras: Cameras of the photographs; up to nine are all matched with each other.
         bounds: (near, far) z-depth of the scene's content, world units.
     """
     found = set()
@@ -233,7 +235,7 @@ def _options(colmap: Any, max_error: float, min_angle: float, seed: int) -> Any:
     )
     options.extract_colors = False
     options.min_num_matches = 1
-    # Two training views may be all that see a point: such points count.
+    # With few training views, most points are observed by only two.
     options.triangulation.ignore_two_view_tracks = False
     options.triangulation.min_angle = options.mapper.filter_min_tri_angle = min_angle
     options.mapper.filter_max_reproj_error = max_error
@@ -268,7 +270,7 @@ def _color(view: TrainingView, pixel: NDArray[np.float64]) -> NDArray[np.float32
 
 
 def _within_bounds(found: Triangulation, scene: TrainingScene) -> Tensor:
-    """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    """Return `[P]` bool: the z-depth is within the bounds in all views that observe the point."""
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)
     for index, view in enumerate(scene.train):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core_rasterizer import Camera
-from registry.toolkit.drawing.orientation import upright_rotation, upwards
+from registry.toolkit.drawing import upright_rotation, upwards
 
 
 def camera(eye: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:

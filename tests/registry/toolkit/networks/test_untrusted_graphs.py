@@ -143,4 +143,4 @@ def test_the_memory_of_a_graph_is_limited(tmp_path: Path) -> None:
     assert len(network.run({"x": x, "count": torch.tensor([1e6])})["y"]) == 1_000_000
     with pytest.raises(PluginError, match="the model failed") as caught:
         network.run({"x": x, "count": torch.tensor([2**26])})
-    assert "smaller if memory ran out" in caught.value.fix
+    assert "smaller ones if memory ran out" in caught.value.fix
