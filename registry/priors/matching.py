@@ -9,8 +9,8 @@ from ..contract.component import SettingsType
 from ..contract.maps import Matches
 from ..contract.prior import Prior
 from ..errors import PluginError
-from .checking import check_finite
 from .cached_estimates import cached
+from .checking import check_finite
 
 if TYPE_CHECKING:
     from torch import Tensor

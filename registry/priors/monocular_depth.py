@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 from ..contract.component import SettingsType
 from ..contract.prior import Prior
 from ..toolkit.drawing.pictures import nearness_picture
-from .checking import check_finite, check_map
 from .cached_estimates import cached
+from .checking import check_finite, check_map
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -10,8 +10,8 @@ from ..contract.maps import DepthMap
 from ..contract.prior import Prior
 from ..errors import PluginError
 from ..toolkit.drawing.pictures import nearness_picture
-from .checking import check_map
 from .cached_estimates import cached, stem
+from .checking import check_map
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,8 +9,8 @@ from ..contract.component import SettingsType
 from ..contract.maps import Flow
 from ..contract.prior import Prior
 from ..toolkit.drawing.pictures import nearness_picture
-from .checking import check_map
 from .cached_estimates import cached, stem
+from .checking import check_map
 
 if TYPE_CHECKING:
     from torch import Tensor
