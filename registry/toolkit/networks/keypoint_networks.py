@@ -146,11 +146,8 @@ class KeypointNetworks:
         counts = torch.tensor([len(first.points), len(second.points)])
         if not counts.all():
             return torch.zeros(0, 2, dtype=torch.int64), torch.zeros(0)
-        inputs = {}
-        for points, descriptors, one in zip(
-            POINT_INPUTS, DESCRIPTOR_INPUTS, (first, second), strict=True
-        ):
-            inputs |= {points: one.normalized, descriptors: one.descriptors}
+        inputs = dict(zip(POINT_INPUTS, (first.normalized, second.normalized), strict=True))
+        inputs |= zip(DESCRIPTOR_INPUTS, (first.descriptors, second.descriptors), strict=True)
         answers = self._matcher.run(inputs)
         pairs, scores = answers[MATCHES].long(), answers[SCORES]
         if (

@@ -17,7 +17,7 @@ import struct
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     import numpy as np
@@ -82,7 +82,7 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
     Raises:
         ValueError: The layout is wrong, or a camera model is not supported.
     """
-    return _by_id(path, _binary_cameras, _text_cameras)
+    return _by_id(_binary_cameras(path) if path.suffix == ".bin" else _text_cameras(path))
 
 
 def read_images(path: Path) -> dict[int, ColmapImage]:
@@ -91,7 +91,7 @@ def read_images(path: Path) -> dict[int, ColmapImage]:
     Raises:
         ValueError: The layout is wrong.
     """
-    return _by_id(path, _binary_images, _text_images)
+    return _by_id(_binary_images(path) if path.suffix == ".bin" else _text_images(path))
 
 
 def read_points3d(path: Path) -> list[ColmapPoint]:
@@ -100,23 +100,11 @@ def read_points3d(path: Path) -> list[ColmapPoint]:
     Raises:
         ValueError: The layout is wrong.
     """
-    points = _by_id(path, _binary_points, _text_points)
+    points = _by_id(_binary_points(path) if path.suffix == ".bin" else _text_points(path))
     return [points[identity] for identity in sorted(points)]
 
 
-def _by_id(
-    path: Path,
-    binary: Callable[[_Cursor], Iterator[tuple[int, Record]]],
-    text: Callable[[list[str]], Iterator[tuple[int, Record]]],
-) -> dict[int, Record]:
-    content = path.read_bytes()
-    if path.suffix == ".bin":
-        cursor = _Cursor(content)
-        records = [*binary(cursor)]
-        cursor.end()
-    else:
-        lines = [line.strip() for line in content.decode().split("\n")]
-        records = [*text([line for line in lines if not line.startswith("#")])]
+def _by_id(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
     found: dict[int, Record] = {}
     for identity, record in records:
         if identity in found:
@@ -125,7 +113,8 @@ def _by_id(
     return found
 
 
-def _binary_cameras(cursor: _Cursor) -> Iterator[tuple[int, ColmapCamera]]:
+def _binary_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
+    cursor = _Cursor(path.read_bytes())
     for _ in range(cursor.count(smallest=24)):
         identity, number, width, height = cursor.take("<2i2Q")
         if not 0 <= number < len(_MODELS):
@@ -133,27 +122,32 @@ def _binary_cameras(cursor: _Cursor) -> Iterator[tuple[int, ColmapCamera]]:
         model = _MODELS[number]
         parameters = cursor.take(f"<{PARAMETERS[model]}d")
         yield identity, ColmapCamera(model, width, height, parameters)
+    cursor.end()
 
 
-def _binary_images(cursor: _Cursor) -> Iterator[tuple[int, ColmapImage]]:
+def _binary_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
+    cursor = _Cursor(path.read_bytes())
     for _ in range(cursor.count(smallest=73)):
         identity, w, x, y, z, t_x, t_y, t_z, camera_id = cursor.take("<i7di")
         name = cursor.text()
         cursor.skip(cursor.count(smallest=24) * 24)
         yield identity, ColmapImage((w, x, y, z), (t_x, t_y, t_z), camera_id, name)
+    cursor.end()
 
 
-def _binary_points(cursor: _Cursor) -> Iterator[tuple[int, ColmapPoint]]:
+def _binary_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
     import numpy as np
 
+    cursor = _Cursor(path.read_bytes())
     for _ in range(cursor.count(smallest=51)):
         identity, x, y, z, red, green, blue, _error = cursor.take("<Q3d3Bd")
         track = np.frombuffer(cursor.skip(cursor.count(smallest=8) * 8), dtype="<i4")
         yield identity, ColmapPoint((x, y, z), (red, green, blue), track[::2].tolist())
+    cursor.end()
 
 
-def _text_cameras(lines: list[str]) -> Iterator[tuple[int, ColmapCamera]]:
-    for line in filter(None, lines):
+def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
+    for line in filter(None, _lines(path)):
         identity, model, width, height, *rest = _fields(line, at_least=4)
         if model not in PARAMETERS:
             raise ValueError(_unknown_model(model))
@@ -165,8 +159,8 @@ def _text_cameras(lines: list[str]) -> Iterator[tuple[int, ColmapCamera]]:
         yield int(identity), ColmapCamera(model, int(width), int(height), parameters)
 
 
-def _text_images(lines: list[str]) -> Iterator[tuple[int, ColmapImage]]:
-    remaining = iter(lines)
+def _text_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
+    remaining = _lines(path)
     for line in filter(None, remaining):
         identity, *pose, camera_id, name = _fields(line, at_least=10, at_most=10)
         w, x, y, z, t_x, t_y, t_z = (float(value) for value in pose)
@@ -176,8 +170,8 @@ def _text_images(lines: list[str]) -> Iterator[tuple[int, ColmapImage]]:
         yield int(identity), ColmapImage((w, x, y, z), (t_x, t_y, t_z), int(camera_id), name)
 
 
-def _text_points(lines: list[str]) -> Iterator[tuple[int, ColmapPoint]]:
-    for line in filter(None, lines):
+def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
+    for line in filter(None, _lines(path)):
         identity, x, y, z, red, green, blue, _error, *track = _fields(line, at_least=8)
         if len(track) % 2:
             raise ValueError("a track ends in the middle of an observation")
@@ -186,6 +180,12 @@ def _text_points(lines: list[str]) -> Iterator[tuple[int, ColmapPoint]]:
             raise ValueError(f"the color {color} is not within 0..255")
         image_ids = [int(image) for image in track[::2]]
         yield int(identity), ColmapPoint((float(x), float(y), float(z)), color, image_ids)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    for line in path.read_bytes().decode().split("\n"):
+        if not line.strip().startswith("#"):
+            yield line.strip()
 
 
 def _fields(line: str, at_least: int, at_most: int = 0) -> list[str]:

@@ -80,8 +80,8 @@ def split(
     pool = sorted({*range(count)} - {*test})
     if not pool or (train_views or 0) > len(pool):
         raise SceneError(
-            f"{train_views or 1} training views are wanted, but only {len(pool)} of {count} "
-            "photographs are not test views",
+            f"{train_views or 1} training views are wanted, but of {count} photographs only "
+            f"{len(pool)} are not test views",
             where=where,
             fix=f"set `train_views` to at most {len(pool)}, or raise `test_every`",
         )

@@ -62,9 +62,8 @@ class Triangulation:
 
 @dataclass(frozen=True, eq=False)
 class _Features:
-    keypoints: Any  # pycolmap.FeatureKeypoints
-    descriptors: Any  # pycolmap.FeatureDescriptors
-    pixels: NDArray[np.float64]  # [F, 2], centre of the top-left pixel at (0.5, 0.5)
+    matched: tuple[Any, Any, Any]  # pycolmap's keypoints, descriptors and camera
+    pixels: NDArray[np.float64]  # [F, 2], center of the top-left pixel at (0.5, 0.5)
 
 
 def triangulated_points(
@@ -121,29 +120,23 @@ def triangulate(
         seed: Seed of pycolmap's random choices.
     """
     colmap = import_pycolmap()
-    cameras = [_colmap_camera(colmap, k, view.camera) for k, view in enumerate(views, start=1)]
-    features = [_extract(colmap, view) for view in views]
+    features = [_extract(colmap, k, view) for k, view in enumerate(views, start=1)]
     model = colmap.Reconstruction()
-    for k, view in enumerate(views, start=1):
+    for k, (view, feature) in enumerate(zip(views, features, strict=True), start=1):
         pose = view.camera.world_to_camera.numpy()
-        model.add_camera_with_trivial_rig(cameras[k - 1])
+        model.add_camera_with_trivial_rig(feature.matched[2])
         image = colmap.Image(name=view.name, camera_id=k, image_id=k)
         rigid = colmap.Rigid3d(colmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
         model.add_image_with_trivial_frame(image, rigid)
+    pairs = pairs_to_match([view.camera for view in views], bounds)
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
         folder = Path(name)
         with colmap.Database.open(folder / "matches.db") as database:
-            _write_images(database, model, cameras, features)
-            pairs = pairs_to_match([view.camera for view in views], bounds)
-            _write_matches(
-                colmap, database, model, cameras, features, pairs, max_reprojection_error
-            )
+            _write_images(database, model, features)
+            _write_matches(colmap, database, model, features, pairs, max_reprojection_error)
+        options = _options(colmap, max_reprojection_error, min_angle, seed)
         result = colmap.triangulate_points(
-            model,
-            folder / "matches.db",
-            folder,
-            folder,
-            options=_options(colmap, max_reprojection_error, min_angle, seed),
+            model, folder / "matches.db", folder, folder, options=options
         )
     return _collect(result, views, features)
 
@@ -155,22 +148,15 @@ def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> li
         cameras: Cameras of the photographs; up to nine are all matched with each other.
         bounds: (near, far) z-depth of the scene's content, world units.
     """
-    found = set()
-    for index in range(len(cameras)):
-        for partner in source_views(cameras, index, MOST_PARTNERS, bounds):
-            found.add((min(index, partner), max(index, partner)))
+    found = {
+        (min(index, partner), max(index, partner))
+        for index in range(len(cameras))
+        for partner in source_views(cameras, index, MOST_PARTNERS, bounds)
+    }
     return sorted(found)
 
 
-def _colmap_camera(colmap: Any, identity: int, camera: Camera) -> Any:
-    result = colmap.Camera.create_from_model_id(
-        identity, colmap.CameraModelId.PINHOLE, camera.fx, camera.width, camera.height
-    )
-    result.params = [camera.fx, camera.fy, camera.cx, camera.cy]
-    return result
-
-
-def _extract(colmap: Any, view: TrainingView) -> _Features:
+def _extract(colmap: Any, identity: int, view: TrainingView) -> _Features:
     options = colmap.FeatureExtractionOptions()
     options.num_threads = 1
     options.sift.peak_threshold = CONTRAST_THRESHOLD
@@ -179,13 +165,21 @@ def _extract(colmap: Any, view: TrainingView) -> _Features:
     keypoints, descriptors = extractor.extract_from_uint8_array(
         (255 * brightness).round().to(torch.uint8).numpy()
     )
+    camera = colmap.Camera.create_from_model_id(
+        identity,
+        colmap.CameraModelId.PINHOLE,
+        view.camera.fx,
+        view.camera.width,
+        view.camera.height,
+    )
+    camera.params = [view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy]
     pixels = colmap.keypoints_to_matrix(keypoints)[:, :2].astype(np.float64)
-    return _Features(keypoints, descriptors, pixels)
+    return _Features((keypoints, descriptors, camera), pixels)
 
 
-def _write_images(database: Any, model: Any, cameras: list[Any], features: list[_Features]) -> None:
-    for k, (camera, feature) in enumerate(zip(cameras, features, strict=True), start=1):
-        database.write_camera(camera, True)
+def _write_images(database: Any, model: Any, features: list[_Features]) -> None:
+    for k, feature in enumerate(features, start=1):
+        database.write_camera(feature.matched[2], True)
         database.write_rig(model.rig(k), True)
         database.write_frame(model.frame(k), True)
         database.write_image(model.image(k), True)
@@ -196,7 +190,6 @@ def _write_matches(
     colmap: Any,
     database: Any,
     model: Any,
-    cameras: list[Any],
     features: list[_Features],
     pairs: list[tuple[int, int]],
     max_error: float,
@@ -204,26 +197,16 @@ def _write_matches(
     options = colmap.FeatureMatchingOptions()
     options.num_threads = 1
     matcher = colmap.FeatureMatcher.create(options, colmap.Device.cpu)
+    poses = [model.image(k).cam_from_world() for k in range(1, len(features) + 1)]
     for first, second in pairs:
-        relative = (
-            model.image(second + 1).cam_from_world()
-            * model.image(first + 1).cam_from_world().inverse()
-        )
+        relative = poses[second] * poses[first].inverse()
         geometry = colmap.TwoViewGeometry()
         geometry.config = colmap.TwoViewGeometryConfiguration.CALIBRATED
         geometry.E = colmap.essential_matrix_from_pose(relative)
         geometry.cam2_from_cam1 = relative
-        if len(features[first].pixels) and len(features[second].pixels):
-            matcher.match_guided(
-                max_error,
-                features[first].keypoints,
-                features[first].descriptors,
-                cameras[first],
-                features[second].keypoints,
-                features[second].descriptors,
-                cameras[second],
-                geometry,
-            )
+        here, there = features[first], features[second]
+        if len(here.pixels) and len(there.pixels):
+            matcher.match_guided(max_error, *here.matched, *there.matched, geometry)
         database.write_two_view_geometry(first + 1, second + 1, geometry)
 
 
