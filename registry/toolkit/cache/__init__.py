@@ -14,6 +14,6 @@ least recently used entries are removed first. It is safe to delete any of them.
 """
 
 from .entries import Cache, content_key, source_digest
-from .place import FOLDER_VARIABLE, cache_folder, size_limit
+from .place import FOLDER_VARIABLE
 
-__all__ = ["FOLDER_VARIABLE", "Cache", "cache_folder", "content_key", "size_limit", "source_digest"]
+__all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "source_digest"]

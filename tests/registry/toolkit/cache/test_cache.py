@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from registry import RunError
-from registry.toolkit.cache import Cache, cache_folder, content_key, eviction, size_limit
+from registry.toolkit.cache import Cache, content_key, eviction
+from registry.toolkit.cache.place import cache_folder, size_limit
 
 KEYS = [content_key(number) for number in range(8)]
 
