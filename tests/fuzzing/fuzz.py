@@ -41,7 +41,7 @@ def fuzz(
     """Read a damaged version of a target's files for each number.
 
     Args:
-        starts: is told each number before its file is read.
+        starts: Called with each number before its file is read.
     """
     target.read()  # the undamaged file is accepted; this also imports all modules that reading needs
     tally = Tally()

@@ -10,7 +10,7 @@ import torch
 
 from core_rasterizer import Camera
 from registry.contract.scene import camera_extent
-from registry.toolkit.drawing import Vector, upwards
+from registry.toolkit.drawing.orientation import Vector, upwards
 
 from .subject import Subject
 

@@ -144,13 +144,13 @@ def test_a_flow_is_checked_and_cached_between_views(cache: Path) -> None:
     (first, second), prior = tiny_scene().train, built(Sideways)
     flow = prior.flow_between(first, second)
     assert torch.equal(prior.flow_between(first, second).vectors, flow.vectors)
-    assert prior.asked == 1
+    assert prior.calls == 1
     assert not flow.valid[0, 0]
     assert int(flow.valid.sum()) == flow.valid.numel() - 1
     assert flow.vectors[0, 0].tolist() == [0, 0]
     assert flow.vectors[3, 4].tolist() == [3, 0]
     prior.flow(first.image, second.image)
-    assert prior.asked == 2
+    assert prior.calls == 2
 
 
 def test_matches_are_checked_and_cached_between_views(cache: Path) -> None:
@@ -159,7 +159,7 @@ def test_matches_are_checked_and_cached_between_views(cache: Path) -> None:
     matches = prior.matches_between(first, second)
     assert prior.matches_between(first, second).first.tolist() == [[0, 0], [1, 1]]
     assert matches.scores.tolist() == [0.5, 1]
-    assert prior.asked == 1
+    assert prior.calls == 1
 
 
 class Crooked(MatchingPrior[Settings]):

@@ -24,7 +24,7 @@ def test_equal_inputs_are_read_from_disk_bit_for_bit(cache: Path) -> None:
     first, second = built(Middle), built(Middle)
     before = first.depths(scene.train, scene.bounds)
     again = second.depths(scene.train, scene.bounds)
-    assert (first.asked, second.asked) == (1, 0)
+    assert (first.calls, second.calls) == (1, 0)
     for one, other in zip(before, again, strict=True):
         assert torch.equal(one.depth, other.depth)
         assert torch.equal(one.valid, other.valid)
@@ -37,14 +37,14 @@ def test_other_inputs_are_computed_again(cache: Path) -> None:
     prior.depths(scene.train, scene.bounds)
     prior.depths(scene.train, (scene.bounds[0], scene.bounds[1] * 2))
     prior.depths(scene.train[::-1], scene.bounds)
-    assert prior.asked == 3
+    assert prior.calls == 3
     mono = built(Brightness)
     mono.inverse_depth_of(scene.train[0])
     changed = scene.train[0].image.clone()
     changed[3, 3, 1] = torch.nextafter(changed[3, 3, 1], torch.tensor(1.0))
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
-    assert mono.asked == 2
+    assert mono.calls == 2
 
 
 def test_cached_estimates_have_images(cache: Path) -> None:
@@ -75,9 +75,9 @@ def test_a_damaged_entry_is_reported_and_replaced(
     with caplog.at_level(logging.WARNING):
         assert torch.equal(prior.inverse_depth_of(view), answer)
     assert "damaged" in caplog.text
-    assert prior.asked == 2
+    assert prior.calls == 2
     prior.inverse_depth_of(view)
-    assert prior.asked == 2
+    assert prior.calls == 2
 
 
 def test_a_read_only_cache_gives_a_warning(
@@ -138,5 +138,5 @@ def test_the_key_contains_the_code_of_the_whole_package(
 def test_estimates_for_images_are_not_cached(cache: Path) -> None:
     prior, image = built(Brightness), tiny_scene().train[0].image
     assert torch.equal(prior.inverse_depth(image), prior.inverse_depth(image))
-    assert prior.asked == 2
+    assert prior.calls == 2
     assert not cache.exists() or not list(cache.rglob("*.safetensors"))

@@ -44,10 +44,10 @@ class BestShift(StereoPrior[ShiftSettings]):
 class Middle(MultiViewDepthPrior[Settings]):
     """The center of the bounds at all pixels except the first."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
-        self.asked += 1
+        self.calls += 1
         maps = []
         for view in views:
             depth = torch.full(view.image.shape[:2], sum(bounds) / 2)
@@ -59,10 +59,10 @@ class Middle(MultiViewDepthPrior[Settings]):
 class Brightness(MonocularDepthPrior[Settings]):
     """Brightness as inverse depth."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, image: Tensor) -> Tensor:
-        self.asked += 1
+        self.calls += 1
         return image.mean(dim=2)
 
 
@@ -80,10 +80,10 @@ def textured(width: int = 40) -> Tensor:
 class Sideways(OpticalFlowPrior[Settings]):
     """Three pixels to the right; unknown at the first pixel."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
-        self.asked += 1
+        self.calls += 1
         flow = torch.zeros(*first.shape[:2], 2)
         flow[..., 0] = 3
         flow[0, 0] = torch.nan
@@ -93,9 +93,9 @@ class Sideways(OpticalFlowPrior[Settings]):
 class Corners(MatchingPrior[Settings]):
     """Corners of the images; one match is outside, one score is too high."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
-        self.asked += 1
+        self.calls += 1
         points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [1e4, 1.0]])
         return Matches(points, points, torch.tensor([0.5, 7.0, 0.5]))

@@ -42,23 +42,23 @@ def test_the_first_run_logs_its_cost(path: Path, caplog: pytest.LogCaptureFixtur
     with caplog.at_level(logging.INFO, "stereogs.priors"):
         for _ in range(2):
             model.run({"x": torch.zeros(2, 3), "y": torch.zeros(3)})
-    (said,) = caplog.messages
-    assert re.match(r"model\.onnx: \d+\.\d\d s on \w+, 3 threads, for x \[2, 3\], y \[3\]", said)
-    assert said.endswith("MB so far")
+    (message,) = caplog.messages
+    assert re.match(r"model\.onnx: \d+\.\d\d s on \w+, 3 threads, for x \[2, 3\], y \[3\]", message)
+    assert message.endswith("MB so far")
 
 
 def test_the_setting_selects_the_threads(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
+    threads: list[int] = []
     session = onnxruntime.InferenceSession
 
     def watched(content: bytes, options: Any, **others: Any) -> Any:
-        asked.append(options.intra_op_num_threads)
+        threads.append(options.intra_op_num_threads)
         return session(content, options, **others)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", watched)
     assert OnnxModelSettings(model=path, threads=3).open().threads == 3
-    assert asked == [3]
-    assert OnnxModelSettings(model=path).open().threads == asked[1] >= 1
+    assert threads == [3]
+    assert OnnxModelSettings(model=path).open().threads == threads[1] >= 1
 
 
 @pytest.mark.parametrize("result", [FLOAT, HALF, LONG])
