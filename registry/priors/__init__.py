@@ -1,9 +1,13 @@
-"""What prior models can be asked, one file a capability, and the one place where answers are checked.
+"""Capabilities of priors: one base class per kind of estimate.
 
-A prior plugin derives from one of these classes and implements `estimate`. Consumers call the public
-methods beside it, which check sizes and values, so that no NaN ever reaches a loss or a point cloud.
-What is asked of a scene's *views* is answered from the disk cache where the same was asked before; what
-is asked of *images*, renders among them, is not kept.
+    class Mine(MonocularDepthPrior[MySettings]):
+        def estimate(self, image): ...          returns [H, W] relative inverse depth
+
+    depth = prior.inverse_depth_of(view)        in the plugin that uses the prior
+
+A prior plugin derives from one of these classes and implements `estimate`. Consumers call the other public
+methods. These check shapes and values, so that no NaN reaches a loss or a point cloud. Estimates for the
+*views* of a scene are cached on disk; estimates for *images*, for example renders, are not.
 """
 
 from typing import TYPE_CHECKING

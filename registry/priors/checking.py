@@ -1,4 +1,4 @@
-"""Checks of what priors answer."""
+"""Checks of estimates."""
 
 from __future__ import annotations
 
@@ -11,13 +11,10 @@ if TYPE_CHECKING:
 
 
 def check_map(what: str, answer: Any, image: Tensor, *channels: int) -> None:
-    """Refuse an answer that is no tensor of the image's size.
-
-    Args:
-        channels: what the shape ends in beside `[H, W]`.
+    """Refuse an estimate that is not a tensor of shape `[H, W, *channels]`.
 
     Raises:
-        PluginError: it is not.
+        PluginError: It is not.
     """
     from torch import Tensor
 
@@ -28,10 +25,10 @@ def check_map(what: str, answer: Any, image: Tensor, *channels: int) -> None:
 
 
 def check_finite(what: str, answer: Tensor) -> None:
-    """Refuse an answer that is not finite.
+    """Refuse an estimate with non-finite values.
 
     Raises:
-        PluginError: a value is not.
+        PluginError: A value is not finite.
     """
     import torch
 

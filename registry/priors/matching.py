@@ -1,4 +1,4 @@
-"""Points of two images that show the same."""
+"""Capability `matches`: corresponding points of two images."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ..contract.component import SettingsType
 from ..contract.maps import Matches
 from ..contract.prior import Prior
 from ..errors import PluginError
+from .cached_estimates import cached
 from .checking import check_finite
-from .remembering import remembered
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 
 
 class MatchingPrior(Prior[SettingsType]):
-    """Points of two images that show the same."""
+    """A prior that matches points of two images."""
 
     capability: ClassVar[str] = "matches"
 
     @abstractmethod
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
-        """Return the matches, in any order; those outside the images are left out.
+        """Return matches in any order; those outside the images will be dropped.
 
         Args:
             first, second: `[H, W, 3]` float32 in [0, 1]; their sizes may differ.
         """
 
     def matches(self, first: Tensor, second: Tensor) -> Matches:
-        """The matches of any two images; not kept.
+        """Return the matches of two images; not cached.
 
         Raises:
-            PluginError: points, scores or their numbers that do not fit, or are not finite.
+            PluginError: The estimate has wrong types, shapes or non-finite values.
         """
         import torch
 
@@ -50,12 +50,12 @@ class MatchingPrior(Prior[SettingsType]):
         )
 
     def matches_between(self, first: TrainingView, second: TrainingView) -> Matches:
-        """The matches of two photographs; what was asked before is remembered.
+        """Return the matches of two photographs; cached on disk.
 
         Raises:
-            PluginError: see `matches`.
+            PluginError: See `matches`.
         """
-        found = remembered(
+        found = cached(
             self,
             [first, second],
             [],

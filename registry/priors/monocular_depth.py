@@ -1,4 +1,4 @@
-"""Relative inverse depth of a single image."""
+"""Capability `monocular_depth`: relative inverse depth of a single image."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 from ..contract.component import SettingsType
 from ..contract.prior import Prior
 from ..toolkit.drawing.pictures import nearness_picture
+from .cached_estimates import cached
 from .checking import check_finite, check_map
-from .remembering import remembered
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class MonocularDepthPrior(Prior[SettingsType]):
-    """Relative inverse depth of a single image.
+    """A prior that estimates relative inverse depth of a single image.
 
-    `differentiable` says that `estimate` is torch in autograd: answers about images then let gradients
-    through to the image.
+    Set `differentiable` to True if `estimate` supports autograd; `inverse_depth` then propagates gradients
+    to the image.
     """
 
     capability: ClassVar[str] = "monocular_depth"
@@ -29,17 +29,17 @@ class MonocularDepthPrior(Prior[SettingsType]):
 
     @abstractmethod
     def estimate(self, image: Tensor) -> Tensor:
-        """Return `[H, W]` relative inverse depth, larger = nearer, of unknown scale and shift.
+        """Return `[H, W]` relative inverse depth, larger = nearer, with unknown scale and shift.
 
         Args:
             image: `[H, W, 3]` float32 in [0, 1].
         """
 
     def inverse_depth(self, image: Tensor) -> Tensor:
-        """Relative inverse depth `[H, W]` float32 of any image, a render for example; not kept.
+        """Return relative inverse depth `[H, W]` float32 of any image, for example a render; not cached.
 
         Raises:
-            PluginError: the answer has the wrong shape or values that are not finite.
+            PluginError: The estimate has a wrong shape or non-finite values.
         """
         import torch
 
@@ -51,14 +51,14 @@ class MonocularDepthPrior(Prior[SettingsType]):
             return answer.float().contiguous()
 
     def inverse_depth_of(self, view: TrainingView) -> Tensor:
-        """Relative inverse depth `[H, W]` float32 of a photograph; what was asked before is remembered.
+        """Return relative inverse depth `[H, W]` float32 of a photograph; cached on disk.
 
         Raises:
-            PluginError: see `inverse_depth`.
+            PluginError: See `inverse_depth`.
         """
         import torch
 
-        found = remembered(
+        found = cached(
             self,
             [view],
             [],

@@ -1,4 +1,4 @@
-"""Depth of every view of a set."""
+"""Capability `multi_view_depth`: depth of several views with known cameras."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..contract.maps import DepthMap
 from ..contract.prior import Prior
 from ..errors import PluginError
 from ..toolkit.drawing.pictures import nearness_picture
+from .cached_estimates import cached, stem
 from .checking import check_map
-from .remembering import remembered, stem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class MultiViewDepthPrior(Prior[SettingsType]):
-    """Depth of every view of a set, from all of them and their cameras."""
+    """A prior that estimates the depth of several views jointly, from their images and cameras."""
 
     capability: ClassVar[str] = "multi_view_depth"
 
@@ -30,34 +30,34 @@ class MultiViewDepthPrior(Prior[SettingsType]):
     def estimate(
         self, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> list[DepthMap]:
-        """Return one depth map for each view, in order; unknown depths may be 0 or not finite.
+        """Return one depth map per view, in order; unknown depths may be 0 or non-finite.
 
         Args:
-            views: two or more, of any sizes.
+            views: Two or more views of any sizes.
             bounds: (near, far) z-depth of the scene's content, world units.
         """
 
     def depths(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> list[DepthMap]:
-        """One depth map for each view; what was asked before is remembered.
+        """Return one depth map per view; cached on disk.
 
         Raises:
-            PluginError: fewer than two views, or an answer of the wrong number or shape.
+            PluginError: There are fewer than two views, or the estimate has a wrong length or shape.
         """
         if len(views) < 2:
             raise PluginError(
-                f"multi-view depth needs two views, there is {len(views)}",
+                f"multi-view depth needs two views, got {len(views)}",
                 fix="use more training views, or an initializer without a prior",
             )
-        found = remembered(
+        found = cached(
             self,
             views,
             [bounds],
-            lambda: self._asked(views, bounds),
+            lambda: self._checked(views, bounds),
             lambda answer: _pictures(answer, views),
         )
         return [_unpack(found, index) for index in range(len(views))]
 
-    def _asked(
+    def _checked(
         self, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> dict[str, Tensor]:
         with self.context.at_work():

@@ -1,4 +1,4 @@
-"""Where every pixel of one image went in another."""
+"""Capability `optical_flow`: displacement of each pixel between two images."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ..contract.component import SettingsType
 from ..contract.maps import Flow
 from ..contract.prior import Prior
 from ..toolkit.drawing.pictures import nearness_picture
+from .cached_estimates import cached, stem
 from .checking import check_map
-from .remembering import remembered, stem
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class OpticalFlowPrior(Prior[SettingsType]):
-    """Where every pixel of one image went in another."""
+    """A prior that estimates the displacement of each pixel between two images."""
 
     capability: ClassVar[str] = "optical_flow"
 
@@ -27,17 +27,17 @@ class OpticalFlowPrior(Prior[SettingsType]):
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
         """Return `[H, W, 2]`: pixel (u, v) of the first image is at (u, v) + flow[v, u] in the second.
 
-        Not finite means unknown.
+        Non-finite values mean unknown.
 
         Args:
             first, second: `[H, W, 3]` float32 in [0, 1]; their sizes may differ.
         """
 
     def flow(self, first: Tensor, second: Tensor) -> Flow:
-        """The flow between any two images; not kept.
+        """Return the flow between two images; not cached.
 
         Raises:
-            PluginError: the answer has the wrong shape.
+            PluginError: The estimate has a wrong shape.
         """
         import torch
 
@@ -49,12 +49,12 @@ class OpticalFlowPrior(Prior[SettingsType]):
         return Flow(torch.where(valid[..., None], vectors, 0.0), valid)
 
     def flow_between(self, first: TrainingView, second: TrainingView) -> Flow:
-        """The flow between two photographs; what was asked before is remembered.
+        """Return the flow between two photographs; cached on disk.
 
         Raises:
-            PluginError: see `flow`.
+            PluginError: See `flow`.
         """
-        found = remembered(
+        found = cached(
             self,
             [first, second],
             [],

@@ -1,11 +1,11 @@
-"""Answers of prior models on disk, found again by the content of the question.
+"""Cache of estimates on disk, and the digest of the code that computes them.
 
     STEREOGS_CACHE/<prior>/<key>/answer.safetensors   the tensors, bit for bit
-                                 answer.json          what was asked, for people
-                                 *.png                the answer as pictures
+                                 answer.json          the inputs, human-readable
+                                 *.png                images of the estimate
 
-The key is a hash over every bit of the input, the settings, the model file or device, and the code of
-all that the packages which compute the answer install: a changed line of code asks again.
+The key is a hash of all bits of the input, the settings, the prior's fingerprint, and all code of the
+packages that compute the estimate: any changed line of code invalidates the entry.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _SOURCES = (".py", ".cl")
 
 
 class PriorCache:
-    """The answers of one prior.
+    """Estimates of one prior.
 
     Args:
-        prior: its name.
+        prior: Name of the prior.
     """
 
     def __init__(self, prior: str) -> None:
         self._cache = Cache(prior)
 
     def load(self, key: str) -> dict[str, Tensor] | None:
-        """The tensors saved under a key, or None."""
+        """Return the tensors saved under a key, or None."""
         from safetensors.torch import load_file
 
         return self._cache.load(key, lambda folder: load_file(folder / _ANSWER))
@@ -53,10 +53,11 @@ class PriorCache:
         pictures: Mapping[str, Tensor],
         facts: Mapping[str, Any],
     ) -> None:
-        """Keep an answer.
+        """Save an estimate.
 
         Args:
-            pictures: `[H, W, 3]` in [0, 1] by file name without ending.
+            pictures: `[H, W, 3]` in [0, 1] by file name without suffix.
+            facts: Description of the inputs, for answer.json.
         """
         from safetensors import SafetensorError
         from safetensors.torch import save_file
@@ -64,7 +65,7 @@ class PriorCache:
         def write(folder: Path) -> None:
             try:
                 save_file(dict(tensors), folder / _ANSWER)
-            except SafetensorError as error:  # what it makes of a full disk
+            except SafetensorError as error:  # for example on a full disk
                 raise OSError(str(error)) from error
             write_json(folder / "answer.json", {"key": key, **facts})
             for name, picture in pictures.items():
@@ -74,7 +75,7 @@ class PriorCache:
 
 
 def code_digest(component: type) -> str:
-    """A hash over the source of all that the component's package installs, of the host and of the engine."""
+    """Return a hash of the source of the component's package, the host and the engine."""
     modules = {*owned_modules(component.__module__), "registry", "core_rasterizer"}
     return content_key(
         component.__qualname__,
@@ -84,7 +85,7 @@ def code_digest(component: type) -> str:
 
 
 def owned_modules(module: str) -> frozenset[str]:
-    """The top-level modules of the plugin package that a module belongs to; of others, its own alone."""
+    """Return the top-level modules of the plugin package of a module; its own for other packages."""
     top = module.partition(".")[0]
     for package in {id(e.dist): e.dist for e in entry_points(group=GROUP)}.values():
         names = _top_level(package) if package else frozenset[str]()
@@ -94,7 +95,7 @@ def owned_modules(module: str) -> frozenset[str]:
 
 
 def _top_level(package: Distribution) -> frozenset[str]:
-    """What a package installs, by the list that setuptools writes, or by the list of its files."""
+    """Return the top-level modules of a package, from setuptools' list or from its list of files."""
     listed = package.read_text("top_level.txt")
     if listed is not None:
         return frozenset(listed.split())
@@ -104,7 +105,7 @@ def _top_level(package: Distribution) -> frozenset[str]:
 
 @cache
 def source_digest(name: str) -> str:
-    """A hash over a top-level module, or over every file of source in a package."""
+    """Return a hash of a top-level module, or of all source files of a package."""
     spec = find_spec(name) if name != "__main__" else None
     folders = list(spec.submodule_search_locations or ()) if spec else []
     if spec and not folders and spec.origin:

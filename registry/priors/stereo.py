@@ -1,4 +1,4 @@
-"""Disparity of a rectified stereo pair."""
+"""Capability `stereo_disparity`: disparity of a rectified stereo pair."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ _log = logging.getLogger("stereogs.priors")
 
 
 class StereoPrior(Prior[SettingsType]):
-    """Disparity of a rectified stereo pair."""
+    """A prior that estimates the disparity of a rectified stereo pair."""
 
     capability: ClassVar[str] = "stereo_disparity"
-    _told = False
+    _warned = False
 
     @property
     def max_disparity(self) -> float | None:
-        """The largest disparity that the model can answer, in pixels; None if it has no limit."""
+        """Largest disparity that the prior can return, in pixels; None for no limit."""
         return None
 
     @abstractmethod
     def estimate(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the left image's disparity, `[H, W]` pixels; not finite or <= 0 means unknown.
+        """Return the left image's disparity, `[H, W]` pixels; non-finite or <= 0 means unknown.
 
         Args:
             left, right: `[H, W, 3]` float32 in [0, 1], any size.
         """
 
     def estimate_both(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Disparities on the left and on the right image's grid; override to share work.
+        """Return disparities on the left and on the right image's grid; override to share work.
 
-        A mirrored right image is the left image of the mirrored pair: D_r = flip(F(flip(I_r),
-        flip(I_l))). StereoGS prints the two the other way round, which finds no match.
+        The mirrored right image is the left image of the mirrored pair: D_r = flip(F(flip(I_r),
+        flip(I_l))). The StereoGS paper exchanges the two arguments, which yields no matches.
         """
         mirrored = self.estimate(right.flip(1).contiguous(), left.flip(1).contiguous())
         check_map("disparity", mirrored, right)
         return self.estimate(left, right), mirrored.flip(1)
 
     def disparity(self, left: Tensor, right: Tensor) -> Disparity:
-        """The left image's disparity.
+        """Return the left image's disparity.
 
         Raises:
-            PluginError: the images differ in size, or the answer has the wrong shape.
+            PluginError: The images differ in size, or the estimate has a wrong shape.
         """
         import torch
 
@@ -60,10 +60,10 @@ class StereoPrior(Prior[SettingsType]):
             return self._checked(self.estimate(left, right), left)
 
     def both(self, left: Tensor, right: Tensor) -> tuple[Disparity, Disparity]:
-        """The left and the right image's disparity, both positive, each on its own grid.
+        """Return the left and the right image's disparity, both positive, each on its own grid.
 
         Raises:
-            PluginError: see `disparity`.
+            PluginError: See `disparity`.
         """
         import torch
 
@@ -78,9 +78,9 @@ class StereoPrior(Prior[SettingsType]):
         check_map("disparity", answer, image)
         values = answer.detach().float()
         valid = torch.isfinite(values) & (values > 0)
-        if not self._told and not valid.any():
-            self._told = True
-            _log.warning("prior %r answered without one known disparity", self.context.name)
+        if not self._warned and not valid.any():
+            self._warned = True
+            _log.warning("prior %r returned no known disparity", self.context.name)
         return Disparity(torch.where(valid, values, 0.0), valid)
 
 

@@ -1,7 +1,7 @@
-"""python -m tests.fuzzing COUNT [FORMAT ...]: so many damaged files of each format, on all cores.
+"""python -m tests.fuzzing COUNT [FORMAT ...]: read COUNT damaged files of each format, on all cores.
 
-What is done is kept in the folder .fuzz, by shares of a thousand: the same command goes on where it was
-stopped. Each failure is kept there too, with the number that makes it again; the status is then 1.
+The folder .fuzz stores finished shares of a thousand files; the same command continues from there. It also
+stores each failure with the number that reproduces it; the exit status is then 1.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from tests.fuzzing.worker import work
 
 SHARE = 1000
 Share = tuple[str, int, int]
-"""A format, the first number and the one after the last."""
+"""A format, the first number, and the number after the last."""
 
 
 class State:
-    """What was done, in a folder."""
+    """Finished shares, in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,7 +41,7 @@ class State:
                 self.done[name, first, stop] = (counts[0], counts[1], counts[2])
 
     def add(self, share: Share, tally: Tally) -> None:
-        """Keep what came of a share."""
+        """Save the result of a share."""
         counts = (tally.accepted, tally.refused, len(tally.failures))
         self.done[share] = counts
         with self._file.open("a", encoding="utf-8") as file:
@@ -55,7 +55,7 @@ class State:
         print(f"FAILED  {name} {number}: {said.strip().splitlines()[-1]}  ({place})", flush=True)
 
     def ended_while_reading(self) -> list[tuple[str, int]]:
-        """What the processes were reading that are gone."""
+        """Return the inputs that crashed processes were reading."""
         found = []
         for note in sorted(self.folder.glob("*.reading")):
             name, _, number = note.read_text("utf-8").partition("\n")
@@ -66,14 +66,14 @@ class State:
 
 
 def shares(names: list[str], count: int) -> Iterator[Share]:
-    """All shares, the formats in turn, so that an early end has seen something of each."""
+    """Return all shares, alternating between formats, so that a partial run covers each format."""
     for first in range(0, count, SHARE):
         for name in names:
             yield name, first, min(first + SHARE, count)
 
 
 def run(state: State, wanted: Iterable[Share], total: int) -> None:
-    """Do all shares; where a process ends, what it was reading is found, and the rest done anew."""
+    """Run all shares; if a process crashes, find the input that it was reading, and repeat the rest."""
     queue, began, at_first = deque(wanted), time.monotonic(), len(state.done)
     cores = os.cpu_count() or 1
     while queue:
@@ -96,7 +96,7 @@ def run(state: State, wanted: Iterable[Share], total: int) -> None:
 
 
 def _alone(name: str, number: int, folder: Path) -> Tally:
-    """Read one input in a process of its own: with the guilty one, others are ended too."""
+    """Read one input in a separate process; a crash in the pool ends other processes too."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         try:
             return pool.submit(work, name, number, number + 1, folder).result()
@@ -105,7 +105,7 @@ def _alone(name: str, number: int, folder: Path) -> Tally:
 
 
 def _without(share: Share, name: str, number: int) -> list[Share]:
-    """The share, or what is left of it on both sides of a number."""
+    """Return the share, or its parts on both sides of a number."""
     own, first, stop = share
     if own != name or not first <= number < stop:
         return [share]
@@ -125,7 +125,7 @@ def _tell(state: State, total: int, lately: int, seconds: float) -> None:
 
 
 def main() -> int:
-    """Fuzz; 0 if nothing failed."""
+    """Fuzz; return 0 if nothing failed."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzzing", description=__doc__)
     parser.add_argument("count", type=int, help="damaged files of each format")
     parser.add_argument("formats", nargs="*", metavar="FORMAT", help=", ".join(TARGETS))

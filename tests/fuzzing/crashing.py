@@ -1,4 +1,4 @@
-"""A reader for tests of `make fuzz` itself: it ends its process at one number."""
+"""A reader for tests of `make fuzz`: it exits its process at one number."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CRASHES_AT = 3
 
 
 def crashing(name: str, first: int, stop: int, state: Path) -> Tally:
-    """Accept everything, as `worker.work` would tell of it; but end without a word at one number."""
+    """Accept everything like `worker.work`, but exit the process at one number."""
     note = state / f"{os.getpid()}.reading"
     for number in range(first, stop):
         note.write_text(f"{name}\n{number}")

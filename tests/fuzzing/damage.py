@@ -1,4 +1,4 @@
-"""Damage to a file: the same number does the same damage on every machine."""
+"""Damage a file, reproducibly: a number determines the damage on all machines."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import zipfile
 from functools import cache
 
 OUTSIDE = "outside.png"
-"""A picture beside the data set, of one colour that is in no photograph; it must never be read."""
+"""An image outside the data set that must never be read; its color occurs in no photograph."""
 TEXTS = (".json", ".txt", ".yaml", ".ply")
-"""Endings of files that are damaged as text as well, word by word."""
+"""Suffixes of files that are also damaged as text, word by word."""
 
 _NUMBERS = ("nan", "NaN", "inf", "-Infinity", "1e400", "-1", "0", "1e300", "9" * 25, "1e-300", "")
 _NAMES = (
@@ -47,7 +47,7 @@ def _members(data: bytes) -> tuple[tuple[str, bytes], ...]:
 
 
 def _damage_member(data: bytes, randomness: random.Random) -> bytes:
-    """Rewrite an archive so that its checksums fit and the damage gets as far as the numbers."""
+    """Rewrite an archive with valid checksums, so that the damage reaches the numbers."""
     members = dict(_members(data))
     name = randomness.choice(list(members))
     members[name] = _damage_bytes(members[name], randomness)
@@ -85,7 +85,7 @@ def _damage_text(data: bytes, randomness: random.Random) -> bytes:
 
 
 def _damage_bytes(data: bytes, randomness: random.Random) -> bytes:
-    """Flip bits, cut, insert, repeat, swap, or write a remarkable number or name."""
+    """Flip bits, cut, insert, repeat, swap, or write a special number or name."""
     result = bytearray(data)
     if not result:
         return randomness.randbytes(8)

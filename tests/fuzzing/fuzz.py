@@ -1,4 +1,4 @@
-"""Damage files at random and hold their readers to the rule: something good, or an explained error."""
+"""Damage files at random; readers must return valid data or raise an explained error."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ from tests.fuzzing.guard import Forbidden, watched
 from tests.fuzzing.target import Target
 
 SLOWEST = 10.0
-"""CPU seconds, which other programs do not lengthen; a reader that needs more over a tiny file hangs.
-
-One that only waits is ended by `tests/fuzzing/worker.py`.
-"""
+"""CPU seconds that reading a tiny file may take; `tests/fuzzing/worker.py` ends readers that only wait."""
 MEMORY_TIMES = 10
 MEMORY_PLUS = 64 * 1024 * 1024
-"""A reader may take this many times the file, and this many bytes more."""
+"""Memory that a reader may use: this multiple of the file's size, plus this many bytes."""
 
 
 @dataclass
 class Tally:
-    """What came of some inputs.
+    """Results for some inputs.
 
     Args:
-        failures: what broke the rule, by number.
+        failures: Violations by number.
     """
 
     accepted: int = 0
@@ -44,11 +41,11 @@ def fuzz(
     """Read a damaged version of a target's files for each number.
 
     Args:
-        starts: is told each number before its file is read.
+        starts: Called with each number before its file is read.
     """
-    target.read()  # whole, it is read; this also imports all that reading needs
+    target.read()  # the undamaged file is accepted; this also imports all modules that reading needs
     tally = Tally()
-    # One thread: more take longer to start than so small a file takes to read.
+    # Starting more threads takes longer than reading such a small file.
     with mock.patch("os.cpu_count", return_value=1):
         for number in numbers:
             starts(number)
@@ -75,7 +72,7 @@ def _try(target: Target, number: int, tally: Tally) -> None:
 
 
 def _peak_bytes() -> float:
-    """The most memory that this process has held; 0 where the system does not tell."""
+    """Return the peak memory of this process; 0 if the system does not report it."""
     return (peak_memory_mb() or 0.0) * 1e6
 
 
@@ -85,7 +82,7 @@ def _check_cost(seconds: float, grown: float, size: int) -> None:
 
 
 def folder_for(name: str, root: Path) -> Path:
-    """A folder of its own for a target, so that writing beside it can be seen."""
+    """Create a folder for a target, so that writes outside it can be detected."""
     folder = root / name.replace(" ", "-") / "files"
     folder.mkdir(parents=True)
     return folder

@@ -1,4 +1,4 @@
-"""What reading a file must never do: start a program, ask the network, unpickle, write elsewhere."""
+"""Detect forbidden actions of readers: start a program, use the network, unpickle, write elsewhere."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _FORBIDDEN = (
     *("socket.connect", "socket.getaddrinfo", "pickle.find_class"),
 )
 _allowed: list[Path] = []
-"""The one folder that may be written, while something is watched."""
+"""The only folder that may be written during `watched`."""
 
 
 class Forbidden(BaseException):
-    """Something happened that no file may make happen; no `except Exception` can hide it."""
+    """A forbidden action happened; not an `Exception`, so that readers cannot catch it."""
 
 
 @contextmanager
 def watched(folder: Path) -> Iterator[None]:
-    """Raise `Forbidden` for what the block does beyond reading and writing in `folder`."""
+    """Raise `Forbidden` if the block does more than reading, and writing in `folder`."""
     _install()
     _allowed.append(folder)
     try:
@@ -36,7 +36,7 @@ _installed = False
 
 
 def _install() -> None:
-    """Hooks stay for the life of a process; this one looks away while nothing is watched."""
+    """Install the audit hook, which cannot be removed; it is inactive outside `watched`."""
     global _installed
     if not _installed:
         sys.addaudithook(_hook)

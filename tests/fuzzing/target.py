@@ -1,4 +1,4 @@
-"""What is fuzzed: a format with whole files, and a reader that answers or explains."""
+"""Base of fuzzing targets: a format with valid files and a reader."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from core_rasterizer import ExplainedError
 
 
 class Target(ABC):
-    """A format. Constructing it writes whole files into a folder.
+    """A format; the constructor writes valid files into a folder.
 
     Args:
-        folder: of its own, empty.
+        folder: An empty folder.
 
     Attributes:
-        files: the names of the files that are damaged, below `folder`.
+        files: Names of the files to damage, relative to `folder`.
     """
 
     name: ClassVar[str]
@@ -29,23 +29,23 @@ class Target(ABC):
 
     @abstractmethod
     def write(self) -> tuple[str, ...]:
-        """Write the whole files; returns the names of those that are damaged."""
+        """Write valid files; return the names of those to damage."""
 
     @abstractmethod
     def read(self) -> None:
-        """Read what lies in the folder, and assert that what is accepted is good.
+        """Read the files, and check the result.
 
         Raises:
-            ExplainedError: it is refused.
-            AssertionError: it is accepted and must not be.
+            ExplainedError: The files are refused.
+            AssertionError: The files are accepted, but the result is invalid.
         """
 
     def whole(self, file: str) -> bytes:
-        """The undamaged content of a file."""
+        """Return the undamaged content of a file."""
         return self._whole[file]
 
     def accepts(self, file: str, content: bytes) -> bool:
-        """Whether it is still read with one file replaced; whatever else is raised passes."""
+        """Return whether reading succeeds with one file replaced; errors that are not explained propagate."""
         (self.folder / file).write_bytes(content)
         try:
             self.read()
@@ -56,5 +56,5 @@ class Target(ABC):
         return True
 
     def restore(self, file: str) -> None:
-        """Put the undamaged file back."""
+        """Restore the undamaged file."""
         (self.folder / file).write_bytes(self._whole[file])

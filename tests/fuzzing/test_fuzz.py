@@ -1,6 +1,6 @@
-"""Damaged files: no crash, no hang, nothing accepted that is not good, nothing done but reading.
+"""Damaged files cause no crash, no hang, no invalid data, and no forbidden action.
 
-`make fuzz` reads 100,000 of each format.
+`make fuzz` reads 100,000 files per format.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from tests.fuzzing.target import Target
 
 FILES = 500
 SOON = 0.02
-"""CPU seconds that a test lets a reader take."""
+"""CPU seconds that a reader may take in tests."""
 
 
 @pytest.fixture(autouse=True)
-def _the_log_is_as_loud_as_before() -> Iterator[None]:
-    """Readers that answer damage with a warning are told to be quiet, by their targets."""
+def _restored_log_level() -> Iterator[None]:
+    """Restore the log level, which a target changes."""
     cache = logging.getLogger("registry.toolkit.cache.entries")
     level = cache.level
     yield
@@ -45,7 +45,7 @@ def _the_log_is_as_loud_as_before() -> Iterator[None]:
 def test_damaged_files_are_explained_or_harmless(name: str, tmp_path: Path) -> None:
     tally = fuzz(TARGETS[name](folder_for(name, tmp_path)), range(FILES))
     assert tally.failures == {}
-    assert tally.refused > FILES / 4  # the damage is not always invisible
+    assert tally.refused > FILES / 4  # some damage is detected
 
 
 def test_the_same_number_does_the_same_damage() -> None:
@@ -56,7 +56,7 @@ def test_the_same_number_does_the_same_damage() -> None:
 
 
 class Careless(Target):
-    """A reader with every fault that fuzzing must find, by the first byte of what it reads."""
+    """A reader whose fault depends on the first byte; fuzzing must find all faults."""
 
     name = "careless"
 
@@ -65,12 +65,12 @@ class Careless(Target):
         super().__init__(folder)
 
     def write(self) -> tuple[str, ...]:
-        """A byte."""
+        """Write one byte."""
         (self.folder / "a").write_bytes(bytes(1))
         return ("a",)
 
     def read(self) -> None:
-        """What the first byte says."""
+        """Act as the first byte specifies."""
         first = (self.folder / "a").read_bytes()[:1]
         if not first:
             raise ExplainedError("it is empty")
@@ -105,7 +105,7 @@ def test_every_fault_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not (tmp_path / "outside").exists()
 
 
-def test_what_no_file_may_make_happen_is_seen(tmp_path: Path) -> None:
+def test_forbidden_actions_are_detected(tmp_path: Path) -> None:
     for act in (
         lambda: subprocess.run([sys.executable, "-c", ""], check=True),
         lambda: os.system("true"),
@@ -120,12 +120,12 @@ def test_what_no_file_may_make_happen_is_seen(tmp_path: Path) -> None:
 
 @pytest.fixture
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder for a run whose readers are quick to import, and crash at number 3."""
+    """Folder of a run whose readers import quickly and crash at number 3."""
     monkeypatch.setattr("tests.fuzzing.__main__.work", crashing)
     return tmp_path / "state"
 
 
-def test_a_crash_takes_nothing_along_and_a_run_goes_on(
+def test_a_crash_is_isolated_and_a_run_continues(
     state: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run(State(state), [("a", 0, 10), ("b", 10, 20)], 20)
@@ -135,7 +135,7 @@ def test_a_crash_takes_nothing_along_and_a_run_goes_on(
     assert [path.name for path in state.glob("failed-*")] == ["failed-a-3.txt"]
     found = State(state).done
     assert found.pop(("a", 3, 4)) == (0, 0, 1)
-    # The other process may have been ended in the middle of its share, which then is done in parts.
+    # The other process may have been ended during its share, which is then split.
     assert all(counts == (stop - first, 0, 0) for (_, first, stop), counts in found.items())
     read = sorted((name, number) for name, first, stop in found for number in range(first, stop))
     wanted = [("a", number) for number in range(10) if number != 3]

@@ -1,4 +1,4 @@
-"""Whatever is in a file: it is read, or refused with an explanation."""
+"""Files with any content are read, or refused with an explained error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One share of the work, in a process of its own: a crash or a hang takes nothing else along."""
+"""Process one share in a separate process, isolated from crashes and hangs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.fuzzing.fuzz import Tally, folder_for, fuzz
 from tests.fuzzing.target import Target
 
 HANGS = 60
-"""Seconds after which a reader is taken to be caught in a loop, and its process ended."""
+"""Seconds after which a reader counts as hanging and its process is ended."""
 IN_MEMORY = Path("/dev/shm")
 _targets: dict[str, Target] = {}
 _folder: tempfile.TemporaryDirectory[str] | None = None
@@ -24,7 +24,7 @@ def work(name: str, first: int, stop: int, state: Path) -> Tally:
     """Fuzz a target with the numbers from `first` to `stop - 1`.
 
     Args:
-        state: a folder; the number that is being read stands in a file there, by process.
+        state: Folder for a file per process that holds the number in progress.
     """
     note = state / f"{os.getpid()}.reading"
 
@@ -40,7 +40,7 @@ def work(name: str, first: int, stop: int, state: Path) -> Tally:
 
 
 def _target(name: str) -> Target:
-    """The target, written once in a process; in memory where there is such a place."""
+    """Return the target, created once per process, on a RAM disk if available."""
     global _folder
     if _folder is None:
         os.environ["STEREOGS_CACHE"] = ""

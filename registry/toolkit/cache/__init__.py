@@ -1,28 +1,19 @@
-"""What was computed once, on disk, found again by the content of the question.
+"""Cache results on disk under a hash of their inputs.
 
-    from registry import cache
+    from registry.toolkit.cache import Cache, content_key, source_digest
 
-    kept = cache.Cache("flows")
-    key = cache.content_key(image, other, settings.model_dump_json(), cache.source_digest(estimate))
-    flow = kept.load(key, read)             None: not there, or damaged
+    cache = Cache("flows")
+    key = content_key(image, other, settings.model_dump_json(), source_digest(estimate))
+    flow = cache.load(key, read)             None if missing or damaged
     if flow is None:
         flow = estimate(image, other)
-        kept.save(key, lambda folder: write(flow, folder))
+        cache.save(key, lambda folder: write(flow, folder))
 
-An entry is a folder that is whole or absent. All kinds of entries share one folder and one bound on its
-size: what was not used for the longest time goes first. Deleting any of it is safe.
+An entry is a folder that is either complete or absent. All kinds share one folder with one size limit; the
+least recently used entries are removed first. It is safe to delete any of them.
 """
 
-from .entries import Cache
-from .keys import content_key, source_digest
-from .place import FOLDER_VARIABLE, SIZE_VARIABLE, cache_folder, size_limit
+from .entries import Cache, content_key, source_digest
+from .place import FOLDER_VARIABLE
 
-__all__ = [
-    "FOLDER_VARIABLE",
-    "SIZE_VARIABLE",
-    "Cache",
-    "cache_folder",
-    "content_key",
-    "size_limit",
-    "source_digest",
-]
+__all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "source_digest"]

@@ -1,21 +1,24 @@
-"""Entries of the cache: folders that are whole or absent.
+"""Entries of the cache: folders that are either complete or absent.
 
-    STEREOGS_CACHE/<kind>/<key>/    the files that were saved
-                     checksum.txt   a hash over them: what a crash or a bad disk left is never read
+    STEREOGS_CACHE/<kind>/<key>/    the saved files
+                     checksum.txt   hash of the files; detects entries damaged by crashes or disk errors
 
-An entry is written beside its place and renamed; of two who write one entry, the first wins.
+An entry is written to a temporary folder, which is then renamed. If two processes write the same entry, the
+first one wins.
 """
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import inspect
 import logging
 import os
 import shutil
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ...system.files import new_folder
 from .eviction import CHECKSUM, make_room
@@ -23,7 +26,7 @@ from .place import cache_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
+    from types import ModuleType
 
 Answer = TypeVar("Answer")
 _ANOTHER_WAS_FIRST = (errno.EEXIST, errno.ENOTEMPTY)
@@ -31,10 +34,10 @@ _log = logging.getLogger(__name__)
 
 
 class Cache:
-    """The entries of one kind.
+    """All entries of one kind.
 
     Args:
-        kind: a plain name, such as that of the plugin; also the name of the folder.
+        kind: Name of the folder, for example the name of the plugin.
     """
 
     def __init__(self, kind: str) -> None:
@@ -42,33 +45,33 @@ class Cache:
 
     @property
     def folder(self) -> Path | None:
-        """Where the entries lie; None where STEREOGS_CACHE switches caching off."""
+        """Folder of the entries; None if STEREOGS_CACHE disables caching."""
         return cache_folder(self.kind)
 
     def load(self, key: str, read: Callable[[Path], Answer]) -> Answer | None:
-        """What `read` makes of an entry's folder; None if there is no entry.
+        """Return `read(folder)` for an entry, or None if the entry does not exist.
 
-        An entry that is damaged, or that `read` raises on, is reported and removed: also None.
+        If the entry is damaged or `read` raises, log a warning, remove the entry and return None.
         """
         if self.folder is None or not (self.folder / key).is_dir():
             return None
         entry = self.folder / key
         try:
             answer = _read_whole(entry, read)
-        except Exception:  # every library has errors of its own for damaged files
-            return _read_aside(entry, read)
-        with suppress(OSError):  # a cache that may only be read
-            os.utime(entry)  # the least recently used entry is the first to go
+        except Exception:  # libraries raise different errors for damaged files
+            return _read_exclusively(entry, read)
+        with suppress(OSError):  # a read-only cache
+            os.utime(entry)  # eviction starts with the least recently used entry
         return answer
 
     def save(self, key: str, write: Callable[[Path], object]) -> None:
-        """Keep an entry. A full or read-only disk is reported; the caller goes on without.
+        """Save an entry; log a warning if the disk is full or read-only.
 
         Args:
-            write: fills an empty folder with files.
+            write: Function that writes files into an empty folder.
 
         Raises:
-            RunError: STEREOGS_CACHE_MB is no positive whole number.
+            RunError: STEREOGS_CACHE_MB is not a positive integer.
         """
         if self.folder is None:
             return
@@ -86,27 +89,24 @@ class Cache:
 
 def _read_whole(entry: Path, read: Callable[[Path], Answer]) -> Answer:
     if (entry / CHECKSUM).read_text("utf-8") != _checksum(entry):
-        raise ValueError("its checksum is another")
+        raise ValueError("its checksum differs")
     return read(entry)
 
 
-def _read_aside(entry: Path, read: Callable[[Path], Answer]) -> Answer | None:
-    """Look a second time, where no other process can make room or save anew meanwhile.
-
-    What is then still damaged is reported and removed.
-    """
+def _read_exclusively(entry: Path, read: Callable[[Path], Answer]) -> Answer | None:
+    """Move an entry away from other processes and read it again; remove it if it is damaged."""
     aside = entry.with_name(f".{entry.name}.{os.getpid()}-{threading.get_ident()}.partial")
     try:
         entry.rename(aside)
-    except FileNotFoundError:  # another process has just made room
+    except FileNotFoundError:  # evicted by another process
         return None
     except OSError as error:
-        _log.warning("the cached %s cannot be read and not be removed: %s", entry, error)
+        _log.warning("the cached %s can neither be read nor removed: %s", entry, error)
         return None
     try:
         answer = _read_whole(aside, read)
     except Exception as error:
-        _log.warning("the cached %s is damaged (%s); computing anew", entry, error)
+        _log.warning("the cached %s is damaged (%s); computing it again", entry, error)
         shutil.rmtree(aside, ignore_errors=True)
         return None
     try:
@@ -117,7 +117,7 @@ def _read_aside(entry: Path, read: Callable[[Path], Answer]) -> Answer | None:
 
 
 def _checksum(folder: Path) -> str:
-    """A hash over the names and contents of an entry's files."""
+    """Return a hash of the names and contents of an entry's files."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name != CHECKSUM:
@@ -125,3 +125,38 @@ def _checksum(folder: Path) -> str:
                 content = hashlib.file_digest(file, "sha256").hexdigest()
             digest.update(f"{path.relative_to(folder).as_posix()}\0{content}\0".encode())
     return digest.hexdigest()
+
+
+def content_key(*parts: object) -> str:
+    """Return a hash of tensors (type, shape and all bits), bytes, texts, numbers and None, in order.
+
+    Returns:
+        32 hexadecimal digits.
+    """
+    from torch import Tensor
+
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Tensor):
+            array = part.detach().cpu().contiguous().numpy()
+            digest.update(f"{array.dtype}{array.shape}".encode())
+            digest.update(array.tobytes())
+        elif isinstance(part, bytes):
+            digest.update(f"{len(part)} bytes\0".encode())
+            digest.update(part)
+        else:
+            digest.update(repr(part).encode())
+        digest.update(b"\0")
+    return digest.hexdigest()[:32]
+
+
+def source_digest(*definitions: Callable[..., Any] | ModuleType) -> str:
+    """Return a hash of the source files that define classes, functions or modules.
+
+    As part of a key, it invalidates entries when the code that computes them changes.
+
+    Raises:
+        TypeError: An argument is not defined in a file.
+    """
+    files = [inspect.getfile(definition) for definition in definitions]
+    return content_key(*(Path(file).read_bytes() for file in files))

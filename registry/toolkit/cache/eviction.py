@@ -1,7 +1,7 @@
-"""Room in the cache: once it holds more than it may, what was not used for the longest time goes.
+"""Limit the size of the cache: remove the least recently used entries.
 
-Only folders that look like entries are ever removed, so that a cache folder that holds something else
-too, a home folder for example, loses nothing.
+Only folders that look like entries are removed, so that other files in the cache folder, for example a
+home folder, are safe.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from typing import NamedTuple
 from .place import size_limit
 
 CHECKSUM = "checksum.txt"
-"""The file that marks a folder as an entry."""
+"""File that marks a folder as an entry."""
 SHARE_KEPT = 0.9
-"""Of the limit, once it is passed: so not every new entry must look through the whole cache."""
+"""Share of the limit to keep when it is exceeded, so that not every new entry scans the whole cache."""
 ABANDONED = 24 * 3600
-"""Seconds after which an unfinished entry belongs to nobody who still runs."""
+"""Seconds after which the process that writes an unfinished entry is assumed dead."""
 _ENTRY = re.compile(r"[0-9a-f]{32}")
 _UNFINISHED = re.compile(r"\.[0-9a-f]{32}\..*\.partial")
 
 _lock = threading.Lock()
 _sizes: dict[Path, int] = {}
-"""Bytes by cache folder, as counted when it was last looked through, and added to by this process since."""
+"""Bytes by cache folder: counted at the last scan, plus entries that this process has added."""
 
 
 class Entry(NamedTuple):
-    """One entry, as found: when it was last used (seconds), and its size in bytes."""
+    """An entry: time of last use in seconds, path, size in bytes."""
 
     used: float
     path: Path
@@ -40,14 +40,14 @@ class Entry(NamedTuple):
 
 
 def make_room(root: Path, newest: Path) -> None:
-    """Remove the least recently used entries if the cache is too large; the newest always stays.
+    """Remove the least recently used entries if the cache is too large, but never the newest.
 
     Args:
-        root: folder of the whole cache.
-        newest: the entry that was just written.
+        root: Folder of the whole cache.
+        newest: Entry that was just written.
 
     Raises:
-        RunError: STEREOGS_CACHE_MB is no positive whole number.
+        RunError: STEREOGS_CACHE_MB is not a positive integer.
     """
     limit = size_limit()
     with _lock:
@@ -61,7 +61,7 @@ def make_room(root: Path, newest: Path) -> None:
 
 
 def _evict(root: Path, newest: Path, wanted: float) -> int:
-    """Remove entries, the least recently used first; return the bytes that are left."""
+    """Remove entries, least recently used first; return the remaining bytes."""
     _remove_abandoned(root)
     entries = sorted(_entries(root))
     total = sum(entry.size for entry in entries)
@@ -74,18 +74,18 @@ def _evict(root: Path, newest: Path, wanted: float) -> int:
 
 
 def _remove(path: Path) -> bool:
-    """Remove an entry, at once for whoever looks for it; False if that is not possible."""
+    """Remove an entry atomically for other processes; return False if that fails."""
     leaving = path.with_name(f".{path.name}.leaving.partial")
     try:
         path.rename(leaving)
-    except OSError:  # another process removes it, or it cannot be removed
+    except OSError:  # removed by another process, or not removable
         return False
     shutil.rmtree(leaving, ignore_errors=True)
     return True
 
 
 def _remove_abandoned(root: Path) -> None:
-    """What killed processes had begun to write; by its age, because other machines may write here too."""
+    """Remove old unfinished entries; age decides, because other machines may write here too."""
     for path in root.glob("*/.*.partial"):
         if _UNFINISHED.fullmatch(path.name) and time.time() - _used(path) > ABANDONED:
             shutil.rmtree(path, ignore_errors=True)
@@ -99,13 +99,13 @@ def _entries(root: Path) -> list[Entry]:
 def _used(path: Path) -> float:
     try:
         return path.stat().st_mtime
-    except OSError:  # gone meanwhile
+    except OSError:  # removed meanwhile
         return 0.0
 
 
 def _size(folder: Path) -> int:
     total = 0
-    for place, _, names in os.walk(folder):  # which passes over folders that are gone meanwhile
+    for place, _, names in os.walk(folder):  # skips folders that were removed meanwhile
         for name in names:
             with suppress(FileNotFoundError):
                 total += Path(place, name).stat().st_size

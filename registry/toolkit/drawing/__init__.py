@@ -1,14 +1,18 @@
-"""Pictures and videos of renders, depths and camera paths."""
+"""Images and videos of renders, depth maps and camera paths; shared settings of metrics and loggers.
+
+from registry.toolkit.drawing import nearness_picture, save_png, smooth_path, write_video
+
+save_png(nearness_picture(1 / depth, depth > 0), folder / "depth.png")
+path = smooth_path([view.camera for view in scene.train], frames=120)
+write_video((render(camera) for camera in path), folder / "flight")
+"""
 
 from typing import TYPE_CHECKING
 
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .camera_path import smooth_path
-    from .logged_pictures import LoggerSettings
-    from .metric_images import ImageMetricSettings, white_outside
-    from .orientation import Vector, upright_rotation, upwards
+    from .camera_path import Vector, smooth_path, upright_rotation, upwards
     from .pictures import (
         COMPARISONS,
         RAMP,
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
         side_by_side,
         to_bytes,
     )
+    from .settings import ImageMetricSettings, LoggerSettings, white_outside
     from .video import write_video
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)

@@ -1,4 +1,4 @@
-"""A smooth flight between cameras, for videos."""
+"""A smooth camera path for videos, and the up direction of a scene."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -14,23 +15,25 @@ from core_rasterizer import Camera
 
 from ...errors import RunError
 
+Vector = NDArray[np.float64]
+
 
 def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
-    """Cameras on a path through all given ones and back to the first.
+    """Return cameras on a closed path through all given cameras.
 
-    Centres follow a cubic spline, rotations a spline of angular velocity (Park & Ravani 1997, as in
-    scipy), focal lengths and principal points straight lines; the size is the first camera's.
+    Centers follow a cubic spline, rotations a spline of angular velocity (Park & Ravani 1997, as in
+    scipy), focal lengths and principal points linear interpolation; the size is the first camera's.
 
     Args:
-        cameras: at least two, in the order in which they are visited.
-        frames: how many cameras to return, >= 2.
+        cameras: At least two cameras, in the order of the path.
+        frames: Number of cameras to return, >= 2.
 
     Raises:
-        RunError: fewer cameras or frames than that.
+        RunError: There are fewer cameras or frames.
     """
     if len(cameras) < 2 or frames < 2:
         raise RunError(
-            f"no path leads through {len(cameras)} camera(s) in {frames} frame(s)",
+            f"no path exists through {len(cameras)} camera(s) in {frames} frame(s)",
             fix="use a scene with two or more training views, and two or more frames",
         )
     stops = [*cameras, cameras[0]]
@@ -57,3 +60,35 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
             replace(first, world_to_camera=torch.from_numpy(pose), fx=fx, fy=fy, cx=cx, cy=cy)
         )
     return path
+
+
+def upwards(cameras: Sequence[Camera]) -> Vector:
+    """Return the mean up direction of the images, `[3]`, unit length, world axes.
+
+    If the directions cancel out, the up direction of the first camera.
+
+    Args:
+        cameras: At least one camera.
+    """
+    directions = np.stack([-camera.world_to_camera[1, :3].numpy() for camera in cameras])
+    mean = directions.mean(axis=0)
+    chosen: Vector = mean if np.linalg.norm(mean) > 1e-3 else directions[0]
+    return chosen / np.linalg.norm(chosen)
+
+
+def upright_rotation(cameras: Sequence[Camera]) -> Rotation:
+    """Return the rotation from world axes to x right, y up, z back, as seen from the first camera.
+
+    Up is the mean over all cameras (`upwards`); the viewing direction becomes horizontal.
+
+    Args:
+        cameras: At least one camera.
+    """
+    up = upwards(cameras)
+    first = cameras[0].world_to_camera.numpy()
+    back = -first[2, :3] + (first[2, :3] @ up) * up
+    if np.linalg.norm(back) < 1e-3:  # looks straight up or down; its x axis is horizontal
+        back = np.cross(first[0, :3], up)
+    back /= np.linalg.norm(back)
+    rotation: Rotation = Rotation.from_matrix(np.stack([np.cross(up, back), up, back]))
+    return rotation

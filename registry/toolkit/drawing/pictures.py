@@ -1,4 +1,4 @@
-"""Pictures for people: renders, depth in colours, and both beside the truth."""
+"""Images of renders and depth maps, and comparisons with the photographs."""
 
 from __future__ import annotations
 
@@ -26,55 +26,54 @@ RAMP = (
     (0.55, 0.78, 0.32),
     (1.00, 0.92, 0.45),
 )
-"""Colours from low to high, from far to near, equally spaced; lightness grows steadily."""
+"""Color map from low to high (far to near), equally spaced, with increasing lightness."""
 NEAREST, FARTHEST = "nearest depth", "farthest depth"
-"""What a picture of depth says of itself, as texts in its PNG file: the z-depths, in world units, of its
-lightest and its darkest colour."""
+"""PNG texts of a depth image: z-depths of its lightest and its darkest color, world units."""
 DEPTHS, COMPARISONS = "depth", "comparison"
-"""Folders within the one of the renders."""
+"""Subfolders of the folder with the renders."""
 _RAMP_STEPS = 1024
-"""From the ramp's first colour to its last; a step is less than one of 256 levels."""
+"""Steps of the color map; a step is less than one of 256 levels."""
 _GAP = 4
-"""White pixels between pictures side by side."""
+"""White pixels between two images."""
 _LUMA = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in grey (ITU-R BT.601), as image libraries convert."""
+"""Weights of red, green and blue in grey (ITU-R BT.601), as in image libraries."""
 
 
 def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) -> None:
-    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG, with texts by keyword in it (PNG's tEXt)."""
+    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG, with optional texts by keyword (tEXt chunks)."""
     from PIL import Image, PngImagePlugin
 
     info = PngImagePlugin.PngInfo()
     for keyword, text in (texts or {}).items():
         info.add_text(keyword, text)
     with replacing(path) as temporary:
-        # Z_RLE looks for repeats in the byte before alone. PNG's filters leave hardly any others in pictures:
-        # files are as small, and take three quarters of the time.
+        # Z_RLE finds repeats of the previous byte only. After PNG's filters, images have few others:
+        # files are as small, and 25 % faster to write.
         Image.fromarray(to_bytes(image)).save(
             temporary, "PNG", compress_type=zlib.Z_RLE, pnginfo=info
         )
 
 
 def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """`[H, W, 3]` in [0, 1] as rounded bytes; values outside are clamped."""
+    """Clamp `[H, W, 3]` to [0, 1] and round it to uint8."""
     import torch
 
     return (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
 
 
 def grey(image: Tensor) -> Tensor:
-    """Brightness `[H, W]` of an image `[H, W, 3]` in [0, 1]: ITU-R BT.601's shares of the colours."""
+    """Return the luma `[H, W]` of an image `[H, W, 3]` in [0, 1] (ITU-R BT.601)."""
     return image @ image.new_tensor(_LUMA)
 
 
 @dataclass(frozen=True)
 class ViewPictures:
-    """Where the pictures of one view lie; no two views share a file, whatever their names.
+    """Paths of a view's images.
 
     Args:
-        render: the colours.
-        depth: in colours, see `depth_picture`.
-        comparison: truth, render and depth side by side.
+        render: The render.
+        depth: The depth in colors, see `depth_picture`.
+        comparison: Photograph, render and depth side by side.
     """
 
     render: Path
@@ -83,13 +82,13 @@ class ViewPictures:
 
     @classmethod
     def of(cls, name: str, folder: Path) -> Self:
-        """Of the view of that name, in a run's folder of renders."""
+        """Return the paths for a view's name in a folder of renders."""
         file = f"{name}.png"
         return cls(folder / file, folder / DEPTHS / file, folder / COMPARISONS / file)
 
 
 def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPictures:
-    """Write a view's render, its depth, and truth | render | depth side by side."""
+    """Write a view's render, its depth, and photograph | render | depth side by side."""
     files = ViewPictures.of(view.name, folder)
     depth = depth_picture(rendering)
     for file in (files.depth, files.comparison):
@@ -104,21 +103,21 @@ def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPi
 
 
 def depth_picture(rendering: Rendering) -> Tensor:
-    """Depth in colours, `[H, W, 3]`: near is light, far is dark, nothing hit is black.
+    """Return depth in colors, `[H, W, 3]`: near is light, far is dark, empty pixels are black.
 
-    Colours are linear in inverse depth between its 2nd and 98th percentile in this picture.
+    Colors are linear in inverse depth between the 2nd and 98th percentiles of this image.
     """
     return nearness_picture(*_nearness(rendering))
 
 
 def _nearness(rendering: Rendering) -> tuple[Tensor, Tensor]:
-    """Inverse depth, and where something was hit."""
+    """Return inverse depth, and True for pixels that are not empty."""
     alpha = rendering.alpha.detach()
     return alpha / rendering.depth.detach().clamp(min=1e-9), alpha > 0.5
 
 
 def _depth_texts(rendering: Rendering) -> dict[str, str]:
-    """The ends of the colours of `depth_picture`; empty if nothing was hit."""
+    """Return the texts `NEAREST` and `FARTHEST` of `depth_picture`; empty if all pixels are empty."""
     nearness, known = _nearness(rendering)
     if not known.any():
         return {}
@@ -127,9 +126,9 @@ def _depth_texts(rendering: Rendering) -> dict[str, str]:
 
 
 def depth_ends(picture: Path) -> tuple[float, float] | None:
-    """The z-depths of the lightest and the darkest colour of a saved picture of depth, world units.
+    """Return the z-depths of the lightest and the darkest color of a saved depth image, world units.
 
-    None of one that shows nothing, or was written by an older version.
+    None for an image without depth, or one written by an older version.
     """
     from PIL import Image
 
@@ -142,7 +141,7 @@ def depth_ends(picture: Path) -> tuple[float, float] | None:
 
 
 def _ends(values: Tensor, known: Tensor) -> tuple[float, float]:
-    """The 2nd and 98th percentile of what is known."""
+    """Return the 2nd and 98th percentiles of the known values."""
     import numpy as np
 
     low, high = np.quantile(values[known].numpy(), (0.02, 0.98))
@@ -150,12 +149,12 @@ def _ends(values: Tensor, known: Tensor) -> tuple[float, float]:
 
 
 def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
-    """Inverse depth or disparity in colours, `[H, W, 3]`: large is light, unknown is black.
+    """Return inverse depth or disparity in colors, `[H, W, 3]`: large is light, unknown is black.
 
-    Colours are linear between the 2nd and 98th percentile of what is known.
+    Colors are linear between the 2nd and 98th percentiles of the known values.
 
     Args:
-        nearness: `[H, W]`; values that are not known do not matter.
+        nearness: `[H, W]`; unknown values are ignored.
         known: `[H, W]` bool.
     """
     import torch
@@ -168,7 +167,7 @@ def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
 
 
 def ramp_picture(values: Tensor) -> Tensor:
-    """`[H, W]` in colours, `[H, W, 3]`: from `RAMP`'s first at 0 to its last at 1, clamped."""
+    """Convert `[H, W]`, clamped to [0, 1], to colors `[H, W, 3]` of `RAMP`."""
     import torch
 
     ramp = torch.nn.functional.interpolate(
@@ -178,7 +177,7 @@ def ramp_picture(values: Tensor) -> Tensor:
 
 
 def side_by_side(*images: Tensor) -> Tensor:
-    """Images of one height in a row, with a white gap between them."""
+    """Concatenate images of equal height horizontally, with a white gap between them."""
     import torch
 
     gap = torch.ones(images[0].shape[0], _GAP, 3)

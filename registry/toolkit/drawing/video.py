@@ -1,4 +1,4 @@
-"""Frames to a video where imageio-ffmpeg is installed, else to numbered pictures."""
+"""Write frames as a video, or as numbered images without imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ FRAMES_PER_SECOND = 30
 
 
 def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
-    """Write `target`.mp4, or pictures into the folder `target` if no encoder is installed.
+    """Write `target`.mp4, or images into the folder `target` if no encoder is installed.
 
     Args:
-        frames: at least one, each `[H, W, 3]` in [0, 1].
+        frames: At least one frame `[H, W, 3]` in [0, 1].
 
     Returns:
-        What was written, and a few words that say which of the two it is.
+        Path of the file or folder, and a short description of it.
     """
     try:
         import imageio_ffmpeg  # type: ignore[import-untyped]
@@ -50,7 +50,7 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
 
 
 def _even(frame: Tensor) -> Tensor:
-    """The frame with its last row and column twice where H.264's common colour format wants even sizes."""
+    """Repeat the last row or column of odd sizes; H.264's common color format requires even sizes."""
     height, width = frame.shape[:2]
     rows = torch.arange(height + height % 2).clamp(max=height - 1)
     columns = torch.arange(width + width % 2).clamp(max=width - 1)

@@ -1,4 +1,15 @@
-"""Neural networks in ONNX files: opened by path and hash, checked, and run."""
+"""Neural networks in ONNX files: load by path and hash, check, run, and adapt image sizes.
+
+    from registry.toolkit.networks import OnnxModel, OnnxModelSettings
+    from registry.toolkit.networks.image_fitting import in_range, padded
+
+    model = settings.open()                                   of OnnxModelSettings
+    fit = padded((height, width), (None, None), multiple=32)
+    batch = in_range(fit.apply(images), "imagenet")
+    depth = fit.undo(model.run({"image": batch})["depth"])
+
+`LearnedFeatures` and `KeypointNetworks` wrap two frequent kinds of networks.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -8,9 +19,8 @@ if TYPE_CHECKING:
     from .keypoint_networks import KeypointNetworks, Keypoints
     from .learned_features import LearnedFeatures
     from .model_file import Sha256, read_model_file
-    from .onnx_model import OnnxModel, OnnxTensor
+    from .onnx_model import OnnxModel, OnnxModelSettings, OnnxTensor
     from .onnx_session import OnnxProvider, first_line
-    from .onnx_settings import OnnxModelSettings
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

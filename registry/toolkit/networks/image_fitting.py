@@ -1,6 +1,9 @@
-"""Images brought to a size that a network takes, its answers brought back, maps brought to a render's size.
+"""Resize images to a network's input size and its outputs back; resize maps to a render's size.
 
-Sizes are (height, width). A graph may leave a side open, for any multiple of a number, or freeze it.
+    fit = padded((height, width), (None, None), multiple=32)
+    depth = fit.undo(network(in_range(fit.apply(images), "imagenet")))
+
+Sizes are (height, width). Each side of a graph's input is fixed, or dynamic (None) with a divisor.
 """
 
 from __future__ import annotations
@@ -43,12 +46,12 @@ _MEAN_AND_DEVIATION = {
 
 @dataclass(frozen=True)
 class Fit:
-    """One size's way to another: resized to `content`, then padded evenly on both sides to `target`.
+    """A transform that resizes images to `content`, then pads both sides evenly to `target`.
 
     Args:
-        image: the images' size.
-        content: what they are resized to.
-        target: what the network is given; on no side smaller than `content`.
+        image: Size of the images.
+        content: Size after resizing.
+        target: Size of the network's input, at least `content`.
     """
 
     image: Size
@@ -57,12 +60,12 @@ class Fit:
 
     @property
     def width_factor(self) -> float:
-        """What a distance along a row of the network's answer is multiplied with."""
+        """Factor from horizontal distances in the network's output to distances in the image."""
         return self.image[1] / self.content[1]
 
     @property
     def height_factor(self) -> float:
-        """The same along a column."""
+        """Factor for vertical distances."""
         return self.image[0] / self.content[0]
 
     def apply(
@@ -72,7 +75,7 @@ class Fit:
         interpolation: Literal["bilinear", "bicubic"] = "bilinear",
         padding: Padding = "replicate",
     ) -> Tensor:
-        """`[N, 3, *image]` as `[N, 3, *target]`; what shrinks is smoothed first."""
+        """Convert `[N, 3, *image]` to `[N, 3, *target]`; downsampling uses an anti-aliasing filter."""
         from torch.nn.functional import interpolate, pad
 
         if self.content != self.image:
@@ -87,9 +90,9 @@ class Fit:
         return images
 
     def undo(self, maps: Tensor) -> Tensor:
-        """`[N, *target]` as `[N, *image]`, values not rescaled; not finite means unknown and stays so.
+        """Convert `[N, *target]` to `[N, *image]` without scaling values; non-finite values mean unknown.
 
-        A resized value is the bilinear mean of the known ones around it, known where the nearest is.
+        A resized value is the bilinear mean of the known neighbors; it is unknown if the nearest is.
         """
         import torch
         from torch.nn.functional import interpolate
@@ -107,9 +110,9 @@ class Fit:
         return torch.where(nearest, values / weights, torch.nan)[:, 0]
 
     def undo_points(self, points: Tensor) -> Tensor:
-        """Positions `[N, 2]` (column, row) in the target as positions in the image.
+        """Convert positions `[N, 2]` (column, row) in the target to positions in the image.
 
-        The middle of the first pixel is (0.5, 0.5) in both; what lies in the padding comes out outside.
+        The center of the first pixel is (0.5, 0.5) in both. Positions in the padding end up outside.
         """
         top, left = self._offset
         moved = points - points.new_tensor([left, top])
@@ -117,15 +120,12 @@ class Fit:
 
     @property
     def _offset(self) -> Size:
-        """Rows above and columns left of the content; of an odd number the larger half is after it."""
+        """Padding above and left of the content; of an odd padding, the larger half follows the content."""
         return (self.target[0] - self.content[0]) // 2, (self.target[1] - self.content[1]) // 2
 
 
 def padded(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
-    """Pad to the frozen size or to the next multiple; an image that is too large is shrunk first.
-
-    Shrinking keeps the proportions: networks were trained on pictures that are not squeezed.
-    """
+    """Pad to the fixed size or the next multiple; downsample larger images first, keeping proportions."""
     room = [side if side is not None else math.inf for side in frozen]
     factor = min(1.0, room[0] / image[0], room[1] / image[1])
     content = (max(1, round(image[0] * factor)), max(1, round(image[1] * factor)))
@@ -137,7 +137,7 @@ def padded(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
 
 
 def stretched(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
-    """Resize to the frozen size, or to the nearest multiple of each side; nothing is padded."""
+    """Resize to the fixed size, or each side to the nearest multiple, without padding."""
     height, width = (
         side if side is not None else max(1, round(length / multiple)) * multiple
         for side, length in zip(frozen, image, strict=True)
@@ -146,9 +146,9 @@ def stretched(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
 
 
 def in_range(images: Tensor, value_range: ValueRange) -> Tensor:
-    """Images `[N, 3, H, W]` in [0, 1], clamped and in a network's own numbers.
+    """Clamp images `[N, 3, H, W]` to [0, 1] and convert them to a network's range.
 
-    `-1..1` is mean 0.5 and deviation 0.5; `imagenet` are the mean and deviation of that data set.
+    `imagenet` subtracts the mean of that data set and divides by its standard deviation.
     """
     images = images.clamp(0, 1)  # bicubic resizing overshoots
     if value_range in _MEAN_AND_DEVIATION:
@@ -162,15 +162,16 @@ def in_range(images: Tensor, value_range: ValueRange) -> Tensor:
 def full_size_maps(
     name: str, answers: Mapping[str, Tensor], shape: tuple[int, int, int], where: Path
 ) -> Tensor:
-    """An output as `[N, H, W]`, at the size of the input: the unit of a smaller one is not known.
+    """Return an output as `[N, H, W]`; refuse other sizes, whose unit would be ambiguous.
 
     Args:
-        name: of the output, for the message too.
-        shape: (N, H, W); one more side of 1, for the channel, after the first or at the end is taken, too.
-        where: the model's file.
+        name: Name of the output.
+        answers: Outputs of the model by name.
+        shape: (N, H, W); the output may have an additional channel dimension of 1, second or last.
+        where: Path of the model's file.
 
     Raises:
-        PluginError: the output has another shape.
+        PluginError: The output has another shape.
     """
     count, height, width = shape
     answer = answers[name]
@@ -179,20 +180,20 @@ def full_size_maps(
             f"the output {name!r} has the shape {list(answer.shape)}, "
             f"expected [{count}, 1, {height}, {width}]",
             where=str(where),
-            fix="export the graph with an output at the size of its images, or name the one that is",
+            fix="export the graph with an output at the size of its images, or choose such an output",
         )
     return answer.reshape(shape)
 
 
 def at_size(pixels: Tensor, height: int, width: int) -> Tensor:
-    """A map of a photograph's pixels at the size of a render of it, which samplers may make smaller.
+    """Resample a map of a photograph to the size of its render, which samplers may reduce.
 
-    Each pixel takes the value of the one that its middle falls into; nothing is averaged, so that depths
-    of two surfaces and what is unknown stay apart. A map of that size is returned as it is.
+    Uses the nearest pixel without averaging, so that depths of two surfaces and unknown values do not mix. A
+    map of the right size is returned unchanged.
 
     Args:
         pixels: `[H, W]` of any type.
-        height, width: of the render.
+        height, width: Size of the render.
     """
     import torch
 

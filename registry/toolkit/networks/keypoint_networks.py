@@ -1,8 +1,10 @@
-"""Keypoints and their matches by two networks in ONNX files.
+"""Find and match keypoints with two networks in ONNX files.
 
-One finds keypoints and describes them, the other matches two images' keypoints: XFeat (Potje et al.,
-CVPR 2024) and LighterGlue, a small LightGlue (Lindenberger et al., ICCV 2023) that its authors trained
-for it.
+The finder returns keypoints and descriptors of an image, the matcher pairs the keypoints of two images, as
+XFeat (Potje et al., CVPR 2024) with LighterGlue (after Lindenberger et al., ICCV 2023). Tensors by name:
+
+    finder    input [1, 3, H, W]; outputs keypoints [n, 2] (column, row), descriptors [n, C]
+    matcher   inputs kpts0, kpts1 [1, n, 2], desc0, desc1 [1, n, C]; outputs matches [m, 2], scores [m]
 """
 
 from __future__ import annotations
@@ -19,41 +21,39 @@ if TYPE_CHECKING:
     from .onnx_model import OnnxModel
 
 KEYPOINTS, DESCRIPTORS = "keypoints", "descriptors"
-"""Outputs of the first graph: `[n, 2]` (column, row) and `[n, C]`."""
 POINT_INPUTS, DESCRIPTOR_INPUTS = ("kpts0", "kpts1"), ("desc0", "desc1")
-"""Inputs of the second graph, for the first and the second image: `[1, n, 2]` and `[1, n, C]`."""
 MATCHES, SCORES = "matches", "scores"
-"""Its outputs: `[m, 2]` numbers of keypoints, and `[m]`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """What the first graph says of an image.
+    """Keypoints of an image.
 
     Args:
         points: `[n, 2]` (column, row) in the image, pixels.
-        given: `[1, n, 2]` the same as the matcher takes them: the longer side of what the graph was
-            shown runs from -1 to 1, the shorter one in proportion, 0 in the middle.
+        normalized: `[1, n, 2]` coordinates for the matcher: the longer side of the finder's input runs from
+            -1 to 1, the shorter side in proportion, with 0 at the center.
         descriptors: `[1, n, C]`.
     """
 
     points: Tensor
-    given: Tensor
+    normalized: Tensor
     descriptors: Tensor
 
 
 class KeypointNetworks:
-    """The two graphs; images are stretched to the size of the first.
+    """A finder and a matcher; images are stretched to the size of the finder's input.
 
     Args:
-        finder: answers `KEYPOINTS` and `DESCRIPTORS` of one image `[1, 3, H, W]`.
-        matcher: answers `MATCHES` and `SCORES` of two images' keypoints.
-        value_range: the numbers for black and white that the finder takes.
-        multiple: both sides of an image must be a multiple of this, where the finder leaves them open.
-        size: (width, height) given to a finder that leaves both open; None: the images' own, rounded.
+        finder: Network that returns `KEYPOINTS` and `DESCRIPTORS`.
+        matcher: Network that returns `MATCHES` and `SCORES`.
+        value_range: Range of the colors in the finder's input.
+        multiple: Divisor of both sides of the finder's input, if it has a dynamic size.
+        size: (width, height) of the finder's input, if it has a dynamic size; None keeps the image's
+            size, rounded to `multiple`.
 
     Raises:
-        PluginError: graphs of another form.
+        PluginError: A graph has other inputs or outputs.
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class KeypointNetworks:
         self._image = finder.input()
         if len(self._image.shape) != 4 or self._image.shape[1] not in (None, 3):
             raise PluginError(
-                f"the input {self._image} takes no image; expected [1, 3, H, W]",
+                f"the input {self._image} is not an image; expected [1, 3, H, W]",
                 where=str(finder.path),
-                fix="name the file that finds keypoints with `model`, the one that matches with `matcher`",
+                fix="set `model` to the file that finds keypoints, `matcher` to the one that matches them",
             )
         for name in (KEYPOINTS, DESCRIPTORS):
             finder.output(name)
@@ -85,29 +85,30 @@ class KeypointNetworks:
 
     @staticmethod
     def recognizes(model: OnnxModel) -> bool:
-        """Whether a model has the outputs of one that finds keypoints."""
+        """Return whether a model has the outputs of a finder."""
         return {KEYPOINTS, DESCRIPTORS} <= {spec.name for spec in model.outputs}
 
     @property
     def fingerprint(self) -> str:
-        """Both files' hashes and what runs them."""
+        """Fingerprints of both models, see `OnnxModel.fingerprint`."""
         return f"{self._finder.fingerprint} {self._matcher.fingerprint}"
 
     def turns(self, image: Tensor) -> bool:
-        """Whether the finder is frozen to upright pictures and the image `[H, W, 3]` lies, or the reverse."""
+        """Return whether an image `[H, W, 3]` and the finder's fixed size differ in orientation."""
         height, width = self._frozen
         if height is None or width is None:
             return False
         return (height - width) * (image.shape[0] - image.shape[1]) < 0
 
     def keypoints(self, image: Tensor, *, turned: bool) -> Keypoints:
-        """The keypoints of an image `[H, W, 3]` float32 in [0, 1].
+        """Return the keypoints of an image `[H, W, 3]` float32 in [0, 1].
 
         Args:
-            turned: show it turned by a quarter; of two images that are matched, both or none.
+            turned: If True, the finder sees the image rotated by 90 degrees. Use the same value for both
+                images of a pair.
 
         Raises:
-            PluginError: keypoints without descriptors.
+            PluginError: The numbers of keypoints and descriptors differ.
         """
         import torch
 
@@ -121,37 +122,33 @@ class KeypointNetworks:
                 f"the keypoints {list(keypoints.shape)} and descriptors {list(descriptors.shape)} do not "
                 "belong together, expected [n, 2] and [n, C]",
                 where=str(self._finder.path),
-                fix="export a graph that answers one image",
+                fix="export a graph that processes one image",
             )
         size = keypoints.new_tensor(fit.target[::-1])
-        # The graph counts pixels from the middle of the first one.
+        # In the graph, the center of the first pixel is (0, 0).
         points = fit.undo_points(keypoints + 0.5)
         if turned:
             points = torch.stack([image.shape[1] - points[:, 1], points[:, 0]], dim=1)
-        given = (keypoints - size / 2) / (size.max() / 2)
-        return Keypoints(points, given[None], descriptors[None])
+        normalized = (keypoints - size / 2) / (size.max() / 2)
+        return Keypoints(points, normalized[None], descriptors[None])
 
     def match(self, first: Keypoints, second: Keypoints, min_score: float) -> tuple[Tensor, Tensor]:
-        """Which keypoints show the same: pairs of numbers `[m, 2]` int64, and scores `[m]` in [0, 1].
+        """Return pairs of keypoint indices `[m, 2]` int64, and their scores `[m]` in [0, 1].
 
         Args:
-            min_score: matches with a lower score are left out.
+            min_score: Lowest score to keep.
 
         Raises:
-            PluginError: matches of keypoints that there are not.
+            PluginError: The matcher returns other shapes or indices out of range.
         """
         import torch
 
         counts = torch.tensor([len(first.points), len(second.points)])
         if not counts.all():
             return torch.zeros(0, 2, dtype=torch.int64), torch.zeros(0)
-        found = (first, second)
-        answers = self._matcher.run(
-            {
-                **dict(zip(POINT_INPUTS, (one.given for one in found), strict=True)),
-                **dict(zip(DESCRIPTOR_INPUTS, (one.descriptors for one in found), strict=True)),
-            }
-        )
+        inputs = dict(zip(POINT_INPUTS, (first.normalized, second.normalized), strict=True))
+        inputs |= zip(DESCRIPTOR_INPUTS, (first.descriptors, second.descriptors), strict=True)
+        answers = self._matcher.run(inputs)
         pairs, scores = answers[MATCHES].long(), answers[SCORES]
         if (
             pairs.shape != (len(scores), 2)
@@ -162,7 +159,7 @@ class KeypointNetworks:
                 f"the matches {list(pairs.shape)} with scores {list(scores.shape)} are not pairs of the "
                 f"{counts.tolist()} keypoints",
                 where=str(self._matcher.path),
-                fix="export a matcher that answers [m, 2] numbers of keypoints and [m] scores",
+                fix="export a matcher that returns indices [m, 2] of keypoints and scores [m]",
             )
         kept = scores >= min_score
         return pairs[kept], scores[kept]

@@ -1,8 +1,8 @@
-"""Matching features of a small network, in the form of the MC-CNN "fast" architecture.
+"""Matching features of a small network with the interface of the MC-CNN "fast" architecture.
 
 Zbontar and LeCun, "Stereo Matching by Training a Convolutional Neural Network to Compare Image
-Patches", JMLR 2016: the image is grey and standardized, and two pixels match as well as the dot
-product of their unit feature vectors says.
+Patches", JMLR 2016: the input is a standardized grey image; the similarity of two pixels is the dot
+product of their unit feature vectors.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ if TYPE_CHECKING:
 
 
 class LearnedFeatures:
-    """Unit feature vectors of every pixel of an image.
+    """A function that returns a unit feature vector for each pixel of an image.
 
     Args:
-        path: an ONNX model with one input `[N, 1, H, W]` of open size, a standardized grey image, and
-            one output `[N, C, H, W]`.
-        sha256: the hash that the file must have, or None.
-        provider: what runs the model, or None: the first that is installed.
+        path: Path of an ONNX model with one input `[N, 1, H, W]` of dynamic size, a standardized grey
+            image, and one output `[N, C, H, W]`.
+        sha256, provider: See `OnnxModel`.
 
     Raises:
-        PluginError: see `OnnxModel`; or a graph of another form.
+        PluginError: See `OnnxModel`; also if the graph has several inputs or outputs.
     """
 
     def __init__(
@@ -42,7 +41,7 @@ class LearnedFeatures:
 
     @staticmethod
     def recognizes(model: OnnxModel) -> bool:
-        """Whether a model has the form of such features, as far as its sizes tell."""
+        """Return whether the shapes of a model's input and output match this class."""
         if len(model.inputs) != 1 or len(model.outputs) != 1:
             return False
         grey, features = model.inputs[0].shape, model.outputs[0].shape
@@ -50,17 +49,17 @@ class LearnedFeatures:
 
     @property
     def fingerprint(self) -> str:
-        """What the features depend on beside the image."""
+        """See `OnnxModel.fingerprint`."""
         return self._model.fingerprint
 
     def __call__(self, image: Tensor) -> Tensor:
-        """Features `[C, H, W]` float32; their length over C is 1, or 0 where a pixel has none.
+        """Return features `[C, H, W]` float32 with norm 1 over C, or 0 for a zero feature.
 
         Args:
             image: `[H, W, 3]` float32 in [0, 1].
 
         Raises:
-            PluginError: the model answers another size, or values that are not finite.
+            PluginError: The model returns another size or non-finite values.
         """
         import torch
         from torch.nn.functional import normalize
@@ -73,7 +72,7 @@ class LearnedFeatures:
                 f"the features have the shape {list(features.shape)}, "
                 f"expected [1, C, {height}, {width}]",
                 where=str(self._model.path),
-                fix="use a model that answers one vector for each pixel",
+                fix="use a model that returns one vector for each pixel",
             )
         if not torch.isfinite(features).all():
             raise PluginError("a feature is not finite", where=str(self._model.path))
@@ -81,7 +80,7 @@ class LearnedFeatures:
 
 
 def standardized_grey(image: Tensor) -> Tensor:
-    """The image in grey, `[H, W]`, with mean 0 and standard deviation 1; all 0 if it is flat."""
+    """Return the image in grey, `[H, W]`, with mean 0 and standard deviation 1; all 0 for a flat image."""
     levels = grey(image)
-    # In float32 the grey of a flat image may differ in its last bit; that is no texture.
+    # In float32 the grey levels of a flat image may differ in the last bit.
     return (levels - levels.mean()) / levels.std(correction=0).clamp(min=1e-6)

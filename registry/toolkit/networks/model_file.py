@@ -1,4 +1,4 @@
-"""Files with a model's weights: read once, held to their hash."""
+"""Read model files and verify their hash."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pydantic import Field
 from ...errors import PluginError
 
 LARGEST = 1 << 31
-"""Bytes, 2 GiB; ONNX files end there."""
+"""2 GiB, the limit of the ONNX format."""
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
-"""The type of a setting that holds a file's hash: 64 hexadecimal digits."""
+"""Type of settings for a file's SHA-256: 64 hexadecimal digits."""
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A file's content.
+    """A model file in memory.
 
     Args:
-        content: all of it.
-        sha256: its hash, 64 lower-case hexadecimal digits.
+        content: Content of the file.
+        sha256: SHA-256, 64 lower-case hexadecimal digits.
     """
 
     content: bytes
@@ -32,10 +32,14 @@ class ModelFile:
 
 
 def read_model_file(path: Path, sha256: str | None) -> ModelFile:
-    """Read a local file that must have a hash; None takes any.
+    """Read a local file.
+
+    Args:
+        sha256: Required hash; None accepts any file.
 
     Raises:
-        PluginError: it cannot be read, is no regular file or larger than 2 GiB, or has another hash.
+        PluginError: The file cannot be read, is not a regular file, is larger than 2 GiB, or has
+            another hash.
     """
     try:
         problem = _unreadable(path)
@@ -54,14 +58,14 @@ def read_model_file(path: Path, sha256: str | None) -> ModelFile:
         raise PluginError(
             f"the model file has the SHA-256 {found}, expected {sha256}",
             where=str(path),
-            fix="restore the file, or set the hash to its own if this file is meant",
+            fix="restore the file, or change the hash in the pipeline if this file is intended",
         )
     return ModelFile(content, found)
 
 
 def _unreadable(path: Path) -> str:
-    """Why a path is not read: a device has no end, and a pipe may never answer. Empty if it can be."""
+    """Return why a path must not be read, or an empty text; reading a device or a pipe may never end."""
     size = path.stat().st_size
     if not path.is_file():
-        return "it is no regular file"
+        return "it is not a regular file"
     return f"it has {size:,} bytes, more than {LARGEST:,}" if size > LARGEST else ""

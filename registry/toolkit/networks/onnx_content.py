@@ -1,112 +1,105 @@
-"""What an ONNX file says before it is opened: whether onnxruntime may be given it.
+"""Check an untrusted ONNX file before onnxruntime loads it.
 
-A tensor may keep its numbers in a second file, of any path; onnxruntime looks for it from the folder
-that the process happens to be in, and no hash of the model covers it. And a loop or a branch that is
-decided by an empty tensor ends the whole process: onnxruntime reads the first of no elements. Only the
-way to tensors and nodes is followed here (onnx.proto, IR version 10).
+A tensor may store its values in a second file at any path, which the hash of the model does not cover. And
+onnxruntime crashes if an empty tensor decides a loop or a branch, because it reads the first element.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from ...errors import PluginError
-from .protocol_buffer import fields, whole_numbers
 
-_TENSOR = "tensor"
-_PATHS: dict[str, dict[int, str]] = {
-    "model": {7: "graph", 20: "training", 25: "function"},
-    "training": {1: "graph", 2: "graph"},
-    "graph": {1: "node", 5: _TENSOR, 15: "sparse"},
-    "function": {7: "node", 11: "attribute"},
-    "node": {5: "attribute"},
-    "attribute": {
-        **{5: _TENSOR, 6: "graph", 22: "sparse"},
-        **{10: _TENSOR, 11: "graph", 23: "sparse"},
+_BYTES, _NUMBER = "TYPE_BYTES", "TYPE_INT64"
+_SCHEMA: dict[str, dict[str, tuple[int, str]]] = {
+    "Model": {"graph": (7, "Graph"), "training": (20, "Training"), "functions": (25, "Function")},
+    "Training": {"initialization": (1, "Graph"), "algorithm": (2, "Graph")},
+    "Graph": {"nodes": (1, "Node"), "initializers": (5, "Tensor"), "sparse": (15, "Sparse")},
+    "Function": {"nodes": (7, "Node"), "attributes": (11, "Attribute")},
+    "Node": {"inputs": (1, _BYTES), "operator": (4, _BYTES), "attributes": (5, "Attribute")},
+    "Attribute": {
+        **{"t": (5, "Tensor"), "g": (6, "Graph"), "sparse_tensor": (22, "Sparse")},
+        **{"tensors": (10, "Tensor"), "graphs": (11, "Graph"), "sparse_tensors": (23, "Sparse")},
     },
-    "sparse": {1: _TENSOR, 2: _TENSOR},
+    "Sparse": {"values": (1, "Tensor"), "indices": (2, "Tensor")},
+    "Tensor": {
+        **{"dims": (1, _NUMBER), "name": (8, _BYTES)},
+        **{"external_data": (13, _BYTES), "data_location": (14, _NUMBER)},
+    },
 }
-"""By message, the fields that lead to tensors, and what message each holds."""
-_EXTERNAL_DATA, _DATA_LOCATION = 13, 14
-"""Fields of a tensor that say that its numbers lie elsewhere."""
-
-
-_TENSOR_DIMENSIONS, _TENSOR_NAME = 1, 8
-_NODE_INPUT, _NODE_OPERATOR = 1, 4
+"""Part of onnx.proto (IR version 10): the fields that lead to tensors and nodes, by number and type."""
 _DECIDED_BY = {b"Loop": 2, b"If": 1}
-"""By operator, how many of its first inputs decide what it does; each holds one element."""
+"""Number of leading inputs that decide an operator's control flow; each must hold one element."""
 
 
 def check_content(content: bytes, path: Path) -> None:
-    """Refuse a model whose weights lie in a second file, one that would end the process, and damage.
+    """Refuse damaged models, models with external weights, and models that would crash onnxruntime.
 
     Raises:
-        PluginError: it is one of these.
+        PluginError: The model is one of these.
     """
+    from google.protobuf.message import DecodeError
+
     try:
-        messages = list(_messages(memoryview(content)))
-        apart = any(kind == _TENSOR and _lies_elsewhere(part) for kind, part in messages)
-        undecided = _undecided(messages)
-    except (ValueError, IndexError) as error:
+        messages = list(_messages(_model_type().FromString(content)))
+    except DecodeError as error:
         raise PluginError(
-            "the file is no ONNX model that onnxruntime can load: it is cut off or damaged",
+            "onnxruntime cannot load the ONNX model: the file is truncated or damaged",
             where=str(path),
             fix="export the model to ONNX again, or copy it again",
         ) from error
-    if apart:
+    tensors = [message for message in messages if _kind(message) == "Tensor"]
+    if any(tensor.external_data or any(tensor.data_location) for tensor in tensors):
         raise PluginError(
-            "the model keeps its weights in a second file, which no hash would cover",
+            "the model stores weights in a second file, which no hash would cover",
             where=str(path),
             fix="write it as one file: onnx.save(onnx.load(path), new_path)",
         )
-    if undecided:
-        raise PluginError(
-            f"a loop or a branch of the model is decided by {undecided!r}, which has no elements",
-            where=str(path),
-            fix="export the model to ONNX again; such a tensor must hold one number",
-        )
+    empty = {name for tensor in tensors if 0 in tensor.dims for name in tensor.name[-1:]}
+    for node in (message for message in messages if _kind(message) == "Node"):
+        count = max((_DECIDED_BY.get(name, 0) for name in node.operator), default=0)
+        for name in empty.intersection(node.inputs[:count]) - {b""}:
+            raise PluginError(
+                f"a loop or a branch of the model is decided by {name.decode(errors='replace')!r}, "
+                "which has no elements",
+                where=str(path),
+                fix="export the model to ONNX again; such a tensor must hold one number",
+            )
 
 
-def _messages(content: memoryview) -> Iterator[tuple[str, memoryview]]:
-    """The model, and all that leads to its tensors, each with its kind."""
-    waiting = [("model", content)]
+def _messages(message: Any) -> Iterator[Any]:
+    """Yield a message and all messages inside it."""
+    waiting = [message]
     while waiting:
-        kind, part = waiting.pop()
-        yield kind, part
-        for field, value in fields(part):
-            if isinstance(value, memoryview) and field in _PATHS.get(kind, {}):
-                waiting.append((_PATHS[kind][field], value))
+        message = waiting.pop()
+        yield message
+        for field, values in message.ListFields():
+            if field.message_type:
+                waiting += values
 
 
-def _lies_elsewhere(tensor: memoryview) -> bool:
-    return any(
-        field == _EXTERNAL_DATA or (field == _DATA_LOCATION and value)
-        for field, value in fields(tensor)
-    )
+def _kind(message: Any) -> str:
+    kind: str = message.DESCRIPTOR.name
+    return kind
 
 
-def _undecided(messages: list[tuple[str, memoryview]]) -> str | None:
-    """The name of an empty tensor that decides a loop or a branch."""
-    empty = {_empty_name(part) for kind, part in messages if kind == _TENSOR} - {None}
-    for kind, part in messages:
-        if kind == "node" and empty:
-            parts = list(fields(part))
-            operators = [bytes(value) for field, value in parts if field == _NODE_OPERATOR]
-            inputs = [bytes(value) for field, value in parts if field == _NODE_INPUT]
-            deciding = inputs[: max((_DECIDED_BY.get(name, 0) for name in operators), default=0)]
-            for name in deciding:
-                if name and name in empty:
-                    return name.decode("utf-8", "replace")
-    return None
+@cache
+def _model_type() -> Any:
+    """Build the message type of `_SCHEMA`. All fields are repeated, so nothing is overwritten or merged."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-
-def _empty_name(tensor: memoryview) -> bytes | None:
-    """Its name where it has no elements."""
-    name, sizes = b"", []
-    for field, value in fields(tensor):
-        if field == _TENSOR_NAME and isinstance(value, memoryview):
-            name = bytes(value)
-        elif field == _TENSOR_DIMENSIONS:
-            sizes += whole_numbers(value)
-    return name if 0 in sizes else None
+    file = descriptor_pb2.FileDescriptorProto(name="onnx_part.proto", package="part")
+    for name, fields in _SCHEMA.items():
+        message = file.message_type.add(name=name)
+        for field_name, (number, kind) in fields.items():
+            field = message.field.add(name=field_name, number=number, label="LABEL_REPEATED")
+            if kind in _SCHEMA:
+                field.type_name = f".part.{kind}"
+            else:
+                field.type = descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("part.Model"))

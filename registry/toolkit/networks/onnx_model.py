@@ -1,7 +1,7 @@
-"""A neural network in a local ONNX file: named by path and hash, run by onnxruntime.
+"""Run a neural network from a local ONNX file with onnxruntime.
 
-Nothing is ever downloaded and nothing unpickled. A model is one file, so that one hash names all of
-it; weights kept in a second file beside it are refused.
+Models are never downloaded or unpickled. A model is one file, so that one hash identifies it; weights in a
+second file are refused.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import Field
+
+from ...contract.component import Settings
 from ...errors import PluginError
 from ...system.memory import peak_memory_mb
-from .model_file import read_model_file
+from .model_file import Sha256, read_model_file
 from .onnx_content import check_content
 from .onnx_session import (
-    LONGEST_ANSWER,
+    TIME_LIMIT,
     OnnxProvider,
     choose_provider,
     first_line,
@@ -46,12 +49,12 @@ _TYPES = {  # names of torch's types
 
 @dataclass(frozen=True)
 class OnnxTensor:
-    """What a model says of one of its inputs or outputs.
+    """An input or output of a model.
 
     Args:
-        name: in the graph.
-        shape: sizes; None where the graph leaves one open.
-        dtype: the type inside the graph; `OnnxModel.run` converts.
+        name: Name in the graph.
+        shape: Sizes; None for a dynamic size.
+        dtype: Type in the graph; `OnnxModel.run` converts.
     """
 
     name: str
@@ -64,26 +67,29 @@ class OnnxTensor:
 
 
 class OnnxModel:
-    """An ONNX model, loaded and ready; the same question gets the same bits on one provider.
+    """A loaded ONNX model; on one provider, equal inputs give equal bits.
 
-    The first answer is told of in the log: seconds, threads and memory; later ones at the level DEBUG.
+        model = OnnxModel("depth.onnx", sha256)
+        depth = model.run({model.input().name: images})[model.output().name]
+
+    The first run is logged with its time, threads and memory; later runs at level DEBUG.
 
     Args:
-        path: the `.onnx` file.
-        sha256: 64 hexadecimal digits that the file must have, or None: any file is taken.
-        provider: what runs it, or None: the first of `OnnxProvider` that is installed.
-        threads: of the processor, or None: as many as this process may use.
+        path: Path of the `.onnx` file.
+        sha256: Required SHA-256, 64 hexadecimal digits; None accepts any file.
+        provider: Backend; None selects the first installed one of `OnnxProvider`.
+        threads: Number of CPU threads; None uses all that this process may use.
 
     Attributes:
-        path: the file.
-        sha256: the file's own hash, 64 hexadecimal digits.
-        provider: what runs it, one of `OnnxProvider`.
-        threads: how many run it on the processor.
-        inputs, outputs: in the graph's order.
+        path: Path of the file.
+        sha256: SHA-256 of the file, 64 hexadecimal digits.
+        provider: Backend in use, one of `OnnxProvider`.
+        threads: Number of CPU threads.
+        inputs, outputs: Tensors in the graph's order.
 
     Raises:
-        PluginError: a missing file, another hash, no ONNX model, weights in a second file, a type
-            that cannot be converted, or a provider that is not installed or cannot start.
+        PluginError: The file is missing, has another hash, is not a valid ONNX model, stores weights in
+            a second file, or has an unsupported type; or the provider is not installed or fails to start.
     """
 
     def __init__(
@@ -104,41 +110,41 @@ class OnnxModel:
         self.provider = running_provider(self._session, provider)
         self.inputs = _described(self._session.get_inputs(), self.path)
         self.outputs = _described(self._session.get_outputs(), self.path)
-        self._told = False
+        self._logged = False
 
     @property
     def fingerprint(self) -> str:
-        """What answers depend on: the file's hash, what runs it and in which version."""
+        """Everything that results depend on besides the inputs: hash, provider, version of onnxruntime."""
         import onnxruntime
 
         return f"{self.sha256} {self.provider} onnxruntime {onnxruntime.__version__}"
 
     def input(self, name: str | None = None) -> OnnxTensor:
-        """The input of this name, or for None the only one.
+        """Return the input of this name; None returns the only input.
 
         Raises:
-            PluginError: there is no such input, or None does not say which.
+            PluginError: The input does not exist, or the name is None and there are several.
         """
         return self._find("input", self.inputs, name)
 
     def output(self, name: str | None = None) -> OnnxTensor:
-        """The output of this name, or for None the only one.
+        """Return the output of this name; None returns the only output.
 
         Raises:
-            PluginError: see `input`.
+            PluginError: See `input`.
         """
         return self._find("output", self.outputs, name)
 
     def run(self, inputs: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """All outputs, float32, on the CPU; they may hold values that are not finite.
+        """Return all outputs by name, float32 on the CPU; values may be non-finite.
 
         Args:
-            inputs: float32 by name, one for each of the graph's inputs; for a graph that takes whole
-                numbers they are rounded, for uint8 also clamped to [0, 255].
+            inputs: float32 tensors by name, one for each input of the graph. They are rounded for
+                integer inputs, and also clamped to [0, 255] for uint8.
 
         Raises:
-            PluginError: a name or shape that is not the graph's, a failure inside the model, or no
-                answer within an hour.
+            PluginError: A name or shape does not match the graph, the model fails, or it takes more
+                than an hour.
         """
         import numpy as np
         import torch
@@ -147,22 +153,21 @@ class OnnxModel:
         missing = [spec.name for spec in self.inputs if spec.name not in inputs]
         if unknown or missing:
             raise self._mismatch(
-                "the model's inputs have other names: "
-                f"given without being asked {unknown}, asked for and not given {missing}"
+                f"the names of the inputs do not match the model: unknown {unknown}, missing {missing}"
             )
         feed = {spec.name: self._converted(spec, inputs[spec.name]) for spec in self.inputs}
         begin = time.perf_counter()
         answers = self._answers(feed)
-        self._tell(time.perf_counter() - begin, feed)
+        self._log_run(time.perf_counter() - begin, feed)
         return {
             spec.name: torch.from_numpy(np.array(answer, dtype=np.float32))
             for spec, answer in zip(self.outputs, answers, strict=True)
         }
 
-    def _tell(self, seconds: float, feed: Mapping[str, Any]) -> None:
-        """What an answer cost; onnxruntime keeps its memory, so the first one shows nearly all of it."""
-        level = logging.DEBUG if self._told else logging.INFO
-        self._told = True
+    def _log_run(self, seconds: float, feed: Mapping[str, Any]) -> None:
+        """Log time and memory; onnxruntime keeps its memory, so the first run shows nearly all of it."""
+        level = logging.DEBUG if self._logged else logging.INFO
+        self._logged = True
         if not _log.isEnabledFor(level):
             return
         sizes = ", ".join(f"{name} {list(value.shape)}" for name, value in feed.items())
@@ -179,26 +184,26 @@ class OnnxModel:
         )
 
     def _answers(self, feed: Mapping[str, Any]) -> Any:
-        """What the session answers, unless it takes too long: a graph may loop without end."""
+        """Run the session with a time limit: a graph may contain an endless loop."""
         import onnxruntime
 
         options = onnxruntime.RunOptions()
-        watch = threading.Timer(LONGEST_ANSWER, setattr, (options, "terminate", True))
-        watch.daemon = True
-        watch.start()
+        timer = threading.Timer(TIME_LIMIT, setattr, (options, "terminate", True))
+        timer.daemon = True
+        timer.start()
         try:
             return self._session.run(None, feed, options)
-        except Exception as error:  # onnxruntime's exceptions have no base of their own
+        except Exception as error:  # onnxruntime's exceptions have no common base class
             if options.terminate:
-                what = f"the model gave no answer within {LONGEST_ANSWER:g} s"
-                fix = "use smaller images; if that does not help, the graph loops without end"
+                what = f"the model did not finish within {TIME_LIMIT:g} s"
+                fix = "use smaller images; if that does not help, the graph has an endless loop"
             else:
                 what = f"the model failed: {first_line(error)}"
-                fix = "check that the graph fits the images' size; make them smaller if memory ran out"
+                fix = "check that the graph supports the images' size; use smaller ones if memory ran out"
             raise PluginError(what, where=str(self.path), fix=fix) from error
         finally:
-            watch.cancel()
-            watch.join()  # else it may still be there when the host counts the threads
+            timer.cancel()
+            timer.join()  # the host checks for threads that are left over
 
     def _converted(self, spec: OnnxTensor, value: Tensor) -> Any:
         import torch
@@ -208,7 +213,7 @@ class OnnxModel:
             wanted in (None, got) for wanted, got in zip(spec.shape, shape, strict=True)
         )
         if not fits:
-            raise self._mismatch(f"the input {spec.name!r} cannot have the shape {list(shape)}")
+            raise self._mismatch(f"the shape {list(shape)} does not match the input {spec.name!r}")
         value = value.detach().to("cpu", torch.float32)
         if not spec.dtype.is_floating_point:
             value = value.round()
@@ -222,7 +227,9 @@ class OnnxModel:
         for spec in specs:
             if spec.name == name:
                 return spec
-        what = f"no {kind} {name!r}" if name else f"{len(specs)} {kind}s; which one is not said"
+        what = (
+            f"no {kind} {name!r}" if name else f"{len(specs)} {kind}s; its name must be specified"
+        )
         raise self._mismatch(f"the model has {what}")
 
     def _mismatch(self, what: str) -> PluginError:
@@ -233,7 +240,7 @@ class OnnxModel:
         return PluginError(
             what,
             where=str(self.path),
-            fix=f"choose the settings that fit this graph, which has {has}",
+            fix=f"choose settings that match this graph, which has {has}",
         )
 
 
@@ -251,3 +258,29 @@ def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
         sizes = (s if isinstance(s, int) and s > 0 else None for s in spec.shape)
         described.append(OnnxTensor(spec.name, tuple(sizes), getattr(torch, _TYPES[spec.type])))
     return tuple(described)
+
+
+class OnnxModelSettings(Settings):
+    """Settings of components that run an ONNX file."""
+
+    model: Path
+    """Path of the local ONNX file, which must contain its weights."""
+    sha256: Sha256 | None = None
+    """Required SHA-256 of the file; null accepts any file."""
+    provider: OnnxProvider | None = None
+    """Backend that runs the model; null selects the first installed one of this list."""
+    threads: int | None = Field(None, ge=1)
+    """Number of CPU threads that run the model; null uses all that this process may use."""
+
+    @classmethod
+    def naming(cls, model: OnnxModel) -> dict[str, str]:
+        """Return the settings that select this model, for a pipeline."""
+        return {"model": str(model.path), "sha256": model.sha256}
+
+    def open(self) -> OnnxModel:
+        """Load the model."""
+        return self.open_another(self.model, self.sha256)
+
+    def open_another(self, path: Path, sha256: str | None) -> OnnxModel:
+        """Load a second model with the same provider and threads."""
+        return OnnxModel(path, sha256, self.provider, threads=self.threads)

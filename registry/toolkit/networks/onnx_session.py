@@ -1,4 +1,4 @@
-"""How onnxruntime is started on a model file: the provider, threads, determinism."""
+"""Start onnxruntime: provider, threads, determinism, memory limit."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from ...errors import PluginError
 from ...system.memory import machine_memory
 
 OnnxProvider = Literal["cuda", "rocm", "migraphx", "openvino", "coreml", "directml", "cpu"]
-"""What runs a model: NVIDIA; AMD (two libraries); Intel; Apple; Windows; any processor."""
+"""Backends: NVIDIA; AMD (two libraries); Intel; Apple; Windows; any CPU."""
 
-LONGEST_ANSWER = 3600.0
-"""Seconds, far beyond what any network takes for photographs of a usual size on a processor."""
+TIME_LIMIT = 3600.0
+"""Seconds; networks need far less for photographs of a usual size on a CPU."""
 
 MEMORY_SHARE = 0.5
-"""Of the machine's memory, for all networks of a process together while they run on the processor."""
+"""Share of the machine's memory for all networks of a process on the CPU together."""
 
 _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
-    # The choice among convolution algorithms by stopwatch, and the short TF32 numbers, would let two
-    # runs differ from each other and from the processor's answer.
+    # With algorithms chosen by timing, two runs differ; with TF32, results differ from the CPU's.
     "cuda": ("CUDAExecutionProvider", {"cudnn_conv_algo_search": "DEFAULT", "use_tf32": "0"}),
     "rocm": ("ROCMExecutionProvider", {}),
     "migraphx": ("MIGraphXExecutionProvider", {}),
@@ -33,10 +32,10 @@ _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
 
 
 def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, str]]]:
-    """onnxruntime's names and options: the wanted one, or all that are installed, best first.
+    """Return names and options for onnxruntime: of one provider, or of all installed ones, best first.
 
     Raises:
-        PluginError: the wanted one is not installed.
+        PluginError: The requested provider is not installed.
     """
     import onnxruntime
 
@@ -55,10 +54,10 @@ def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, st
 def open_session(
     content: bytes, path: Path, providers: list[tuple[str, dict[str, str]]], threads: int
 ) -> Any:
-    """An `onnxruntime.InferenceSession` on so many processor threads.
+    """Open an `onnxruntime.InferenceSession` with this many CPU threads.
 
     Raises:
-        PluginError: the bytes are no model that it can load.
+        PluginError: onnxruntime cannot load the model.
     """
     import onnxruntime
 
@@ -66,9 +65,9 @@ def open_session(
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    # Exceptions say the same; the log would print names out of the file, escape codes and all.
+    # Exceptions hold the same messages; the log would print escape codes from names in the file.
     options.log_severity_level = 4
-    # Between two calls the threads sleep instead of spinning: OpenCL needs the processor then.
+    # Let threads sleep between two calls instead of spinning: OpenCL needs the CPU.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     if _bound_memory():
         options.add_session_config_entry("session.use_env_allocators", "1")
@@ -76,22 +75,22 @@ def open_session(
         session = onnxruntime.InferenceSession(
             content, options, providers=providers, enable_fallback=len(providers) > 1
         )
-    except Exception as error:  # onnxruntime's exceptions have no base of their own
+    except Exception as error:  # onnxruntime's exceptions have no common base class
         raise PluginError(
-            f"the file is no ONNX model that onnxruntime can load: {first_line(error)}",
+            f"onnxruntime cannot load the ONNX model: {first_line(error)}",
             where=str(path),
             fix="export the model to ONNX again, with an opset that onnxruntime "
-            f"{onnxruntime.__version__} knows",
+            f"{onnxruntime.__version__} supports",
         ) from error
-    session.disable_fallback()  # else a failure later on is answered by another provider, unasked
+    session.disable_fallback()  # a later failure must not switch the provider silently
     return session
 
 
 @cache
 def _bound_memory() -> bool:
-    """Let no graph take the whole machine, once a process; whether a bound could be set.
+    """Limit the CPU memory of all graphs, once per process; return whether a limit could be set.
 
-    An allocation beyond it fails inside onnxruntime, and the run with it, as any other failure.
+    A larger allocation fails inside onnxruntime, and the call with it.
     """
     import onnxruntime
 
@@ -100,7 +99,7 @@ def _bound_memory() -> bool:
         return False
     kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
     place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
-    # Only the first is chosen here; the rest leave onnxruntime its own values.
+    # -1 selects onnxruntime's default.
     bounds = {
         "max_mem": int(MEMORY_SHARE * memory),
         "arena_extend_strategy": -1,
@@ -112,10 +111,10 @@ def _bound_memory() -> bool:
 
 
 def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:
-    """What the session really runs on: onnxruntime falls back to the processor in silence.
+    """Return the provider that the session uses; onnxruntime silently falls back to the CPU.
 
     Raises:
-        PluginError: that is not what was wanted.
+        PluginError: It is not the requested one.
     """
     running = session.get_providers()[0]
     names: tuple[OnnxProvider, ...] = get_args(OnnxProvider)
@@ -129,12 +128,12 @@ def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:
 
 
 def processors() -> int:
-    """How many processors this process may use; fewer than the machine's in a container."""
+    """Return the number of CPUs that this process may use; in a container fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def first_line(error: Exception) -> str:
-    """What an exception of a library in C++ says, without the trace that may follow."""
+    """Return the message of an exception from a C++ library, without the trace that may follow."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]

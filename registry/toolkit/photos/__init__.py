@@ -1,16 +1,16 @@
-"""What scene loaders are made of: from files that nobody vouches for to a checked `Scene`.
+"""Building blocks of scene loaders: from untrusted files to a validated `Scene`.
 
-    from registry import photos
+    from registry.toolkit import photos
 
-    photos.read_document(path, Model, fix)      files: explained errors instead of tracebacks
-    photos.read_arrays(path, names, fix)        numpy's .npz and .npy: never more than the file can hold
-    photos.Decoder(photos.at_most(800))         pictures: decoded, resized, laid on a background
+    photos.read_document(path, Model, fix)      JSON with explained errors
+    photos.read_arrays(path, names, fix)        .npz and .npy, limited to the size of the file
+    photos.Decoder(photos.at_most(800))         images: decode, resize, composite on a background
     photos.Lens(...), photos.pose_from_opengl   cameras: lenses with distortion, poses
-    photos.split(...), photos.estimate_bounds   what the files do not say
-    photos.read_colmap_model(folder, fix)       COLMAP's models: cameras, poses, points and tracks
-    photos.PosedPhoto, photos.LoadedPhotos      the way to a `Scene` that every built-in loader takes
+    photos.split(...), photos.estimate_bounds   values that the files do not contain
+    photos.read_colmap_model(folder, fix)       COLMAP models: cameras, poses, points and tracks
+    photos.PosedPhoto, photos.LoadedPhotos      the steps to a `Scene` that all built-in loaders use
 
-docs/plugin-authors.md writes a whole loader with it.
+docs/plugin-authors.md builds a whole loader with it.
 """
 
 from typing import TYPE_CHECKING
@@ -19,34 +19,52 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from ...system.parallel import in_parallel
-    from .arrays import read_array, read_arrays
-    from .cameras.bounds import Bounds, estimate_bounds
-    from .cameras.colmap_files import ColmapCamera, ColmapImage, ColmapPoint
-    from .cameras.colmap_model import ColmapModel, has_colmap_model, read_colmap_model
-    from .cameras.lens import Distortion, Lens
-    from .cameras.poses import pose_from_axes, pose_from_opengl
-    from .cameras.safe_pycolmap import import_pycolmap
-    from .cameras.tracks import POINTS_FIX, Tracks
-    from .cameras.undistortion import undistort
-    from .images.dark_pixels import dark_background
-    from .images.decoder import (
+    from .bounds import Bounds, estimate_bounds
+    from .colmap_files import ColmapImage
+    from .colmap_model import (
+        POINTS_FIX,
+        ColmapModel,
+        Tracks,
+        has_colmap_model,
+        read_colmap_model,
+    )
+    from .decoder import (
         BACKGROUNDS,
         Decoder,
         Pixels,
         ResizeFilter,
+        Size,
+        at_most,
+        dark_background,
+        divided_by,
+        longest_side,
         read_mask,
         stored_size,
         upright_size,
     )
-    from .images.heif import HEIF_SUFFIXES, read_heif
-    from .images.image_files import IMAGE_SUFFIXES, find_image, list_images
-    from .images.image_source import ImageSourceSettings
-    from .images.opening import open_image
-    from .images.sizes import Size, SizeRule, at_most, divided_by, longest_side
-    from .loaded_photos import LoadedPhotos
-    from .posed_photos import PosedPhoto, load_views
-    from .reading import Finite, Matrix4x4, MatrixRow, decoding, inside, read_document, view_names
-    from .splits import SplitSettings, evenly_spaced, split, split_rule
+    from .image_files import HEIF_SUFFIXES, IMAGE_SUFFIXES, find_image, list_images, read_heif
+    from .lens import Distortion, Lens, pose_from_axes, pose_from_opengl
+    from .loaded_photos import LoadedPhotos, PosedPhoto
+    from .opening import open_image
+    from .reading import (
+        Finite,
+        Matrix4x4,
+        MatrixRow,
+        decoding,
+        inside,
+        read_array,
+        read_arrays,
+        read_document,
+        view_names,
+    )
+    from .source_settings import (
+        ImageSourceSettings,
+        SplitSettings,
+        evenly_spaced,
+        split,
+        split_rule,
+    )
+    from .undistortion import import_pycolmap, undistort
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -56,10 +74,8 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "POINTS_FIX",
     "Bounds",
-    "ColmapCamera",
     "ColmapImage",
     "ColmapModel",
-    "ColmapPoint",
     "Decoder",
     "Distortion",
     "Finite",
@@ -72,7 +88,6 @@ __all__ = [
     "PosedPhoto",
     "ResizeFilter",
     "Size",
-    "SizeRule",
     "SplitSettings",
     "Tracks",
     "at_most",
@@ -87,7 +102,6 @@ __all__ = [
     "in_parallel",
     "inside",
     "list_images",
-    "load_views",
     "longest_side",
     "open_image",
     "pose_from_axes",

@@ -1,4 +1,4 @@
-"""From photographs with poses and a split to a scene; every loader of real pictures ends here."""
+"""Build a `Scene` from posed photographs and a split; every loader of real photographs ends here."""
 
 from __future__ import annotations
 
@@ -9,27 +9,86 @@ from ...contract.checks.scene import validate
 from ...contract.fact import Fact
 from ...contract.scene import PointCloud, Scene, View
 from ...errors import SceneError
-from .images.decoder import Decoder, stored_size
-from .images.image_files import find_image
-from .posed_photos import PosedPhoto, load_views
+from ...system.parallel import in_parallel
+from .decoder import Decoder, read_mask, stored_size
+from .image_files import find_image
+from .undistortion import undistort
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from core_rasterizer import Camera
 
-    from .cameras.bounds import Bounds
+    from .bounds import Bounds
+    from .lens import Lens
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPhoto:
+    """An image file with its camera.
+
+    Args:
+        name: Name of the view.
+        path: Path of the image file; its suffix may differ from the actual one.
+        world_to_camera: `[4, 4]` float64, OpenCV axes.
+        lens: Lens at the size in the camera file; it is scaled to the image's size.
+        where: Location in the camera file, for error messages.
+        mask: Path of an image that is white where pixels count in metrics.
+    """
+
+    name: str
+    path: Path
+    world_to_camera: NDArray[np.float64]
+    lens: Lens
+    where: str
+    mask: Path | None = None
+
+
+def load_views(photos: Sequence[PosedPhoto], decoder: Decoder) -> list[View]:
+    """Decode, undistort and check photographs in parallel.
+
+    Raises:
+        SceneError: An image or mask cannot be read, or does not match its camera.
+    """
+    return in_parallel(lambda photo: _load_view(photo, decoder), photos)
+
+
+def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
+    import numpy as np
+    import torch
+
+    path = find_image(photo.path)
+    pixels, alpha = decoder.read(path), decoder.read_alpha(path)
+    height, width = pixels.shape[:2]
+    distorted = photo.lens.resized(width, height, photo.where)
+    lens, pixels = undistort(distorted, pixels, photo.where)
+    mask = None
+    if photo.mask is not None:
+        _, white = undistort(distorted, read_mask(photo.mask, (width, height)), photo.where)
+        mask = torch.from_numpy(white == 255)
+    if alpha is not None:
+        _, alpha = undistort(distorted, alpha, photo.where)
+    return View(
+        name=photo.name,
+        camera=lens.camera(photo.world_to_camera, photo.where),
+        image=torch.from_numpy(pixels.astype(np.float32) / 255),
+        mask=mask,
+        alpha=None if alpha is None else torch.from_numpy(alpha.astype(np.float32) / 255),
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedPhotos:
-    """The photographs of a scene and the views that became of them.
+    """Photographs of a scene with their views.
 
     Args:
-        photos, views: in one order, those that train first.
-        decoder: how they were read.
-        train, test: their numbers, as the format counts photographs.
+        photos, views: In the same order, training views first.
+        decoder: Decoder that read them.
+        train, test: Indices of the photographs in the data set.
     """
 
     photos: Sequence[PosedPhoto]
@@ -42,23 +101,23 @@ class LoadedPhotos:
     def load(
         cls, photos: Sequence[PosedPhoto], decoder: Decoder, train: list[int], test: list[int]
     ) -> Self:
-        """Read photographs, in the order `train`, `test`.
+        """Load the views of photographs, ordered as `train` followed by `test`.
 
         Raises:
-            SceneError: see `load_views`.
+            SceneError: See `load_views`.
         """
         return cls(photos, load_views(photos, decoder), decoder, train, test)
 
     @property
     def training_cameras(self) -> list[Camera]:
-        """What depth bounds may be estimated from."""
+        """Cameras of the training views, for `estimate_bounds`."""
         return [view.camera for view in self.views[: len(self.train)]]
 
     def require_one_size(self) -> None:
-        """Refuse views of several sizes where the format promises one.
+        """Refuse views of different sizes, for formats that require equal sizes.
 
         Raises:
-            SceneError: names the first view that differs from most.
+            SceneError: Names the first view that differs from the most frequent size.
         """
         sizes = [(view.camera.width, view.camera.height) for view in self.views]
         usual = max(sizes, key=sizes.count)
@@ -67,16 +126,16 @@ class LoadedPhotos:
                 raise SceneError(
                     f"the image is {size[0]}x{size[1]}, the others are {usual[0]}x{usual[1]}",
                     where=str(photo.path),
-                    fix="resize all photographs of the scene in one way",
+                    fix="resize all photographs of the scene in the same way",
                 )
 
     def split_facts(self, rule: str, available: int | None = None) -> tuple[Fact, ...]:
-        """The split by numbers of photographs.
+        """Return facts about the split.
 
         Args:
-            rule: says in words how it was made.
-            available: how many photographs with cameras there are; those in neither part are left out.
-                None where the format does not say.
+            rule: Description of the rule, see `split_rule`.
+            available: Number of photographs with cameras, including those in neither part. None if the
+                format does not tell.
         """
         counts: tuple[Fact, ...] = ()
         if available is not None:
@@ -98,13 +157,13 @@ class LoadedPhotos:
         points: PointCloud | None,
         facts: Iterable[Fact],
     ) -> Scene:
-        """The scene, named after its folder, on the background that transparent pixels were laid on.
+        """Return the validated scene, named after its folder, with the decoder's background.
 
         Args:
-            facts: what this format adds to those of every scene of photographs.
+            facts: Facts to add to those that every scene of photographs has.
 
         Raises:
-            SceneError: what `validate` refuses.
+            SceneError: `validate` refuses the scene.
         """
         return validate(
             Scene(
@@ -125,7 +184,7 @@ class LoadedPhotos:
 
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:
-    """What was done to a photograph, in words."""
+    """Describe how the decoder and `undistort` change a photograph."""
     stored = stored_size(find_image(photo.path), upright=decoder.upright)
     size = decoder.size(*stored)
     changes = []

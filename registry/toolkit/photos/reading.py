@@ -1,18 +1,24 @@
-"""Reading files that nobody vouches for: what a decoder raises becomes one explained error."""
+"""Read untrusted files: JSON documents, NumPy arrays, file names inside a scene's folder."""
 
 from __future__ import annotations
 
+import io
+import zipfile
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import pydantic
 
 from ...errors import SceneError
-from .images.image_files import existing_image
+from .image_files import existing_image
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
 
 Document = TypeVar("Document", bound=pydantic.BaseModel)
 
@@ -20,21 +26,25 @@ Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 MatrixRow = tuple[Finite, Finite, Finite, Finite]
 Matrix4x4 = tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]
 
+LARGEST_GROWTH = 10
+"""Unpacked size of an archive divided by its file size, at most; real arrays shrink to a half at best."""
+UNCHECKED_BYTES = 1 << 26
+"""64 MiB; archives that unpack to less may have any compression ratio."""
 _LARGEST_DOCUMENT = 12_000_000
 """Bytes; cameras of 10,000 photographs take 10 MB."""
 _LONGEST_NAME = 240
-"""Bytes; file systems stop at 255."""
+"""Bytes; file systems allow 255."""
 
 
 @contextmanager
 def decoding(what: str, path: Path, fix: str) -> Iterator[None]:
-    """Explain a file that a decoder gives up on.
+    """Convert any exception of the block to a `SceneError`, except errors that are already explained.
 
-    numpy, zipfile, zlib, Pillow and plyfile between them raise a dozen kinds of errors on damaged
-    input, MemoryError for an announced size among them; no list of them would stay complete.
+    On damaged input numpy, zipfile, zlib, Pillow and plyfile raise a dozen kinds of exceptions, among
+    them MemoryError for a size that a header claims; a list of them would never be complete.
 
     Raises:
-        SceneError: for whatever the block raises, other than an explained error.
+        SceneError: The block raised.
     """
     from core_rasterizer import ExplainedError
 
@@ -48,21 +58,21 @@ def decoding(what: str, path: Path, fix: str) -> Iterator[None]:
 
 
 def require_file(path: Path, what: str, fix: str) -> None:
-    """Refuse what is not there, and what has no end or never answers: folders, devices, pipes.
+    """Refuse missing files, folders, devices and pipes; reading a device may never end.
 
     Raises:
-        SceneError: there is no regular file of this name.
+        SceneError: The path is not a regular file.
     """
     if not path.is_file():
-        state = "is no regular file" if path.exists() else "is missing"
+        state = "is not a regular file" if path.exists() else "is missing"
         raise SceneError(f"{what} {state}", where=str(path), fix=fix)
 
 
 def read_document(path: Path, model: type[Document], fix: str) -> Document:
-    """Read a JSON file and hold it to a model of its fields.
+    """Read a JSON file and validate it against a pydantic model, with strict types.
 
     Raises:
-        SceneError: the file is missing, larger than 12 MB, is no JSON, lacks a field, or has a field
+        SceneError: The file is missing, larger than 12 MB, not JSON, lacks a field, or has a field
             of a wrong type.
     """
     require_file(path, f"the file {path.name}", fix)
@@ -80,23 +90,76 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
-            raise SceneError(
-                f"{path.name} cannot be read: {first['msg']}", where=str(path), fix=fix
-            ) from error
-        place = ".".join(str(part) for part in first["loc"])
-        raise SceneError(
-            f"the field {place!r} cannot be used: {first['msg']}",
-            where=str(path),
-            fix=fix,
-        ) from error
+            what = f"{path.name} cannot be read: {first['msg']}"
+        else:
+            place = ".".join(str(part) for part in first["loc"])
+            what = f"the field {place!r} cannot be used: {first['msg']}"
+        raise SceneError(what, where=str(path), fix=fix) from error
+
+
+def read_array(path: Path, what: str, fix: str) -> Array:
+    """Read the array of an `.npy` file.
+
+    Unlike `numpy.load`, this unpickles no objects and allocates nothing before it has compared the
+    shape in the header with the file's size.
+
+    Args:
+        what: Name of the file's content for error messages, such as "the poses".
+
+    Raises:
+        SceneError: The file is missing or not in this format, its header claims another size than the
+            file has, or it holds Python objects.
+    """
+    require_file(path, what, fix)
+    with decoding(what, path, fix):
+        return _parsed(path.read_bytes())
+
+
+def read_arrays(path: Path, names: Sequence[str], what: str, fix: str) -> dict[str, Array]:
+    """Read arrays of an `.npz` file by name, with the checks of `read_array`; ignore all others.
+
+    Raises:
+        SceneError: See `read_array`; also if an array is missing, or the arrays would unpack to more
+            than 64 MiB and more than ten times the file's size.
+    """
+    require_file(path, what, fix)
+    with decoding(what, path, fix), zipfile.ZipFile(path) as archive:
+        members = [archive.getinfo(f"{name}.npy") for name in names]
+        unpacked = sum(member.file_size for member in members)
+        most = max(UNCHECKED_BYTES, LARGEST_GROWTH * path.stat().st_size)
+        if unpacked > most:
+            raise ValueError(f"it would unpack to {unpacked:,} bytes, more than {most:,}")
+        return {
+            name: _parsed(archive.read(member)) for name, member in zip(names, members, strict=True)
+        }
+
+
+def _parsed(content: bytes) -> Array:
+    import numpy as np
+    from numpy.lib import format as npy
+
+    file = io.BytesIO(content)
+    version = npy.read_magic(file)
+    header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, by_column, dtype = header(file)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects; reading them would run code")
+    count = 1
+    for size in shape:
+        count *= size
+    claimed, present = count * dtype.itemsize, len(content) - file.tell()
+    if not dtype.itemsize or claimed != present:
+        raise ValueError(f"its header claims {claimed} bytes of numbers, but {present} follow")
+    values = np.frombuffer(content, dtype, offset=file.tell())
+    return values.reshape(shape, order="F" if by_column else "C").copy()
 
 
 def inside(folder: Path, name: str, where: str) -> Path:
-    """The path of a file that a camera file names, which must lie inside the scene's folder.
+    """Return the path of a file that a camera file names; it must lie inside the scene's folder.
 
     Raises:
-        SceneError: the name is empty, absolute, climbs out with `..`, is one that no file has, or leads
-            out through a symbolic link.
+        SceneError: The name is empty, absolute, contains `..` or characters that file names cannot
+            have, or leads out of the folder through a symbolic link.
     """
     relative = PurePosixPath(name)
     if (
@@ -114,19 +177,19 @@ def inside(folder: Path, name: str, where: str) -> Path:
             fix="use relative names below the folder, with / between folders",
         )
     path = folder / relative
-    # An image may be found under another ending than the file says.
+    # The image may have another suffix than the camera file says.
     real = (existing_image(path) or path).resolve()
     if not real.is_relative_to(folder.resolve()):
         raise SceneError(
             f"the file {name[:100]!r} is a link to {real}, outside the scene's folder",
             where=where,
-            fix="copy what it links to into the scene's folder (cp -rL copies what links lead to)",
+            fix="copy the linked file into the scene's folder (cp -rL follows links)",
         )
     return path
 
 
 def view_names(names: list[str]) -> list[str]:
-    """A plain name for each file: its stem, or all of its path where stems repeat."""
+    """Return a view name for each file: its stem, or its whole path where stems repeat."""
     stems = [PurePosixPath(name).stem for name in names]
     if len(set(stems)) == len(stems):
         return stems

@@ -1,12 +1,19 @@
-"""Geometry of views: epipolar distances, flow consistency, parameters per training view."""
+"""Geometry of views: epipolar distances, flow consistency, parameters per training view.
+
+    from registry.toolkit.views import epipolar_distances, virtual_views
+
+    kept = epipolar_distances(matches, first.camera, second.camera) < 2
+    camera = virtual_views.draw("between", scene, generator)
+
+The modules `virtual_views` and `triangulation` are public too.
+"""
 
 from typing import TYPE_CHECKING
 
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .epipolar import epipolar_distances
-    from .flow_geometry import flow_cycle_error, flow_in_size
+    from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .view_parameters import ViewParameters
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)

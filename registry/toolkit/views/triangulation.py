@@ -1,7 +1,9 @@
-"""Triangulate points from a few photographs whose cameras are known, with pycolmap on the CPU.
+"""Triangulate points from a few photographs with known cameras, with pycolmap on the CPU.
 
-SIFT features are matched along the epipolar lines that the known poses give ("guided"): with three
-photographs that finds about 1.4 times the points of blind matching, and nothing is left to chance.
+    points = triangulated_points(scene, seed=self.context.seed)
+
+SIFT features are matched along the epipolar lines of the known poses ("guided"). With three photographs
+this finds about 1.4 times the points of unguided matching; the result is deterministic.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from core_rasterizer.matching import source_views
 from ...contract.scene import PointCloud
 from ...errors import SceneError
 from ..drawing.pictures import grey
-from ..photos.cameras.safe_pycolmap import import_pycolmap
+from ..photos.undistortion import import_pycolmap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,22 +36,22 @@ if TYPE_CHECKING:
 __all__ = ["Triangulation", "triangulate", "triangulated_points"]
 
 CONTRAST_THRESHOLD = 0.002
-"""Least contrast of a SIFT feature; COLMAP's 0.0067 is made for dozens of photographs, not for three."""
+"""Contrast threshold of SIFT features; COLMAP's 0.0067 suits dozens of photographs, not three."""
 MOST_PARTNERS = 8
-"""Photographs that one is matched with, so that time grows with their number and not with its square."""
+"""Partners that each photograph is matched with, so that time grows linearly."""
 BOUNDS_MARGIN = 1.1
-"""A point nearer than near / margin or farther than far * margin comes from a wrong match."""
+"""Points nearer than near / margin or farther than far * margin count as wrong matches."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """P points that at least two photographs agree on.
+    """P points that at least two photographs observe.
 
     Args:
         positions: `[P, 3]` float32, world units.
-        colors: `[P, 3]` float32 in [0, 1], mean over the photographs that see the point.
+        colors: `[P, 3]` float32 in [0, 1], mean over the photographs that observe the point.
         errors: `[P]` float32 mean reprojection error, pixels.
-        seen_by: `[P, V]` bool, which of the V photographs each point was made from, two or more.
+        seen_by: `[P, V]` bool, True for the two or more of V photographs that observe the point.
     """
 
     positions: Tensor
@@ -60,21 +62,20 @@ class Triangulation:
 
 @dataclass(frozen=True, eq=False)
 class _Features:
-    keypoints: Any  # pycolmap.FeatureKeypoints
-    descriptors: Any  # pycolmap.FeatureDescriptors
-    pixels: NDArray[np.float64]  # [F, 2], centre of the top-left pixel at (0.5, 0.5)
+    matched: tuple[Any, Any, Any]  # pycolmap's keypoints, descriptors and camera
+    pixels: NDArray[np.float64]  # [F, 2], center of the top-left pixel at (0.5, 0.5)
 
 
 def triangulated_points(
     scene: TrainingScene, *, max_reprojection_error: float = 2.0, min_angle: float = 1.5, seed: int
 ) -> PointCloud:
-    """At least one point, from the training photographs alone and within the scene's bounds.
+    """Return at least one point, from the training photographs only and within the scene's bounds.
 
     Args:
-        max_reprojection_error, min_angle, seed: as for `triangulate`.
+        max_reprojection_error, min_angle, seed: See `triangulate`.
 
     Raises:
-        SceneError: one training view, or views that agree on no point.
+        SceneError: The scene has one training view, or no point is found.
     """
     if len(scene.train) < 2:
         raise SceneError(
@@ -108,67 +109,54 @@ def triangulate(
     min_angle: float,
     seed: int,
 ) -> Triangulation:
-    """Triangulate; poses and intrinsics stay as they are.
+    """Triangulate points; poses and intrinsics stay fixed.
 
     Args:
-        views: at least two photographs. Each is matched with up to eight that see the same from a little to
-            the side.
-        bounds: (near, far) z-depth of the scene's content, world units; nearer and farther points may come.
-        max_reprojection_error: pixels; also the largest distance of a match from its epipolar line.
-        min_angle: least angle between two rays that make a point, degrees.
-        seed: of pycolmap's random choices; one seed, one result.
+        views: At least two photographs. Each is matched with up to eight that see the same content from
+            a short baseline.
+        bounds: (near, far) z-depth of the scene's content, world units; points may lie outside.
+        max_reprojection_error: Largest reprojection error and distance from epipolar lines, pixels.
+        min_angle: Smallest angle between two rays of a point, degrees.
+        seed: Seed of pycolmap's random choices.
     """
     colmap = import_pycolmap()
-    cameras = [_colmap_camera(colmap, k, view.camera) for k, view in enumerate(views, start=1)]
-    features = [_extract(colmap, view) for view in views]
+    features = [_extract(colmap, k, view) for k, view in enumerate(views, start=1)]
     model = colmap.Reconstruction()
-    for k, view in enumerate(views, start=1):
+    for k, (view, feature) in enumerate(zip(views, features, strict=True), start=1):
         pose = view.camera.world_to_camera.numpy()
-        model.add_camera_with_trivial_rig(cameras[k - 1])
+        model.add_camera_with_trivial_rig(feature.matched[2])
         image = colmap.Image(name=view.name, camera_id=k, image_id=k)
         rigid = colmap.Rigid3d(colmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
         model.add_image_with_trivial_frame(image, rigid)
+    pairs = pairs_to_match([view.camera for view in views], bounds)
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
         folder = Path(name)
         with colmap.Database.open(folder / "matches.db") as database:
-            _write_images(database, model, cameras, features)
-            pairs = pairs_to_match([view.camera for view in views], bounds)
-            _write_matches(
-                colmap, database, model, cameras, features, pairs, max_reprojection_error
-            )
+            _write_images(database, model, features)
+            _write_matches(colmap, database, model, features, pairs, max_reprojection_error)
+        options = _options(colmap, max_reprojection_error, min_angle, seed)
         result = colmap.triangulate_points(
-            model,
-            folder / "matches.db",
-            folder,
-            folder,
-            options=_options(colmap, max_reprojection_error, min_angle, seed),
+            model, folder / "matches.db", folder, folder, options=options
         )
     return _collect(result, views, features)
 
 
 def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> list[tuple[int, int]]:
-    """Which photographs are matched: each with those that are likely to show the same, a pair once.
+    """Return the index pairs of photographs to match, each with those likely to show the same content.
 
     Args:
-        cameras: of the photographs; up to nine are all matched with each other.
+        cameras: Cameras of the photographs; up to nine are all matched with each other.
         bounds: (near, far) z-depth of the scene's content, world units.
     """
-    found = set()
-    for index in range(len(cameras)):
-        for partner in source_views(cameras, index, MOST_PARTNERS, bounds):
-            found.add((min(index, partner), max(index, partner)))
+    found = {
+        (min(index, partner), max(index, partner))
+        for index in range(len(cameras))
+        for partner in source_views(cameras, index, MOST_PARTNERS, bounds)
+    }
     return sorted(found)
 
 
-def _colmap_camera(colmap: Any, identity: int, camera: Camera) -> Any:
-    result = colmap.Camera.create_from_model_id(
-        identity, colmap.CameraModelId.PINHOLE, camera.fx, camera.width, camera.height
-    )
-    result.params = [camera.fx, camera.fy, camera.cx, camera.cy]
-    return result
-
-
-def _extract(colmap: Any, view: TrainingView) -> _Features:
+def _extract(colmap: Any, identity: int, view: TrainingView) -> _Features:
     options = colmap.FeatureExtractionOptions()
     options.num_threads = 1
     options.sift.peak_threshold = CONTRAST_THRESHOLD
@@ -177,13 +165,21 @@ def _extract(colmap: Any, view: TrainingView) -> _Features:
     keypoints, descriptors = extractor.extract_from_uint8_array(
         (255 * brightness).round().to(torch.uint8).numpy()
     )
+    camera = colmap.Camera.create_from_model_id(
+        identity,
+        colmap.CameraModelId.PINHOLE,
+        view.camera.fx,
+        view.camera.width,
+        view.camera.height,
+    )
+    camera.params = [view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy]
     pixels = colmap.keypoints_to_matrix(keypoints)[:, :2].astype(np.float64)
-    return _Features(keypoints, descriptors, pixels)
+    return _Features((keypoints, descriptors, camera), pixels)
 
 
-def _write_images(database: Any, model: Any, cameras: list[Any], features: list[_Features]) -> None:
-    for k, (camera, feature) in enumerate(zip(cameras, features, strict=True), start=1):
-        database.write_camera(camera, True)
+def _write_images(database: Any, model: Any, features: list[_Features]) -> None:
+    for k, feature in enumerate(features, start=1):
+        database.write_camera(feature.matched[2], True)
         database.write_rig(model.rig(k), True)
         database.write_frame(model.frame(k), True)
         database.write_image(model.image(k), True)
@@ -194,7 +190,6 @@ def _write_matches(
     colmap: Any,
     database: Any,
     model: Any,
-    cameras: list[Any],
     features: list[_Features],
     pairs: list[tuple[int, int]],
     max_error: float,
@@ -202,26 +197,16 @@ def _write_matches(
     options = colmap.FeatureMatchingOptions()
     options.num_threads = 1
     matcher = colmap.FeatureMatcher.create(options, colmap.Device.cpu)
+    poses = [model.image(k).cam_from_world() for k in range(1, len(features) + 1)]
     for first, second in pairs:
-        relative = (
-            model.image(second + 1).cam_from_world()
-            * model.image(first + 1).cam_from_world().inverse()
-        )
+        relative = poses[second] * poses[first].inverse()
         geometry = colmap.TwoViewGeometry()
         geometry.config = colmap.TwoViewGeometryConfiguration.CALIBRATED
         geometry.E = colmap.essential_matrix_from_pose(relative)
         geometry.cam2_from_cam1 = relative
-        if len(features[first].pixels) and len(features[second].pixels):
-            matcher.match_guided(
-                max_error,
-                features[first].keypoints,
-                features[first].descriptors,
-                cameras[first],
-                features[second].keypoints,
-                features[second].descriptors,
-                cameras[second],
-                geometry,
-            )
+        here, there = features[first], features[second]
+        if len(here.pixels) and len(there.pixels):
+            matcher.match_guided(max_error, *here.matched, *there.matched, geometry)
         database.write_two_view_geometry(first + 1, second + 1, geometry)
 
 
@@ -233,7 +218,7 @@ def _options(colmap: Any, max_error: float, min_angle: float, seed: int) -> Any:
     )
     options.extract_colors = False
     options.min_num_matches = 1
-    # Two training views may be all that see a point: such points count.
+    # With few training views, most points are observed by only two.
     options.triangulation.ignore_two_view_tracks = False
     options.triangulation.min_angle = options.mapper.filter_min_tri_angle = min_angle
     options.mapper.filter_max_reproj_error = max_error
@@ -268,7 +253,7 @@ def _color(view: TrainingView, pixel: NDArray[np.float64]) -> NDArray[np.float32
 
 
 def _within_bounds(found: Triangulation, scene: TrainingScene) -> Tensor:
-    """`[P]` bool: the z-depth lies within the scene's bounds in every view that sees the point."""
+    """Return `[P]` bool: the z-depth is within the bounds in all views that observe the point."""
     near, far = scene.bounds[0] / BOUNDS_MARGIN, scene.bounds[1] * BOUNDS_MARGIN
     keep = torch.ones(len(found.positions), dtype=torch.bool)
     for index, view in enumerate(scene.train):

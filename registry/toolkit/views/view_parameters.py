@@ -1,4 +1,4 @@
-"""Numbers that each training view has of its own, trained relative to their mean over the views."""
+"""Trainable parameters per training view, relative to their mean over the views."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ if TYPE_CHECKING:
 
 
 class ViewParameters:
-    """A float64 tensor for each training view, all zero at the start.
+    """A float64 tensor per training view, initially zero.
 
-    What all views share is no property of a view: a motion of all cameras can be undone by one of the
-    scene, a tint of all photographs by one of the Gaussians. `of` therefore takes the mean over the views
-    away, so that the numbers of the views add up to zero.
+        self._exposure = ViewParameters(scene, (3,))
+        brighter = rgb * self._exposure.of(view).exp()
+
+    A change that all views share is ambiguous: the scene can compensate a motion of all cameras, the
+    Gaussians a tint of all photographs. `of` therefore subtracts the mean over the views.
 
     Args:
-        scene: whose training views they are; at least one.
-        shape: of each view's tensor.
+        scene: Scene with at least one training view.
+        shape: Shape of each view's tensor.
     """
 
     def __init__(self, scene: TrainingScene, shape: Sequence[int]) -> None:
@@ -34,10 +36,9 @@ class ViewParameters:
         }
 
     def of(self, view: TrainingView) -> Tensor:
-        """The view's own numbers minus the mean of all views', in autograd.
+        """Return the view's tensor minus the mean over all views, with gradients.
 
-        The mean counts as a constant: a view that is not looked at gets no gradient, and its tensor
-        no step.
+        The mean is a constant in autograd, so that views that are not rendered get no gradient.
         """
         import torch
 
@@ -45,5 +46,5 @@ class ViewParameters:
         return self._values[view.name] - mean
 
     def group(self, name: str, learning_rate: float) -> ParameterGroup:
-        """All of them, for `Component.parameters`."""
+        """Return all tensors as a group for `Component.parameters`."""
         return ParameterGroup(name, tuple(self._values.values()), learning_rate)

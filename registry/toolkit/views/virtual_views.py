@@ -1,7 +1,9 @@
-"""Cameras where no photograph was taken, for losses on what must look right from there too.
+"""Virtual cameras between and around the training cameras, for losses on unseen views.
 
-A stereo partner of a camera is `Camera.shifted_right`. Everything random comes from the caller's
-generator.
+    camera = virtual_views.draw("between", scene, self.generator)
+    rendering = step.render(camera)
+
+All randomness comes from the caller's generator. For a stereo partner, see `Camera.shifted_right`.
 """
 
 from __future__ import annotations
@@ -33,14 +35,14 @@ __all__ = [
 ]
 
 VirtualViewKind = Literal["box", "between", "sphere"]
-"""How `draw` places a camera: `in_box`, `between_neighbours` or `on_sphere`."""
+"""Function that `draw` uses: `in_box`, `between_neighbours` or `on_sphere`."""
 
 _PARALLEL = 1e-6
-"""Axes that differ by less than about a milliradian meet nowhere worth looking at."""
+"""Smallest eigenvalue per camera; axes within about a milliradian count as parallel."""
 
 
 def draw(kind: VirtualViewKind, scene: TrainingScene, generator: Generator) -> Camera:
-    """One random camera among the training cameras of a scene, with a training camera's lens."""
+    """Return a random camera near the training cameras of a scene, with the lens of one of them."""
     cameras = [view.camera for view in scene.train]
     if kind == "between":
         return between_neighbours(cameras, generator)
@@ -49,25 +51,25 @@ def draw(kind: VirtualViewKind, scene: TrainingScene, generator: Generator) -> C
 
 
 def focus_depth(bounds: tuple[float, float]) -> float:
-    """The z-depth that cameras of a forward-facing capture turn towards, world units.
+    """Return the z-depth that cameras of a forward-facing capture focus on, world units.
 
     A weighted harmonic mean of 0.9 near and 5 far: 1 / (0.25 / (0.9 near) + 0.75 / (5 far)) (LLFF,
     Mildenhall et al. 2019, and after it RegNeRF and FSGS).
 
     Args:
-        bounds: (near, far) z-depth, world units, > 0.
+        bounds: Positive (near, far) z-depth, world units.
     """
     near, far = bounds
     return 1 / (0.25 / (0.9 * near) + 0.75 / (5 * far))
 
 
 def focus_point(cameras: Sequence[Camera], bounds: tuple[float, float]) -> Tensor:
-    """The point nearest to all optical axes, least squares, `[3]` float64 (RegNeRF).
+    """Return the point nearest to all optical axes, least squares, `[3]` float64 (RegNeRF).
 
-    Where the axes are parallel or part, it lies at `focus_depth` in front of the cameras' mean.
+    For parallel or diverging axes, the point at `focus_depth` in front of the cameras' mean.
 
     Args:
-        cameras: at least one.
+        cameras: At least one camera.
     """
     import torch
 
@@ -84,14 +86,14 @@ def focus_point(cameras: Sequence[Camera], bounds: tuple[float, float]) -> Tenso
 
 
 def looking_at(camera: Camera, place: Tensor, target: Tensor) -> Camera:
-    """The same lens at another place, turned so that `target` is on the optical axis, upright as before.
+    """Return the camera moved to `place` and rotated so that `target` is on its axis, with the same up.
 
     Args:
-        place, target: `[3]`, world units; not the same point, and not one above the other as the
-            camera sees it.
+        place, target: `[3]`, world units; different points, not vertically above each other in the
+            camera's frame.
 
     Raises:
-        CameraError: no camera looks that way.
+        CameraError: The points violate this.
     """
     from core_rasterizer import Camera
 
@@ -103,9 +105,9 @@ def looking_at(camera: Camera, place: Tensor, target: Tensor) -> Camera:
 
 
 def between(first: Camera, second: Camera, share: float) -> Camera:
-    """The first camera, moved and turned towards the second by a share: 0 is the first, 1 the second.
+    """Interpolate between two cameras: a share of 0 returns the first pose, 1 the second.
 
-    Centres follow a straight line, rotations the shortest turn.
+    Centers follow a straight line, rotations the shortest arc; the lens is the first one's.
     """
     import torch
     from scipy.spatial.transform import Rotation, Slerp
@@ -116,13 +118,13 @@ def between(first: Camera, second: Camera, share: float) -> Camera:
 
 
 def between_neighbours(cameras: Sequence[Camera], generator: Generator) -> Camera:
-    """A camera between a random one and the one nearest to it (FSGS, Zhu et al. 2024).
+    """Return a camera between a random one and its nearest neighbor (FSGS, Zhu et al. 2024).
 
-    How far between the two is uniform; its place is then moved by normal noise of a tenth of their
-    distance in each direction. The paper names neither number.
+    The interpolation share is uniform; normal noise with a standard deviation of a tenth of their distance
+    is added to each coordinate of the center. The paper does not specify these numbers.
 
     Args:
-        cameras: at least one; one alone is moved by nothing.
+        cameras: At least one camera; a single camera is returned unmoved.
     """
     import torch
 
@@ -139,18 +141,18 @@ def between_neighbours(cameras: Sequence[Camera], generator: Generator) -> Camer
 
 
 def in_box(cameras: Sequence[Camera], bounds: tuple[float, float], generator: Generator) -> Camera:
-    """A camera in the box around the training cameras, turned to what lies in the middle before them.
+    """Return a camera in the box around the training cameras, oriented to a common focus.
 
-    The recipe for forward-facing captures of RegNeRF (Niemeyer et al. 2022), as FSGS and CoR-GS use it:
-    in the frame of the mean camera, each coordinate is uniform between plus and minus the largest that
-    a camera has; it looks at the point at `focus_depth` on the mean camera's axis.
+    The method of RegNeRF (Niemeyer et al. 2022) for forward-facing captures, also used by FSGS and
+    CoR-GS: in the frame of the mean camera, each coordinate is uniform within the largest absolute value
+    of any camera; the target is the point at `focus_depth` on the mean camera's axis.
 
     Args:
-        cameras: at least one; the lens is the first one's.
+        cameras: At least one camera; the first one's lens is used.
         bounds: (near, far) z-depth of the scene, world units.
 
     Raises:
-        PluginError: the cameras have no mean direction.
+        PluginError: The cameras have no mean direction.
     """
     import torch
 
@@ -165,14 +167,14 @@ def in_box(cameras: Sequence[Camera], bounds: tuple[float, float], generator: Ge
 def on_sphere(
     cameras: Sequence[Camera], bounds: tuple[float, float], generator: Generator
 ) -> Camera:
-    """A camera as far from the `focus_point` as the training cameras are, turned towards it.
+    """Return a camera on a sphere around the `focus_point`, oriented towards it.
 
     For captures around an object (RegNeRF's poses for its synthetic scenes). Directions are uniform
-    on the smallest cap about their mean that holds all training cameras, distances uniform between
+    on the smallest cap around their mean that contains all training cameras, distances uniform between
     the nearest and the farthest.
 
     Args:
-        cameras: at least one; the lens and the upright of the one nearest in direction are taken.
+        cameras: At least one camera; lens and up of the one nearest in direction are used.
         bounds: (near, far) z-depth of the scene, world units.
     """
     import torch
@@ -193,7 +195,7 @@ def on_sphere(
 
 
 def _on_circle(pole: Tensor, height: float, angle: float) -> Tensor:
-    """The unit vector whose component along `pole` is `height`, at an angle about it."""
+    """Return the unit vector with component `height` along `pole`, at this angle around it."""
     import torch
 
     helper = torch.zeros(3, dtype=torch.float64)
@@ -206,7 +208,7 @@ def _on_circle(pole: Tensor, height: float, angle: float) -> Tensor:
 
 
 def _mean_camera(cameras: Sequence[Camera]) -> Camera:
-    """At the mean of the centres, with the mean axis and upright, and the first one's lens."""
+    """Return a camera with the mean center, axis and up, and the first one's lens."""
     import torch
 
     center = _centers(cameras).mean(0)
@@ -215,8 +217,8 @@ def _mean_camera(cameras: Sequence[Camera]) -> Camera:
     right = torch.linalg.cross(down, forward)
     if not float(right.norm()) > 1e-6:
         raise PluginError(
-            "the training cameras face each other: there is no mean camera for a box around them",
-            fix="place virtual views on a sphere",
+            "the training cameras face each other and have no mean direction",
+            fix="use virtual views of kind `sphere`",
         )
     forward, right = forward / forward.norm(), right / right.norm()
     axes = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
@@ -230,7 +232,7 @@ def _centers(cameras: Sequence[Camera]) -> Tensor:
 
 
 def _placed(camera: Camera, camera_axes: Tensor, center: Tensor) -> Camera:
-    """The same lens at `center` `[3]`, with the axes that are the columns of `[3, 3]`."""
+    """Return the camera moved to `center` `[3]`, with the columns of `[3, 3]` as axes."""
     import torch
 
     pose = torch.eye(4, dtype=torch.float64)

@@ -1,17 +1,17 @@
-"""Web pages that need no other file: for reports, and for whatever else is shown to people.
+"""Self-contained web pages: text, tables, images, line plots.
 
-    from registry import web_page
+    from registry.toolkit import web_page
 
-    text = web_page.page("Title", [web_page.section("Scores", web_page.score_table(head, rows))])
+    table = web_page.score_table(["method", "PSNR"], [[Cell("ours"), Cell("21.4", strong=True)]])
+    text = web_page.page("Title", [web_page.section("Scores", table)])
 
-A page loads nothing, so that it can be mailed; all that moves in it is told in its own elements. All
-functions take plain text, escape it and return HTML; only what is called *content* is HTML already.
+A page loads no other file, so it can be sent by e-mail. Functions return HTML and escape their arguments,
+except those named `content`, `contents`, `figures` and `parts`, which are HTML.
 """
 
 from .document import folded, note, page, section, subsection, verbatim
 from .line_plot import Axis, Line, Point, line_plot
-from .looking import choice, color_scale, pinned, wipe
-from .pictures import figure, grid, headings, image
+from .pictures import choice, color_scale, figure, grid, headings, image, pinned, wipe
 from .tables import Cell, facts_table, score_table
 
 __all__ = [

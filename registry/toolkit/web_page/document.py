@@ -1,4 +1,4 @@
-"""The page as a whole: its style, its title, its sections and plain text."""
+"""The document: style, title, sections and text."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
 
 
 def page(title: str, contents: Iterable[str]) -> str:
-    """A whole document under its title; empty contents are left out."""
+    """Return an HTML document; empty contents are skipped."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -79,25 +79,25 @@ def page(title: str, contents: Iterable[str]) -> str:
 
 
 def section(title: str, content: str) -> str:
-    """A heading and what follows; nothing if nothing follows."""
+    """Return a heading with its content; empty for empty content."""
     return f"<h2>{escape(title)}</h2>\n{content}" if content else ""
 
 
 def subsection(title: str, content: str) -> str:
-    """A smaller heading and what follows; nothing if nothing follows."""
+    """Return a smaller heading with its content; empty for empty content."""
     return f"<h3>{escape(title)}</h3>\n{content}" if content else ""
 
 
 def folded(title: str, content: str) -> str:
-    """What is shown once its title is clicked; nothing if there is nothing."""
+    """Return content that unfolds when its title is clicked; empty for empty content."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>" if content else ""
 
 
 def note(text: str) -> str:
-    """A paragraph of small print."""
+    """Return a paragraph in small print."""
     return f'<p class="note">{escape(text)}</p>'
 
 
 def verbatim(text: str) -> str:
-    """Text with its line breaks, such as a file's; nothing if it is empty."""
+    """Return preformatted text; empty for an empty text."""
     return f"<pre>{escape(text)}</pre>" if text else ""

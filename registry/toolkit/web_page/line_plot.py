@@ -1,4 +1,4 @@
-"""Line plots as inline SVG: what a page needs to be read without a script or another file."""
+"""Line plots as inline SVG, without scripts or other files."""
 
 from __future__ import annotations
 
@@ -7,35 +7,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 
-_COLORS = (
-    "#3069b0",
-    "#c8553d",
-    "#2e8b57",
-    "#8d5fb4",
-    "#b8860b",
-    "#3d9aa8",
-    "#a83f6f",
-    "#777777",
-)
+_COLORS = ["#3069b0", "#c8553d", "#2e8b57", "#8d5fb4", "#b8860b", "#3d9aa8", "#a83f6f", "#777777"]
 _WIDTH, _HEIGHT = 400, 220
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 26
 _INSET = 14
-"""Between the first and last place and the frame: half of a tick's text."""
+"""Pixels between the outermost ticks and the frame: half of a tick's text."""
 _NAME_HEIGHT = 16
 _DECADES = 2.0
-"""Positive values that span more powers of ten than this get a logarithmic axis."""
+"""Powers of ten; positive values with a larger range get a logarithmic axis."""
 _MOST_MARKED = 12
-"""A line of so many points shows where each of them is."""
+"""Largest number of points that are drawn individually."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A value at a place.
+    """A point of a line.
 
     Args:
-        across, value: finite.
-        spread: a bar reaches so far up and down; None for no bar.
-        marked: drawn with a ring around it.
+        across, value: Finite x and y.
+        spread: Half height of an error bar; None for no bar.
+        marked: If True, drawn with a ring.
     """
 
     across: float
@@ -46,12 +37,12 @@ class Point:
 
 @dataclass(frozen=True)
 class Line:
-    """One line.
+    """A line.
 
     Args:
-        label: for the legend; may be empty.
-        points: from left to right.
-        dashed: for what is only there to compare with; its points are not marked.
+        label: Text in the legend; may be empty.
+        points: Points from left to right.
+        dashed: If True, drawn as a dashed reference line without points.
     """
 
     label: str
@@ -61,12 +52,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Axis:
-    """What stands below a plot.
+    """A horizontal axis.
 
     Args:
-        ticks: place and text, from left to right, one or more; the plot reaches from the first to
-            the last.
-        name: below them; may be empty.
+        ticks: At least one position with its text, from left to right; the plot reaches from the first
+            to the last.
+        name: Text below the ticks; may be empty.
     """
 
     ticks: Sequence[tuple[float, str]]
@@ -74,7 +65,7 @@ class Axis:
 
 
 def line_plot(title: str, lines: Iterable[Line], axis: Axis) -> str:
-    """A figure with lines, and a legend if there are several; empty if no line has a point."""
+    """Return a figure, with a legend for several lines; empty if no line has a point."""
     lines = [line for line in lines if line.points]
     if not lines:
         return ""
@@ -111,7 +102,7 @@ class _Across:
 
 
 class _Up:
-    """The vertical axis: a little more than the values, logarithmic where they span decades."""
+    """The vertical axis, logarithmic for values over several decades."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
         ends = [
@@ -130,7 +121,7 @@ class _Up:
         return self._at(self._scale(value))
 
     def rules(self) -> Iterator[str]:
-        """Lines at round numbers, with the numbers."""
+        """Yield grid lines at round numbers, with the numbers."""
         smallest = 1.0 if self.logarithmic else 0.0
         for tick in _ticks(self._low, self._high, smallest_step=smallest):
             y = self._at(tick)
@@ -144,13 +135,13 @@ class _Up:
 
 
 def _range(low: float, high: float, lowest: float) -> tuple[float, float]:
-    """A little more than the data, but nothing below `lowest` if the data stay above it."""
+    """Add a margin to the range, but do not cross `lowest` unless the data do."""
     margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return (low - margin if low < lowest else max(low - margin, lowest)), high + margin
 
 
 def _ticks(low: float, high: float, smallest_step: float) -> list[float]:
-    """Round numbers between the two, about five."""
+    """Return about five round numbers between the two."""
     rough = max((high - low) / 5, smallest_step)
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))
@@ -158,7 +149,7 @@ def _ticks(low: float, high: float, smallest_step: float) -> list[float]:
 
 
 def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
-    """The line, bars of the spread, and its points if they are few."""
+    """Yield the line, its error bars, and its points if they are few."""
     places = [(across(point.across), up(point.value), point) for point in line.points]
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in places)
     dashes = ' stroke-dasharray="5 4"' if line.dashed else ""

@@ -1,4 +1,4 @@
-"""Tables: facts by name, and scores in columns."""
+"""Tables of facts and of scores."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Cell:
     """A cell of a table of scores.
 
     Args:
-        text: what it says.
-        strong: printed bold.
+        text: Plain text.
+        strong: If True, bold.
     """
 
     text: str
@@ -22,7 +22,7 @@ class Cell:
 
 
 def facts_table(facts: Mapping[str, Any]) -> str:
-    """Names and values of JSON, in two columns; nested mappings become `outer.inner`."""
+    """Return a table of names and JSON values; nested mappings become `outer.inner`."""
     rows = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(_plain(value))}</td></tr>"
         for name, value in _flat(facts)
@@ -33,13 +33,13 @@ def facts_table(facts: Mapping[str, Any]) -> str:
 def score_table(
     head: Sequence[str], rows: Sequence[Sequence[Cell]], *, names: int = 1, caption: str = ""
 ) -> str:
-    """Numbers in columns.
+    """Return a table of numbers.
 
     Args:
-        head: of each column.
-        rows: each as long as `head`.
-        names: so many columns at the left tell what a row is about.
-        caption: stands above the table; may be empty.
+        head: Header of each column.
+        rows: Rows as long as `head`.
+        names: Number of columns on the left that hold names, not numbers.
+        caption: Text above the table; may be empty.
     """
     titles = _cells("th", [Cell(text) for text in head], names)
     body = "".join(f"<tr>{_cells('td', row, names)}</tr>" for row in rows)
@@ -58,7 +58,7 @@ def _cells(tag: str, cells: Sequence[Cell], names: int) -> str:
 
 
 def _plain(value: Any) -> str:
-    """A value of JSON as a person writes it."""
+    """Format a JSON value."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "\u2013"}[value]
     if isinstance(value, int):

@@ -1,4 +1,4 @@
-"""Binary files of tensors: checkpoints, cached answers of priors, and networks."""
+"""Binary files of tensors: checkpoints, cached estimates of priors, ONNX models."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ TENSORS = {"model/means": torch.arange(12.0).reshape(4, 3), "order": torch.arang
 
 
 class Checkpoints(Target):
-    """A checkpoint, which keeps hashes: no damage may pass."""
+    """A checkpoint. It contains hashes, so all damage must be detected."""
 
     name = "checkpoints"
 
     def write(self) -> tuple[str, ...]:
-        """One."""
+        """Write one checkpoint."""
         save_checkpoint(Checkpoint(7, 1.5, TENSORS, "name: fuzzed\n"), self.folder)
         files = sorted(path for path in self.folder.rglob("*") if path.is_file())
         return tuple(str(path.relative_to(self.folder)) for path in files)
 
     def read(self) -> None:
-        """Load it; what comes is what was saved."""
+        """Load it and compare it with the saved one."""
         found = load_checkpoint(self.folder)
         assert (found.iteration, found.seconds) == (7, 1.5)
         assert found.tensors.keys() == TENSORS.keys()
@@ -40,35 +40,35 @@ class Checkpoints(Target):
 
 
 class Refused(ExplainedError):
-    """A cached answer that is computed anew instead."""
+    """A cached estimate was discarded."""
 
 
 class PriorAnswers(Target):
-    """An answer in the cache: the one that was kept, or none."""
+    """A cached estimate: loading returns the saved one or None."""
 
     name = "cached answers"
     _key = "0123456789abcdef" * 2
 
     def write(self) -> tuple[str, ...]:
-        """One answer with a picture and what was asked."""
+        """Write one estimate with an image and its inputs."""
         logging.getLogger("registry.toolkit.cache.entries").setLevel(logging.ERROR)
         with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
             PriorCache("fuzzed").save(
-                self._key, TENSORS, {"depth": torch.full((3, 4, 3), 0.5)}, {"asked": "something"}
+                self._key, TENSORS, {"depth": torch.full((3, 4, 3), 0.5)}, {"question": "something"}
             )
         entry = self.folder / "fuzzed" / self._key
         return tuple(str(path.relative_to(self.folder)) for path in sorted(entry.iterdir()))
 
     def read(self) -> None:
-        """Ask for it."""
+        """Load it."""
         with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
             found = PriorCache("fuzzed").load(self._key)
         if found is None:
-            raise Refused("it is computed anew")
+            raise Refused("it is discarded")
         assert all(torch.equal(found[name], TENSORS[name]) for name in TENSORS)
 
     def restore(self, file: str) -> None:
-        """The whole entry: one that is damaged is removed."""
+        """Write the whole entry again: loading removes a damaged one."""
         for name in self.files:
             path = self.folder / name
             path.parent.mkdir(exist_ok=True)
@@ -76,20 +76,20 @@ class PriorAnswers(Target):
 
 
 class OnnxFiles(Target):
-    """A small network; one that is accepted answers, or says why not."""
+    """A small model; an accepted one runs, or explains why not."""
 
     name = "onnx"
 
     def write(self) -> tuple[str, ...]:
-        """A convolution and a loop of two rounds."""
+        """Write a model with a convolution in a loop of two iterations."""
         (self.folder / "model.onnx").write_bytes(small_network().SerializeToString())
         return ("model.onnx",)
 
     def read(self) -> None:
-        """Open and ask it."""
+        """Load and run it."""
         model = OnnxModel(self.folder / "model.onnx", provider="cpu")
         if [spec.name for spec in model.inputs] == ["x"]:
-            with mock.patch("registry.toolkit.networks.onnx_model.LONGEST_ANSWER", 0.2):
+            with mock.patch("registry.toolkit.networks.onnx_model.TIME_LIMIT", 0.2):
                 answers = model.run({"x": torch.ones(1, 1, 4, 4)})
             assert all(answer.dtype == torch.float32 for answer in answers.values())
 

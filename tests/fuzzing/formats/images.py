@@ -1,4 +1,4 @@
-"""Photographs, in every format that is read."""
+"""Photographs in all supported formats."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ _KINDS = ("png", "jpg", "webp", "tif", "bmp")
 
 
 class Images(Target):
-    """A small photograph of each kind; a PNG that is damaged is never read as another one."""
+    """A small photograph per format. A damaged PNG is refused or read unchanged."""
 
     name = "images"
 
     def write(self) -> tuple[str, ...]:
-        """Noise, so that no part of a file is idle."""
+        """Write noise, so that all parts of the files matter."""
         pixels = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
         for kind in _KINDS:
             Image.fromarray(pixels).save(self.folder / f"a.{kind}")
         return tuple(f"a.{kind}" for kind in _KINDS)
 
     def accepts(self, file: str, content: bytes) -> bool:
-        """Read the one picture that is damaged."""
+        """Read the damaged image only."""
         (self.folder / file).write_bytes(content)
         try:
             pixels = Decoder().read(self.folder / file)
@@ -40,6 +40,6 @@ class Images(Target):
         return True
 
     def read(self) -> None:
-        """All kinds."""
+        """Read all images."""
         for kind in _KINDS:
             Decoder().read(self.folder / f"a.{kind}")

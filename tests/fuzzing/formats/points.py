@@ -29,12 +29,12 @@ end_header
 
 
 class PointFiles(Target):
-    """What is read has finite numbers, colours in [0, 1], and as many rows as were written."""
+    """An accepted file has finite numbers, colors in [0, 1], and the original number of rows."""
 
     name = "ply"
 
     def write(self) -> tuple[str, ...]:
-        """Four Gaussians with one band of harmonics, and three points."""
+        """Write four Gaussians of SH degree 1, and three points."""
         count = 4
         positions = torch.arange(3.0 * count).reshape(count, 3)
         gaussians = Gaussians.from_points(
@@ -45,7 +45,7 @@ class PointFiles(Target):
         return ("gaussians", "cloud.ply")
 
     def accepts(self, file: str, content: bytes) -> bool:
-        """Read the one file that is damaged."""
+        """Read the damaged file only."""
         (self.folder / file).write_bytes(content)
         try:
             self._gaussians() if file == "gaussians" else self._cloud()
@@ -56,7 +56,7 @@ class PointFiles(Target):
         return True
 
     def read(self) -> None:
-        """Both."""
+        """Read both files."""
         self._gaussians()
         self._cloud()
 

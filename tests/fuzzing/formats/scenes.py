@@ -1,4 +1,4 @@
-"""Data sets: cameras, names and points of every loader of real pictures."""
+"""Data sets: cameras, names and points of all loaders of real photographs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MODEL = ("cameras", "images", "points3D")
 
 
 class SceneFiles(Target):
-    """A data set: its loader with settings, its writer, and the files that are damaged."""
+    """A data set: loader with settings, writer, files to damage."""
 
     loader: ClassVar[type[SceneLoader[Any]]]
     settings: ClassVar[dict[str, Any]] = {}
@@ -50,13 +50,13 @@ class SceneFiles(Target):
         self._most = len(self._component.load().train)
 
     def write(self) -> tuple[str, ...]:
-        """The data set, and beside it a pink picture that is not part of it."""
+        """Write the data set, and a pink image outside it."""
         type(self).writer(self.folder / "scene")
         Image.new("RGB", (8, 6), PINK).save(self.folder / OUTSIDE)
         return tuple(f"scene/{file}" for file in self.damaged)
 
     def read(self) -> None:
-        """Load it; what comes is a scene."""
+        """Load it and check the scene."""
         scene = self._component.load()
         assert len(scene.train) <= self._most
         _check_scene(scene)
@@ -92,7 +92,7 @@ class Llff(SceneFiles):
 
 
 class Blender(SceneFiles):
-    """`transforms_train.json` and its like."""
+    """`transforms_train.json` and the other splits."""
 
     name = "blender"
     loader, settings = BlenderScene, {"train_ids": (1, 3, 5)}
@@ -110,7 +110,7 @@ class Nerfstudio(SceneFiles):
 
 
 def _write_dtu(folder: Path) -> None:
-    """A scan with the cameras of the views that are read: the others only take time."""
+    """Write a scan with only the cameras that are read, to save time."""
     path = write_dtu(folder, SMALL_DTU) / "cameras_sphere.npz"
     with np.load(path) as data:
         read = [
@@ -121,7 +121,7 @@ def _write_dtu(folder: Path) -> None:
 
 
 class Dtu(SceneFiles):
-    """`cameras_sphere.npz`; masks are pictures as others, and would take most of the time."""
+    """`cameras_sphere.npz`, without masks, which would take most of the time."""
 
     name = "dtu"
     loader, settings = DTUScene, {"masks": False}

@@ -1,4 +1,4 @@
-"""A cache for the answers of priors."""
+"""A cache folder for estimates of priors."""
 
 from tests.registry.toolkit.networks.conftest import cache
 

@@ -1,4 +1,4 @@
-"""Prior models by capability: the question is checked, the answer is cleaned, the right one is found."""
+"""Capabilities of priors: checks of inputs and estimates, choice of a prior."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .toy_priors import BestShift, Brightness, Corners, Middle, Sideways, built,
 
 
 @pytest.mark.parametrize("component", [BestShift, Middle, Brightness])
-def test_they_keep_the_contract(component: type) -> None:
+def test_toy_priors_keep_the_contract(component: type) -> None:
     check(component)
 
 
@@ -38,18 +38,18 @@ def test_disparity_of_a_shifted_pair_and_of_its_mirror_image() -> None:
     assert not of_left.valid[:, :5].any()
     assert (of_left.values[:, 5:] == 5).all()
     assert (of_left.values[:, :5] == 0).all()
-    # The right image's first columns show what the left image shows five pixels further right.
+    # The right image is the left image shifted by five pixels.
     assert (of_right.values[:, :-5] == 5).all()
     assert not of_right.valid[:, -5:].any()
 
 
-def test_the_pair_must_fit_together() -> None:
+def test_images_of_a_pair_must_have_equal_sizes() -> None:
     with pytest.raises(PluginError, match="both must be"):
         built(BestShift).disparity(textured(32), textured(33))
 
 
 @pytest.mark.parametrize("answer", [torch.tensor(1.0), torch.ones(24), 1.0, None])
-def test_an_answer_of_another_shape_is_refused(
+def test_an_estimate_of_another_shape_is_refused(
     answer: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(BestShift, "estimate", lambda self, left, right: answer)
@@ -86,7 +86,7 @@ class WrongShape(MonocularDepthPrior[Settings]):
         return image.mean(dim=2)[1:]
 
 
-def test_answers_of_the_wrong_number_or_shape_are_refused() -> None:
+def test_estimates_of_a_wrong_length_or_shape_are_refused() -> None:
     scene = tiny_scene()
     with pytest.raises(PluginError, match="1 depth maps came for 2 views"):
         built(TooMany).depths(scene.train, scene.bounds)
@@ -94,7 +94,7 @@ def test_answers_of_the_wrong_number_or_shape_are_refused() -> None:
         built(WrongShape).inverse_depth(scene.train[0].image)
 
 
-def test_the_prior_with_the_capability_is_found_by_name_or_alone() -> None:
+def test_a_prior_is_chosen_by_name_or_as_the_only_one() -> None:
     first, second, mono = built(Middle), built(Middle), built(Brightness)
     assert MultiViewDepthPrior.choose({"a": first, "m": mono}, None) is first
     assert MultiViewDepthPrior.choose({"a": first, "b": second}, "b") is second
@@ -109,7 +109,7 @@ def test_the_prior_with_the_capability_is_found_by_name_or_alone() -> None:
         StereoPrior.choose({}, "x")
 
 
-def test_a_stereo_prior_that_knows_nothing_is_told_of_once(
+def test_a_stereo_prior_without_known_values_is_reported_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     class Nowhere(StereoPrior[Settings]):
@@ -119,11 +119,11 @@ def test_a_stereo_prior_that_knows_nothing_is_told_of_once(
     prior, image = built(Nowhere, "blind"), textured()
     for _ in range(2):
         assert not prior.disparity(image, image).valid.any()
-    assert caplog.messages == ["prior 'blind' answered without one known disparity"]
+    assert caplog.messages == ["prior 'blind' returned no known disparity"]
 
 
 class Torch(MonocularDepthPrior[Settings]):
-    """Brightness, in autograd."""
+    """Brightness, with autograd."""
 
     differentiable = True
 
@@ -131,7 +131,7 @@ class Torch(MonocularDepthPrior[Settings]):
         return image.mean(dim=2)
 
 
-def test_a_differentiable_prior_lets_gradients_through() -> None:
+def test_a_differentiable_prior_propagates_gradients() -> None:
     image = torch.rand(4, 5, 3, requires_grad=True)
     built(Torch).inverse_depth(image).sum().backward()
     assert image.grad is not None
@@ -139,27 +139,27 @@ def test_a_differentiable_prior_lets_gradients_through() -> None:
     assert not built(Brightness).inverse_depth(image).requires_grad
 
 
-def test_a_flow_is_checked_and_remembered_between_views(cache: Path) -> None:
+def test_a_flow_is_checked_and_cached_between_views(cache: Path) -> None:
     check(Sideways)
     (first, second), prior = tiny_scene().train, built(Sideways)
     flow = prior.flow_between(first, second)
     assert torch.equal(prior.flow_between(first, second).vectors, flow.vectors)
-    assert prior.asked == 1
+    assert prior.calls == 1
     assert not flow.valid[0, 0]
     assert int(flow.valid.sum()) == flow.valid.numel() - 1
     assert flow.vectors[0, 0].tolist() == [0, 0]
     assert flow.vectors[3, 4].tolist() == [3, 0]
     prior.flow(first.image, second.image)
-    assert prior.asked == 2
+    assert prior.calls == 2
 
 
-def test_matches_are_checked_and_remembered_between_views(cache: Path) -> None:
+def test_matches_are_checked_and_cached_between_views(cache: Path) -> None:
     check(Corners)
     (first, second), prior = tiny_scene().train, built(Corners)
     matches = prior.matches_between(first, second)
     assert prior.matches_between(first, second).first.tolist() == [[0, 0], [1, 1]]
     assert matches.scores.tolist() == [0.5, 1]
-    assert prior.asked == 1
+    assert prior.calls == 1
 
 
 class Crooked(MatchingPrior[Settings]):
@@ -172,7 +172,7 @@ class Narrow(OpticalFlowPrior[Settings]):
         return first
 
 
-def test_answers_of_the_wrong_shape_are_refused() -> None:
+def test_estimates_of_a_wrong_shape_are_refused() -> None:
     image = torch.rand(4, 5, 3)
     with pytest.raises(
         PluginError, match="second is \\(2, 2\\), expected a tensor of shape \\(3, 2\\)"

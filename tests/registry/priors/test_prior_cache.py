@@ -1,4 +1,4 @@
-"""The same question is answered from disk; another one, or another code's, is asked anew."""
+"""Estimates are read from disk for equal inputs and code, and computed again otherwise."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from registry.testing import tiny_scene
 from .toy_priors import Brightness, Middle, built
 
 
-def test_the_same_question_is_answered_from_disk_bit_for_bit(cache: Path) -> None:
+def test_equal_inputs_are_read_from_disk_bit_for_bit(cache: Path) -> None:
     scene = tiny_scene()
     first, second = built(Middle), built(Middle)
     before = first.depths(scene.train, scene.bounds)
     again = second.depths(scene.train, scene.bounds)
-    assert (first.asked, second.asked) == (1, 0)
+    assert (first.calls, second.calls) == (1, 0)
     for one, other in zip(before, again, strict=True):
         assert torch.equal(one.depth, other.depth)
         assert torch.equal(one.valid, other.valid)
         assert torch.equal(one.confidence, other.confidence)
 
 
-def test_another_question_is_asked_anew(cache: Path) -> None:
+def test_other_inputs_are_computed_again(cache: Path) -> None:
     scene = tiny_scene()
     prior = built(Middle)
     prior.depths(scene.train, scene.bounds)
     prior.depths(scene.train, (scene.bounds[0], scene.bounds[1] * 2))
     prior.depths(scene.train[::-1], scene.bounds)
-    assert prior.asked == 3
+    assert prior.calls == 3
     mono = built(Brightness)
     mono.inverse_depth_of(scene.train[0])
     changed = scene.train[0].image.clone()
     changed[3, 3, 1] = torch.nextafter(changed[3, 3, 1], torch.tensor(1.0))
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
-    assert mono.asked == 2
+    assert mono.calls == 2
 
 
-def test_cached_answers_can_be_looked_at(cache: Path) -> None:
+def test_cached_estimates_have_images(cache: Path) -> None:
     scene = tiny_scene()
     built(Middle, "sweep").depths(scene.train, scene.bounds)
     (folder,) = (cache / "sweep").iterdir()
@@ -64,7 +64,7 @@ def test_cached_answers_can_be_looked_at(cache: Path) -> None:
     }
 
 
-def test_a_damaged_answer_is_reported_and_replaced(
+def test_a_damaged_entry_is_reported_and_replaced(
     cache: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     view = tiny_scene().train[0]
@@ -75,12 +75,12 @@ def test_a_damaged_answer_is_reported_and_replaced(
     with caplog.at_level(logging.WARNING):
         assert torch.equal(prior.inverse_depth_of(view), answer)
     assert "damaged" in caplog.text
-    assert prior.asked == 2
+    assert prior.calls == 2
     prior.inverse_depth_of(view)
-    assert prior.asked == 2
+    assert prior.calls == 2
 
 
-def test_a_cache_that_cannot_be_written_costs_a_warning_only(
+def test_a_read_only_cache_gives_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("in the way")
@@ -90,9 +90,9 @@ def test_a_cache_that_cannot_be_written_costs_a_warning_only(
     assert "could not be cached" in caplog.text
 
 
-def test_a_full_disk_costs_a_warning_only(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_disk_gives_a_warning(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # as good as a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # acts like a full disk
     try:
         PriorCache("full").save("0" * 32, {"answer": torch.zeros(1000)}, {}, {})
     finally:
@@ -101,16 +101,16 @@ def test_a_full_disk_costs_a_warning_only(cache: Path, caplog: pytest.LogCapture
     assert PriorCache("full").load("0" * 32) is None
 
 
-def test_the_code_of_the_component_is_part_of_the_question() -> None:
+def test_the_key_contains_the_code_of_the_component() -> None:
     assert code_digest(Middle) != code_digest(Brightness)
     assert code_digest(Middle) == code_digest(Middle)
 
 
 @pytest.mark.parametrize("listed", ["top_level.txt", "RECORD"])
-def test_the_code_of_all_that_its_package_installs_is_part_of_the_question(
+def test_the_key_contains_the_code_of_the_whole_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: str
 ) -> None:
-    """Two modules side by side: a package that is no folder. A third belongs to somebody else."""
+    """A package of two top-level modules; a third module belongs to another package."""
     name = listed.partition(".")[0].lower()
     modules = (f"flat_{name}", f"flat_{name}_helper")
     for module in (*modules, f"other_{name}"):
@@ -135,8 +135,8 @@ def test_the_code_of_all_that_its_package_installs_is_part_of_the_question(
     assert digest() != before
 
 
-def test_an_answer_about_an_image_is_not_kept(cache: Path) -> None:
+def test_estimates_for_images_are_not_cached(cache: Path) -> None:
     prior, image = built(Brightness), tiny_scene().train[0].image
     assert torch.equal(prior.inverse_depth(image), prior.inverse_depth(image))
-    assert prior.asked == 2
+    assert prior.calls == 2
     assert not cache.exists() or not list(cache.rglob("*.safetensors"))

@@ -1,4 +1,4 @@
-"""A prior of each capability, small enough to see through."""
+"""A minimal prior of each capability."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from registry.priors import (
 
 class ShiftSettings(Settings):
     limit: int = 8
-    """Largest shift tried, in pixels."""
+    """Largest shift to try, pixels."""
 
 
 class BestShift(StereoPrior[ShiftSettings]):
-    """The one shift that explains the whole image best, at every pixel."""
+    """The single shift that fits the whole image best, at every pixel."""
 
     def estimate(self, left: Tensor, right: Tensor) -> Tensor:
         width = left.shape[1]
@@ -37,17 +37,17 @@ class BestShift(StereoPrior[ShiftSettings]):
         ]
         best = int(torch.stack(errors).argmin())
         answer = torch.full(left.shape[:2], float(best))
-        answer[:, :best] = torch.nan  # what the right image does not show
+        answer[:, :best] = torch.nan  # outside the right image
         return answer
 
 
 class Middle(MultiViewDepthPrior[Settings]):
-    """The middle of the bounds everywhere, but not at the first pixel."""
+    """The center of the bounds at all pixels except the first."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
-        self.asked += 1
+        self.calls += 1
         maps = []
         for view in views:
             depth = torch.full(view.image.shape[:2], sum(bounds) / 2)
@@ -57,12 +57,12 @@ class Middle(MultiViewDepthPrior[Settings]):
 
 
 class Brightness(MonocularDepthPrior[Settings]):
-    """Bright is near."""
+    """Brightness as inverse depth."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, image: Tensor) -> Tensor:
-        self.asked += 1
+        self.calls += 1
         return image.mean(dim=2)
 
 
@@ -78,12 +78,12 @@ def textured(width: int = 40) -> Tensor:
 
 
 class Sideways(OpticalFlowPrior[Settings]):
-    """Three pixels to the right; the first pixel is not known."""
+    """Three pixels to the right; unknown at the first pixel."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, first: Tensor, second: Tensor) -> Tensor:
-        self.asked += 1
+        self.calls += 1
         flow = torch.zeros(*first.shape[:2], 2)
         flow[..., 0] = 3
         flow[0, 0] = torch.nan
@@ -91,11 +91,11 @@ class Sideways(OpticalFlowPrior[Settings]):
 
 
 class Corners(MatchingPrior[Settings]):
-    """The corners of the images; one of the matches lies outside, one score is too high."""
+    """Corners of the images; one match is outside, one score is too high."""
 
-    asked = 0
+    calls = 0
 
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
-        self.asked += 1
+        self.calls += 1
         points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [1e4, 1.0]])
         return Matches(points, points, torch.tensor([0.5, 7.0, 0.5]))

@@ -124,7 +124,7 @@ def test_epipolar_distances_are_those_to_the_projected_ray() -> None:
 def test_files_and_outputs_are_checked(tmp_path: Path) -> None:
     finder = graphs.brightest_pixels(tmp_path / "finder.onnx", 24, 40)
     matcher = graphs.matcher_of_points(tmp_path / "matcher.onnx")
-    with pytest.raises(PluginError, match="4 inputs; which one is not said"):
+    with pytest.raises(PluginError, match="4 inputs; its name must be specified"):
         build(OnnxMatching, model=matcher, matcher=finder)
     with pytest.raises(PluginError, match="no input 'kpts0'"):
         build(OnnxMatching, model=finder, matcher=finder)

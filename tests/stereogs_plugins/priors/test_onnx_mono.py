@@ -143,7 +143,7 @@ def test_inputs_and_outputs_can_be_named(tmp_path: Path) -> None:
     assert "l_x_ float32[1, 3, ?, ?]" in caught.value.fix
     with pytest.raises(PluginError, match="no output 'disp'"):
         mono(path, output="disp")
-    with pytest.raises(PluginError, match="2 inputs; which one is not said"):
+    with pytest.raises(PluginError, match="2 inputs; its name must be specified"):
         mono(graphs.matcher(tmp_path / "stereo.onnx"))
 
 

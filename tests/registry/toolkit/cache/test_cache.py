@@ -1,4 +1,4 @@
-"""The cache: whole or absent, bounded, and shared by those who write at once."""
+"""The cache: complete entries, size limit, concurrent writers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from registry import RunError
-from registry.toolkit.cache import Cache, cache_folder, content_key, eviction, size_limit
+from registry.toolkit.cache import Cache, content_key, eviction
+from registry.toolkit.cache.place import cache_folder, size_limit
 
 KEYS = [content_key(number) for number in range(8)]
 
@@ -35,7 +36,7 @@ def used_at(root: Path, key: str, seconds: int) -> None:
     os.utime(root / "kind" / key, (seconds, seconds))
 
 
-def test_what_was_saved_is_found(root: Path) -> None:
+def test_saved_entries_are_found(root: Path) -> None:
     cache = Cache("kind")
     assert load(cache, KEYS[0]) is None
     save(cache, KEYS[0])
@@ -44,7 +45,7 @@ def test_what_was_saved_is_found(root: Path) -> None:
     assert load(cache, KEYS[1]) is None
 
 
-def test_an_empty_variable_switches_it_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_empty_variable_disables_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", "")
     monkeypatch.chdir(tmp_path)
     save(Cache("kind"), KEYS[0])
@@ -53,7 +54,7 @@ def test_an_empty_variable_switches_it_off(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_the_variable_it_lies_in_the_users_folder(
+def test_without_the_variable_it_is_in_the_users_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_CACHE")
@@ -61,15 +62,15 @@ def test_without_the_variable_it_lies_in_the_users_folder(
     assert cache_folder("sweep") == tmp_path / "stereogs" / "sweep"
 
 
-@pytest.mark.parametrize("said", ["0", "-1", "1.5", "much", "²"])
-def test_a_size_that_is_none_is_explained(said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_CACHE_MB", said)
-    with pytest.raises(RunError, match="no positive whole number") as error:
+@pytest.mark.parametrize("text", ["0", "-1", "1.5", "much", "²"])
+def test_invalid_sizes_are_explained(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE_MB", text)
+    with pytest.raises(RunError, match="must be a positive integer") as error:
         size_limit()
     assert "STEREOGS_CACHE_MB" in error.value.where
 
 
-def test_the_least_recently_used_goes_and_the_newest_stays(root: Path) -> None:
+def test_the_least_recently_used_entries_are_removed(root: Path) -> None:
     cache = Cache("kind")
     for number in range(4):
         save(cache, KEYS[number], 240)
@@ -83,7 +84,7 @@ def test_the_least_recently_used_goes_and_the_newest_stays(root: Path) -> None:
     assert load(Cache("other"), KEYS[4]) is not None
 
 
-def test_an_entry_larger_than_the_limit_stays_alone(root: Path) -> None:
+def test_an_entry_larger_than_the_limit_is_kept(root: Path) -> None:
     cache = Cache("kind")
     save(cache, KEYS[0])
     save(cache, KEYS[1], 2000)
@@ -91,7 +92,7 @@ def test_an_entry_larger_than_the_limit_stays_alone(root: Path) -> None:
     assert load(cache, KEYS[1]) is not None
 
 
-def test_what_is_no_entry_is_never_removed(root: Path) -> None:
+def test_other_files_are_never_removed(root: Path) -> None:
     precious = root / "kind" / "thesis"
     precious.mkdir(parents=True)
     (precious / "text").write_bytes(bytes(3_000_000))
@@ -103,7 +104,7 @@ def test_what_is_no_entry_is_never_removed(root: Path) -> None:
     assert (root / "kind" / KEYS[7] / "text").is_file()
 
 
-def test_a_half_written_entry_is_never_read(root: Path) -> None:
+def test_an_unfinished_entry_is_never_read(root: Path) -> None:
     cache = Cache("kind")
 
     def stop(folder: Path) -> None:
@@ -136,15 +137,13 @@ def test_a_damaged_entry_is_reported_and_removed(
     assert not entry.exists()
 
 
-def test_a_folder_that_cannot_be_written_costs_a_warning(
-    root: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_read_only_folder_gives_a_warning(root: Path, caplog: pytest.LogCaptureFixture) -> None:
     root.write_text("in the way")
     save(Cache("kind"), KEYS[0])
     assert "could not be cached" in caplog.text
 
 
-def test_a_cache_that_may_only_be_read_is_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_cache_is_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save(Cache("kind"), KEYS[0])
 
     def refuse(path: Path) -> None:
@@ -155,7 +154,7 @@ def test_a_cache_that_may_only_be_read_is_read(root: Path, monkeypatch: pytest.M
     assert load(Cache("kind"), KEYS[0]) == bytes(1000)
 
 
-def test_what_a_killed_process_left_is_cleared(root: Path) -> None:
+def test_leftovers_of_killed_processes_are_removed(root: Path) -> None:
     cache = Cache("kind")
     save(cache, KEYS[0])
     left, recent = (root / "kind" / f".{KEYS[k]}.abc.partial" for k in (1, 2))
@@ -167,7 +166,7 @@ def test_what_a_killed_process_left_is_cleared(root: Path) -> None:
     assert recent.exists()
 
 
-def test_it_is_cleared_although_there_is_room(root: Path) -> None:
+def test_leftovers_are_removed_below_the_limit_too(root: Path) -> None:
     left = root / "kind" / f".{KEYS[1]}.abc.partial"
     left.mkdir(parents=True)
     os.utime(left, (1000, 1000))
@@ -175,9 +174,7 @@ def test_it_is_cleared_although_there_is_room(root: Path) -> None:
     assert not left.exists()
 
 
-def test_threads_that_write_one_entry_do_not_disturb_each_other(
-    root: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_threads_can_write_the_same_entry(root: Path, caplog: pytest.LogCaptureFixture) -> None:
     barrier = threading.Barrier(8)
 
     def work() -> None:
@@ -194,7 +191,7 @@ def test_threads_that_write_one_entry_do_not_disturb_each_other(
     assert caplog.text == ""
 
 
-def test_processes_that_write_and_evict_at_once_leave_whole_entries(root: Path) -> None:
+def test_concurrent_processes_leave_complete_entries(root: Path) -> None:
     code = f"""
 from registry.toolkit.cache import Cache
 for turn in range(40):

@@ -1,4 +1,4 @@
-"""Keys tell questions apart."""
+"""Keys depend on all inputs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from registry.toolkit.cache import content_key, source_digest
 
 
-def test_keys_tell_types_shapes_and_order_apart() -> None:
+def test_keys_depend_on_types_shapes_and_order() -> None:
     values = torch.arange(6.0)
     keys = [
         content_key(values),
@@ -26,7 +26,7 @@ def test_keys_tell_types_shapes_and_order_apart() -> None:
     assert content_key(values.clone()) == keys[0]
 
 
-def test_code_is_told_apart_by_its_file() -> None:
+def test_digests_of_code_depend_on_its_file() -> None:
     assert source_digest(json) == source_digest(json.dumps)
     assert source_digest(json) != source_digest(logging)
     assert source_digest(json, logging) != source_digest(logging, json)

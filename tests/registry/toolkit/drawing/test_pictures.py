@@ -31,7 +31,7 @@ def test_png_is_rounded_and_clamped(tmp_path: Path) -> None:
     assert pixels.tolist() == [[[0, 128, 255], [26, 51, 76]]]
 
 
-def test_near_is_lighter_than_far_and_nothing_is_black() -> None:
+def test_near_is_lighter_than_far_and_empty_is_black() -> None:
     alpha = torch.tensor([[1.0, 0.8, 0.9, 0.1]])
     depth = alpha * torch.tensor([[1.0, 2.0, 4.0, 3.0]])
     picture = depth_picture(Rendering(torch.zeros(1, 4, 3), depth, alpha))
@@ -40,14 +40,14 @@ def test_near_is_lighter_than_far_and_nothing_is_black() -> None:
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
-def test_flat_depth_is_a_picture_too(alpha: float) -> None:
+def test_constant_depth_is_drawn(alpha: float) -> None:
     maps = torch.full((3, 5), alpha)
     picture = depth_picture(Rendering(torch.zeros(3, 5, 3), maps, maps))
     assert picture.shape == (3, 5, 3)
     assert torch.isfinite(picture).all()
 
 
-def test_nearness_that_is_not_known_changes_no_color() -> None:
+def test_unknown_nearness_does_not_affect_colors() -> None:
     nearness = torch.tensor([[1.0, 2.0, 3.0, torch.nan], [4.0, 5.0, torch.inf, -1e9]])
     known = torch.isfinite(nearness) & (nearness > 0)
     picture = nearness_picture(nearness, known)
@@ -94,13 +94,13 @@ def test_the_path_visits_every_camera() -> None:
 
 def test_a_path_needs_two_cameras() -> None:
     camera = tiny_scene().train[0].camera
-    with pytest.raises(RunError, match="no path"):
+    with pytest.raises(RunError, match="no path exists"):
         smooth_path([camera], 10)
-    with pytest.raises(RunError, match="no path"):
+    with pytest.raises(RunError, match="no path exists"):
         smooth_path([camera, camera], 1)
 
 
-def test_without_an_encoder_there_are_pictures(
+def test_without_an_encoder_images_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
@@ -109,7 +109,7 @@ def test_without_an_encoder_there_are_pictures(
     assert "pip install" in note
 
 
-def test_with_an_encoder_there_is_a_video(tmp_path: Path) -> None:
+def test_with_an_encoder_a_video_is_written(tmp_path: Path) -> None:
     encoder = pytest.importorskip("imageio_ffmpeg")
     frames = [torch.full((33, 47, 3), shade) for shade in (0.0, 0.5, 1.0, 0.5)]
     written, note = write_video(frames, tmp_path / "path")

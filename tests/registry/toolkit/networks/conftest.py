@@ -1,4 +1,4 @@
-"""A small ONNX graph to ask, and a cache for what priors answer."""
+"""A small ONNX graph, and a cache folder for results of priors."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def saved(folder: Path, model: onnx.ModelProto) -> Path:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """A file that holds `addition`."""
+    """Path of a file with the model `addition`."""
     return saved(tmp_path, addition())
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where answers of this test are kept."""
+    """Cache folder of this test."""
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"

@@ -1,4 +1,4 @@
-"""Sizes that networks take, and the way there and back."""
+"""Conversion of images to network sizes and back."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_stretching_goes_to_the_nearest_multiple(
 
 
 @pytest.mark.parametrize("fit", [padded((41, 57), (None, None), 32), padded((7, 3), (9, 9), 1)])
-def test_what_was_padded_comes_back_bit_for_bit(fit: Fit) -> None:
+def test_undoing_a_padding_is_exact(fit: Fit) -> None:
     images = torch.rand(2, 3, *fit.image)
     given = fit.apply(images)
     assert given.shape == (2, 3, *fit.target)
@@ -55,13 +55,13 @@ def test_what_was_padded_comes_back_bit_for_bit(fit: Fit) -> None:
     assert torch.equal(given[..., -1, -1], images[..., -1, -1])
 
 
-def test_shrinking_smooths_first() -> None:
+def test_downsampling_is_antialiased() -> None:
     stripes = (torch.arange(96) % 2).float().expand(1, 3, 96, 96)
     given = stretched((96, 96), (32, 32), 1).apply(stripes)
     assert (given[..., 4:-4, 4:-4] - 0.5).abs().max() < 0.1
 
 
-def test_unknown_values_do_not_touch_their_neighbours() -> None:
+def test_unknown_values_do_not_affect_neighbors() -> None:
     fit = stretched((10, 40), (10, 20), 1)
     maps = torch.full((1, 10, 20), 3.0)
     maps[:, :, 12:] = torch.nan
@@ -75,7 +75,7 @@ def test_unknown_values_do_not_touch_their_neighbours() -> None:
     assert fit.width_factor == 2
 
 
-def test_numbers_of_black_and_white_are_those_of_the_plain_formulas() -> None:
+def test_value_ranges_match_their_formulas() -> None:
     images = torch.rand(2, 3, 40, 50, generator=torch.Generator().manual_seed(0))
     mean = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
     deviation = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
@@ -86,8 +86,8 @@ def test_numbers_of_black_and_white_are_those_of_the_plain_formulas() -> None:
     assert torch.equal(in_range(images * 3 - 1, "0..1"), (images * 3 - 1).clamp(0, 1))
 
 
-def test_points_come_back_to_the_image() -> None:
-    """100x288 is shrunk to 33x96 and padded to 64x96: 15 rows above, 16 below."""
+def test_points_are_converted_back_to_the_image() -> None:
+    """100x288 is resized to 33x96 and padded to 64x96: 15 rows above, 16 below."""
     fit = padded((100, 288), (64, 96), 1)
     assert fit.content == (33, 96)
     points = torch.tensor([[0.0, 15.0], [96.0, 48.0], [48.0, 31.5], [0.0, 0.0]])
@@ -95,7 +95,7 @@ def test_points_come_back_to_the_image() -> None:
     assert torch.allclose(fit.undo_points(points), expected)
 
 
-def test_a_map_at_a_renders_size_keeps_values_as_they_are() -> None:
+def test_a_map_at_a_renders_size_keeps_its_values() -> None:
     pixels = torch.arange(35.0).reshape(5, 7)
     assert at_size(pixels, 5, 7) is pixels
     # The middles of three rows and four columns fall into rows 0, 2, 4 and columns 0, 2, 4, 6.

@@ -1,4 +1,4 @@
-"""Features of a tiny graph in the form of MC-CNN fast: of grey g, the vector (g, 2 g + 1)."""
+"""Features of a tiny graph like MC-CNN fast: the vector (g, 2 g + 1) for a grey level g."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_flat_image_has_no_texture() -> None:
     assert standardized_grey(torch.full((20, 30, 3), 0.3)).abs().max() < 0.1
 
 
-def test_features_are_those_of_the_graph_at_unit_length(tmp_path: Path) -> None:
+def test_features_are_normalized_outputs_of_the_graph(tmp_path: Path) -> None:
     features = LearnedFeatures(graphs.grey_features(tmp_path / "m.onnx"))
     image = torch.rand(21, 33, 3, generator=torch.Generator().manual_seed(0))
     answer = features(image)
@@ -43,7 +43,7 @@ def test_features_are_those_of_the_graph_at_unit_length(tmp_path: Path) -> None:
     assert torch.equal(answer, features(image))
 
 
-def test_the_fingerprint_tells_files_apart(tmp_path: Path) -> None:
+def test_fingerprints_of_files_differ(tmp_path: Path) -> None:
     one = LearnedFeatures(graphs.grey_features(tmp_path / "one.onnx"))
     other = LearnedFeatures(graphs.grey_features(tmp_path / "other.onnx", offset=2.0))
     assert one.fingerprint != other.fingerprint
@@ -51,9 +51,9 @@ def test_the_fingerprint_tells_files_apart(tmp_path: Path) -> None:
 
 def test_other_graphs_are_refused(tmp_path: Path) -> None:
     image = torch.rand(20, 30, 3)
-    with pytest.raises(PluginError, match="cannot have the shape"):
+    with pytest.raises(PluginError, match="does not match the input"):
         LearnedFeatures(graphs.color_features(tmp_path / "color.onnx"))(image)
-    with pytest.raises(PluginError, match="which one is not said"):
+    with pytest.raises(PluginError, match="its name must be specified"):
         LearnedFeatures(graphs.matcher(tmp_path / "stereo.onnx"))
     with pytest.raises(PluginError, match=r"expected \[1, C, 20, 30\]"):
         LearnedFeatures(graphs.grey_features(tmp_path / "small.onnx", shrink=2))(image)

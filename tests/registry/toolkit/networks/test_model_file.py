@@ -1,4 +1,4 @@
-"""A model file is what its hash says, and an ONNX model."""
+"""Model files are ONNX models with the expected hash."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from registry.toolkit.networks import OnnxModel
 from tests.registry.toolkit.networks.conftest import addition, saved
 
 
-def test_the_hash_is_that_of_the_file_and_is_checked(path: Path) -> None:
+def test_the_hash_of_the_file_is_checked(path: Path) -> None:
     expected = hashlib.sha256(path.read_bytes()).hexdigest()
     model = OnnxModel(str(path), expected.upper())
     assert model.sha256 == expected
@@ -27,7 +27,7 @@ def test_the_hash_is_that_of_the_file_and_is_checked(path: Path) -> None:
     assert caught.value.where == str(path)
 
 
-def test_a_missing_file_says_how_to_name_one(tmp_path: Path) -> None:
+def test_a_missing_file_is_explained(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="cannot be read") as caught:
         OnnxModel(tmp_path / "none.onnx")
     assert "model:" in caught.value.fix
@@ -36,10 +36,12 @@ def test_a_missing_file_says_how_to_name_one(tmp_path: Path) -> None:
         OnnxModel(tmp_path)
 
 
-def test_what_has_no_end_is_no_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pipes_devices_and_large_files_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     os.mkfifo(tmp_path / "pipe.onnx")
     for path in (tmp_path / "pipe.onnx", Path("/dev/zero")):
-        with pytest.raises(PluginError, match="it is no regular file"):
+        with pytest.raises(PluginError, match="it is not a regular file"):
             OnnxModel(path)
     monkeypatch.setattr("registry.toolkit.networks.model_file.LARGEST", 1000)
     large = tmp_path / "large.onnx"
@@ -52,27 +54,27 @@ def test_what_has_no_end_is_no_model(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "model.onnx"
     path.write_bytes(content)
-    with pytest.raises(PluginError, match="no ONNX model") as caught:
+    with pytest.raises(PluginError, match="cannot load the ONNX model") as caught:
         OnnxModel(path)
     assert caught.value.where == str(path)
 
 
-def test_no_name_of_a_file_reaches_the_terminal(
+def test_names_in_a_file_are_not_printed(
     path: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path.write_bytes(path.read_bytes().replace(b"\x22\x03Add", b"\x22\x03A\xf3\x1b"))
-    with pytest.raises(PluginError, match="no ONNX model"):
+    with pytest.raises(PluginError, match="cannot load the ONNX model"):
         OnnxModel(path, provider="cpu")
     model = addition()
     model.graph.node[2].name = "\x1b[2J"
     network = OnnxModel(saved(tmp_path, model), provider="cpu")
     with pytest.raises(PluginError, match="the model failed"):
         network._answers({"x": np.zeros((2, 3), np.float32), "y": np.zeros(7, np.float32)})
-    said = capfd.readouterr()
-    assert said.out + said.err == ""
+    printed = capfd.readouterr()
+    assert printed.out + printed.err == ""
 
 
 def test_a_truncated_file_is_refused(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(PluginError, match="no ONNX model"):
+    with pytest.raises(PluginError, match="cannot load the ONNX model"):
         OnnxModel(path)

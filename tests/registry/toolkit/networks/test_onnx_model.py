@@ -1,4 +1,4 @@
-"""A model takes what its graph says, and answers float32, the same bits each time."""
+"""Models: inputs and outputs, type conversion, refusals, reproducibility."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_inputs_and_outputs_are_described(tmp_path: Path) -> None:
     assert model.output() is model.outputs[0]
 
 
-def test_the_answer_is_that_of_the_graph(path: Path) -> None:
+def test_outputs_are_those_of_the_graph(path: Path) -> None:
     x, y = torch.tensor([[1.0, 2, 3], [4, 5, 6]]), torch.tensor([0.5, 0.25, -9])
     answer = OnnxModel(path).run({"x": x, "y": y})
     assert list(answer) == ["z"]
@@ -37,28 +37,28 @@ def test_the_answer_is_that_of_the_graph(path: Path) -> None:
     assert torch.equal(answer["z"], x + y + 1)
 
 
-def test_the_first_answer_tells_what_it_cost(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_first_run_logs_its_cost(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     model = OnnxModel(path, threads=3)
     with caplog.at_level(logging.INFO, "stereogs.priors"):
         for _ in range(2):
             model.run({"x": torch.zeros(2, 3), "y": torch.zeros(3)})
-    (said,) = caplog.messages
-    assert re.match(r"model\.onnx: \d+\.\d\d s on \w+, 3 threads, for x \[2, 3\], y \[3\]", said)
-    assert said.endswith("MB so far")
+    (message,) = caplog.messages
+    assert re.match(r"model\.onnx: \d+\.\d\d s on \w+, 3 threads, for x \[2, 3\], y \[3\]", message)
+    assert message.endswith("MB so far")
 
 
-def test_threads_are_those_of_the_setting(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
+def test_the_setting_selects_the_threads(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[int] = []
     session = onnxruntime.InferenceSession
 
     def watched(content: bytes, options: Any, **others: Any) -> Any:
-        asked.append(options.intra_op_num_threads)
+        threads.append(options.intra_op_num_threads)
         return session(content, options, **others)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", watched)
     assert OnnxModelSettings(model=path, threads=3).open().threads == 3
-    assert asked == [3]
-    assert OnnxModelSettings(model=path).open().threads == asked[1] >= 1
+    assert threads == [3]
+    assert OnnxModelSettings(model=path).open().threads == threads[1] >= 1
 
 
 @pytest.mark.parametrize("result", [FLOAT, HALF, LONG])
@@ -70,33 +70,33 @@ def test_types_are_converted_both_ways(tmp_path: Path, result: int) -> None:
     assert answer.tolist() == [[-6.0, 101.0, 260.0]]  # 3.5 rounds to the even 4
 
 
-def test_values_that_are_not_finite_pass(path: Path) -> None:
+def test_non_finite_values_are_accepted(path: Path) -> None:
     answer = OnnxModel(path).run({"x": torch.tensor([[torch.nan, 1, 2]]), "y": torch.zeros(3)})
     assert torch.isnan(answer["z"][0, 0])
 
 
-def test_tensors_of_any_layout_are_taken(path: Path) -> None:
+def test_tensors_of_any_layout_are_accepted(path: Path) -> None:
     x = torch.arange(6.0).reshape(3, 2).T.requires_grad_()
     answer = OnnxModel(path).run({"x": x, "y": torch.zeros(3)})
     assert torch.equal(answer["z"], x.detach() + 1)
 
 
-def test_other_names_are_refused_with_those_that_there_are(path: Path) -> None:
+def test_unknown_names_are_refused_and_existing_ones_listed(path: Path) -> None:
     model = OnnxModel(path)
-    with pytest.raises(PluginError, match="other names") as caught:
+    with pytest.raises(PluginError, match="do not match the model") as caught:
         model.run({"x": torch.zeros(1, 3), "w": torch.zeros(3)})
     assert "['w']" in caught.value.what
     assert "['y']" in caught.value.what
     assert "x float32[?, 3], y float32[3]" in caught.value.fix
     with pytest.raises(PluginError, match="no output 'disp'"):
         model.output("disp")
-    with pytest.raises(PluginError, match="2 inputs; which one is not said"):
+    with pytest.raises(PluginError, match="2 inputs; its name must be specified"):
         model.input()
 
 
 @pytest.mark.parametrize("shape", [(1, 4), (3,), (1, 3, 1)])
 def test_other_shapes_are_refused(path: Path, shape: tuple[int, ...]) -> None:
-    with pytest.raises(PluginError, match="'x' cannot have the shape") as caught:
+    with pytest.raises(PluginError, match="does not match the input 'x'") as caught:
         OnnxModel(path).run({"x": torch.zeros(shape), "y": torch.zeros(3)})
     assert "x float32[?, 3]" in caught.value.fix
 
@@ -110,7 +110,7 @@ def test_a_failure_inside_the_model_is_explained(tmp_path: Path) -> None:
         OnnxModel(saved(tmp_path, model)).run({"x": torch.zeros(3), "y": torch.zeros(4)})
 
 
-def test_types_without_a_tensor_are_refused(tmp_path: Path) -> None:
+def test_unsupported_types_are_refused(tmp_path: Path) -> None:
     nodes = [helper.make_node("Identity", ["x"], ["z"])]
     text = [helper.make_tensor_value_info(name, TensorProto.STRING, [1]) for name in "xz"]
     graph = helper.make_graph(nodes, "g", text[:1], text[1:])
@@ -119,7 +119,7 @@ def test_types_without_a_tensor_are_refused(tmp_path: Path) -> None:
         OnnxModel(saved(tmp_path, model))
 
 
-def test_the_same_question_gets_the_same_bits(tmp_path: Path) -> None:
+def test_equal_inputs_give_equal_bits(tmp_path: Path) -> None:
     weights = np.random.default_rng(0).standard_normal((32, 8, 3, 3)).astype(np.float32)
     node = helper.make_node("Conv", ["x", "w"], ["z"], pads=[1, 1, 1, 1])
     graph = helper.make_graph(

@@ -1,4 +1,4 @@
-"""A model runs on the provider that was asked for, or says why not."""
+"""A model runs on the requested provider, or the error explains why not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from registry import PluginError
 from registry.toolkit.networks import OnnxModel
 
 
-def test_the_processor_can_always_be_named(path: Path) -> None:
+def test_the_cpu_is_always_available(path: Path) -> None:
     assert OnnxModel(path, provider="cpu").provider == "cpu"
 
 
@@ -28,7 +28,7 @@ def test_a_provider_that_is_not_installed_is_refused(
 
 @pytest.fixture
 def without_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a machine whose onnxruntime was built for CUDA and finds no driver."""
+    """Imitates an onnxruntime that was built for CUDA, without a driver."""
 
     start = onnxruntime.InferenceSession
     monkeypatch.setattr(
@@ -44,14 +44,14 @@ def without_driver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("without_driver")
-def test_falling_back_to_the_processor_is_not_silent(path: Path) -> None:
+def test_falling_back_to_the_cpu_is_an_error(path: Path) -> None:
     with pytest.raises(PluginError, match="could not start 'cuda'"):
         OnnxModel(path, provider="cuda")
     assert OnnxModel(path).provider == "cpu"
 
 
 class Lost:
-    """The inside of a session whose provider is lost in its first answer."""
+    """A session whose provider fails in its first run."""
 
     def __init__(self, inside: Any) -> None:
         self._inside = inside
@@ -72,7 +72,7 @@ class Lost:
 
 
 @pytest.mark.usefixtures("without_driver")
-def test_no_other_provider_goes_on(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_other_provider_takes_over(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = OnnxModel(path)
     monkeypatch.setattr(network._session, "_sess", Lost(network._session._sess))
     with pytest.raises(PluginError, match="the device is gone"):

@@ -1,4 +1,4 @@
-"""A graph reads no other file, and takes neither the time nor the memory of the machine."""
+"""Untrusted graphs read no other file; their time and memory are limited."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_weights_in_a_second_file_are_refused(tmp_path: Path) -> None:
 
 
 def apart(tensor: TensorProto) -> None:
-    """Let a tensor's numbers lie in a file outside the model's folder; the value before the key."""
+    """Refer to a file outside the model's folder for the tensor's values; write the value before the key."""
     tensor.ClearField("raw_data")
     tensor.data_location = TensorProto.EXTERNAL
     entry = tensor.external_data.add()
@@ -40,7 +40,7 @@ def apart(tensor: TensorProto) -> None:
 
 
 def in_a_branch(model: onnx.ModelProto) -> TensorProto:
-    """A tensor of a graph within a node."""
+    """A tensor in the subgraph of a node."""
     constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
     branch = helper.make_graph(
         [constant], "branch", [], [helper.make_tensor_value_info("c", TensorProto.DOUBLE, [3])]
@@ -58,7 +58,7 @@ def sparse(model: onnx.ModelProto) -> TensorProto:
 
 
 def in_a_function(model: onnx.ModelProto) -> TensorProto:
-    """A tensor of a function of the model's own."""
+    """A tensor in a local function of the model."""
     constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
     function = helper.make_function("own", "F", [], ["c"], [constant], [])
     model.functions.append(function)
@@ -83,14 +83,14 @@ def test_an_endless_graph_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyP
     model = small_network()
     rounds = model.graph.initializer[0]
     rounds.CopyFrom(numpy_helper.from_array(np.array(1 << 62), "rounds"))
-    monkeypatch.setattr("registry.toolkit.networks.onnx_model.LONGEST_ANSWER", 0.3)
+    monkeypatch.setattr("registry.toolkit.networks.onnx_model.TIME_LIMIT", 0.3)
     network = OnnxModel(saved(tmp_path, model), provider="cpu")
-    with pytest.raises(PluginError, match=r"no answer within 0\.3 s") as caught:
+    with pytest.raises(PluginError, match=r"did not finish within 0\.3 s") as caught:
         network.run({"x": torch.ones(1, 1, 4, 4)})
-    assert "loops without end" in caught.value.fix
+    assert "endless loop" in caught.value.fix
 
 
-def test_no_thread_outlives_an_answer(tmp_path: Path) -> None:
+def test_no_thread_outlives_a_run(tmp_path: Path) -> None:
     network = OnnxModel(saved(tmp_path, small_network()), provider="cpu")
     before = threading.active_count()
     for _ in range(200):
@@ -99,8 +99,8 @@ def test_no_thread_outlives_an_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sizes", [[0], [2, 0, 3]])
-def test_a_loop_without_a_number_of_rounds_is_refused(tmp_path: Path, sizes: list[int]) -> None:
-    """onnxruntime would read the first of no elements, which ends the process."""
+def test_a_loop_without_an_iteration_count_is_refused(tmp_path: Path, sizes: list[int]) -> None:
+    """onnxruntime would read the first element of an empty tensor and crash."""
     model = small_network()
     rounds = model.graph.initializer[0]
     rounds.CopyFrom(numpy_helper.from_array(np.zeros(sizes, np.int64), "rounds"))
@@ -108,7 +108,7 @@ def test_a_loop_without_a_number_of_rounds_is_refused(tmp_path: Path, sizes: lis
         OnnxModel(saved(tmp_path, model), provider="cpu")
 
 
-def test_empty_tensors_that_decide_nothing_are_fine(tmp_path: Path) -> None:
+def test_empty_tensors_outside_control_flow_are_accepted(tmp_path: Path) -> None:
     model = small_network()
     model.graph.initializer.append(numpy_helper.from_array(np.zeros([0], np.float32), "unused"))
     OnnxModel(saved(tmp_path, model), provider="cpu").run({"x": torch.ones(1, 1, 4, 4)})
@@ -116,7 +116,7 @@ def test_empty_tensors_that_decide_nothing_are_fine(tmp_path: Path) -> None:
 
 @pytest.fixture
 def small_machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A machine of 100 MB, as onnxruntime is told; afterwards it is told anew of this one."""
+    """Configure onnxruntime for a machine with 100 MB during a test."""
     monkeypatch.setattr(
         "registry.toolkit.networks.onnx_session.machine_memory", lambda: 100_000_000
     )
@@ -126,8 +126,8 @@ def small_machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("small_machine")
-def test_a_graph_cannot_take_the_machines_memory(tmp_path: Path) -> None:
-    """A file of 200 bytes that asks for as many numbers as it is told."""
+def test_the_memory_of_a_graph_is_limited(tmp_path: Path) -> None:
+    """A file of 200 bytes that allocates any number of values."""
     graph = helper.make_graph(
         [helper.make_node("Expand", ["x", "count"], ["y"])],
         "large",
@@ -143,4 +143,4 @@ def test_a_graph_cannot_take_the_machines_memory(tmp_path: Path) -> None:
     assert len(network.run({"x": x, "count": torch.tensor([1e6])})["y"]) == 1_000_000
     with pytest.raises(PluginError, match="the model failed") as caught:
         network.run({"x": x, "count": torch.tensor([2**26])})
-    assert "smaller if memory ran out" in caught.value.fix
+    assert "smaller ones if memory ran out" in caught.value.fix

@@ -1,4 +1,4 @@
-"""numpy's files are held to their own size before anything is made of them."""
+"""NumPy files: headers are checked against the file size before anything is allocated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from registry.toolkit.photos import read_array, read_arrays
 
 
 def npy(array: np.ndarray, **changes: object) -> bytes:
-    """An `.npy` file, whose header may lie."""
+    """An `.npy` file; `changes` replace fields of its header."""
     file = io.BytesIO()
     header = {"descr": array.dtype.str, "fortran_order": False, "shape": array.shape}
     np.lib.format.write_array_header_1_0(file, header | changes)
@@ -39,21 +39,21 @@ def test_arrays_come_back_as_they_were_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (npy(np.arange(3.0), shape=(4,)), "announces 32 bytes of numbers and holds 24"),
-        (npy(np.arange(3.0), shape=(2,)), "announces 16 bytes of numbers and holds 24"),
-        (npy(np.arange(3.0), shape=(1 << 60, 1 << 60)), "announces"),
-        (npy(np.zeros(0), descr="|S0", shape=(10**9,)), "announces 0 bytes"),
+        (npy(np.arange(3.0), shape=(4,)), "claims 32 bytes of numbers, but 24 follow"),
+        (npy(np.arange(3.0), shape=(2,)), "claims 16 bytes of numbers, but 24 follow"),
+        (npy(np.arange(3.0), shape=(1 << 60, 1 << 60)), "claims"),
+        (npy(np.zeros(0), descr="|S0", shape=(10**9,)), "claims 0 bytes"),
         (b"\x93NUMPY\x01\x00\xff\xff", "EOF"),
         (b"", "EOF"),
     ],
 )
-def test_announced_shapes_are_not_believed(content: bytes, message: str, tmp_path: Path) -> None:
+def test_shapes_in_headers_are_checked(content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.npy").write_bytes(content)
     with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
         archive.writestr("x.npy", content)
     for read in (
-        lambda: read_array(tmp_path / "a.npy", "the file", "mend"),
-        lambda: read_arrays(tmp_path / "b.npz", ["x"], "the file", "mend"),
+        lambda: read_array(tmp_path / "a.npy", "the file", "fix"),
+        lambda: read_arrays(tmp_path / "b.npz", ["x"], "the file", "fix"),
     ):
         with pytest.raises(SceneError, match="the file cannot be read") as caught:
             read()
@@ -61,7 +61,7 @@ def test_announced_shapes_are_not_believed(content: bytes, message: str, tmp_pat
 
 
 class Evil:
-    """What runs code when it is unpickled."""
+    """An object that runs code when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -70,7 +70,7 @@ class Evil:
         return Path.touch, (self.path,)
 
 
-def test_no_pickle_is_opened(tmp_path: Path) -> None:
+def test_pickles_are_refused(tmp_path: Path) -> None:
     ran = tmp_path / "ran"
     np.save(tmp_path / "a.npy", np.array([Evil(ran)], dtype=object))
     np.savez(tmp_path / "b.npz", x=np.array([Evil(ran)], dtype=object))
@@ -85,7 +85,7 @@ def test_no_pickle_is_opened(tmp_path: Path) -> None:
     assert not ran.exists()
 
 
-def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+def test_a_zip_bomb_is_refused_before_unpacking(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("x.npy", npy(np.zeros(10_000_000)))
     assert (tmp_path / "a.npz").stat().st_size < 100_000
@@ -97,10 +97,10 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     assert peak < 1_000_000
 
 
-def test_what_has_no_end_is_no_file(tmp_path: Path) -> None:
+def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.npy")
     for path in (tmp_path / "a.npy", Path("/dev/zero")):
-        with pytest.raises(SceneError, match="it is no regular file"):
+        with pytest.raises(SceneError, match="it is not a regular file"):
             read_array(path, "it", "")
     with pytest.raises(SceneError, match="it is missing"):
         read_arrays(tmp_path / "b.npz", [], "it", "")

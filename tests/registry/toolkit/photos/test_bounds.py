@@ -1,4 +1,4 @@
-"""Depth bounds from points, from what cameras look at, and from how they stand."""
+"""Depth bounds from points, from the common focus of cameras, and from baselines."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def test_bounds_from_visible_points() -> None:
     camera = looking_at_origin(0)
     depths = torch.linspace(2, 10, 1001)
     positions = torch.stack([torch.zeros(1001), torch.zeros(1001), depths - 4], dim=1)
-    outside = torch.tensor([[50.0, 0, 0], [0, 0, -100]])  # beside the image, and behind
+    outside = torch.tensor([[50.0, 0, 0], [0, 0, -100]])  # outside the image, and behind the camera
     positions = torch.cat([positions, outside])
     near, far = estimate_bounds([camera], PointCloud(positions, torch.zeros(1003, 3)), "")
     assert (near, far) == pytest.approx((2 / 1.1, 10 * 1.1), rel=0.01)
 
 
-def test_bounds_from_what_cameras_look_at() -> None:
+def test_bounds_from_the_point_that_cameras_look_at() -> None:
     cameras = [looking_at_origin(0.3, 4.0), looking_at_origin(-0.3, 6.0)]
     assert estimate_bounds(cameras, None, "") == pytest.approx((4 / 5, 6 * 5))
 
@@ -50,5 +50,5 @@ def test_cameras_that_look_apart_fall_back_to_baselines() -> None:
 
 def test_one_camera_has_no_bounds() -> None:
     few = PointCloud(torch.zeros(3, 3), torch.zeros(3, 3))
-    with pytest.raises(SceneError, match="nothing tells how deep"):
+    with pytest.raises(SceneError, match="depth is unknown"):
         estimate_bounds([looking_at_origin(0)], few, "here")

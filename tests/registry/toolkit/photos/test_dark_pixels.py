@@ -1,4 +1,4 @@
-"""DTU's backdrop, on pictures whose answer is known pixel by pixel."""
+"""DTU's backdrop, on images with a known answer per pixel."""
 
 from __future__ import annotations
 

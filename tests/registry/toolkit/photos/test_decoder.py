@@ -1,4 +1,4 @@
-"""Decoding: kinds of pixels, sizes, filters, and what is kept on disk."""
+"""Decoding: pixel modes, sizes, filters, and the disk cache."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from registry.toolkit.photos import Decoder, at_most, divided_by, in_parallel
 @pytest.mark.parametrize(
     ("mode", "color"), [("L", 100), ("RGB", (100, 100, 100)), ("P", 100), ("LA", (100, 255))]
 )
-def test_other_kinds_of_pixels_become_rgb(
+def test_other_pixel_modes_become_rgb(
     mode: str, color: int | tuple[int, ...], tmp_path: Path
 ) -> None:
     image = Image.new(mode, (4, 3), color)
@@ -29,7 +29,7 @@ def test_other_kinds_of_pixels_become_rgb(
 
 def test_sixteen_bits_are_refused_not_clipped(tmp_path: Path) -> None:
     Image.fromarray(np.full((3, 4), 40000, dtype=np.uint16)).save(tmp_path / "a.png")
-    with pytest.raises(SceneError, match="not 8 bits a channel"):
+    with pytest.raises(SceneError, match="not 8 bits per channel"):
         Decoder().read(tmp_path / "a.png")
 
 
@@ -40,7 +40,7 @@ def test_sizes() -> None:
     assert at_most(400)(399, 100) == (399, 100)
 
 
-def test_the_filter_is_the_named_one(tmp_path: Path) -> None:
+def test_the_filter_is_the_configured_one(tmp_path: Path) -> None:
     columns = np.zeros((4, 8, 3), dtype=np.uint8)
     columns[:, ::2] = 200
     Image.fromarray(columns).save(tmp_path / "a.png")
@@ -57,7 +57,7 @@ def test_parallel_work_keeps_its_order_and_its_errors() -> None:
     assert in_parallel(lambda value: value, []) == []
 
 
-def test_resized_photographs_are_kept_by_content(
+def test_resized_photographs_are_cached_by_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
@@ -79,7 +79,7 @@ def test_resized_photographs_are_kept_by_content(
     assert len(list((tmp_path / "cache" / "photographs").iterdir())) == 3
 
 
-def test_a_cache_that_cannot_be_written_is_done_without(
+def test_a_cache_that_cannot_be_written_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "cache").write_text("a file, not a folder")

@@ -1,4 +1,4 @@
-"""Names in camera files: those that leave the scene's folder, and what views are called."""
+"""File names in camera files, names of views, and limits on documents."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def test_links_may_not_leave_the_folder(tmp_path: Path) -> None:
     (scene / "out.png").symlink_to(outside / "a.png")
     (scene / "folder").symlink_to(outside)
     (scene / "within.png").symlink_to("a.png")
-    for name in ("out.png", "out", "folder/a.png", "folder/a"):  # endings may be left out
+    for name in ("out.png", "out", "folder/a.png", "folder/a"):  # suffixes are optional
         with pytest.raises(SceneError, match="outside the scene's folder"):
             inside(scene, name, "here")
     assert inside(scene, "within.png", "") == scene / "within.png"
-    (tmp_path / "link").symlink_to(scene)  # the scene itself may be reached through one
+    (tmp_path / "link").symlink_to(scene)  # the scene's folder itself may be a link
     assert inside(tmp_path / "link", "a.png", "") == tmp_path / "link" / "a.png"
 
 
@@ -48,7 +48,7 @@ class Document(pydantic.BaseModel):
     number: int
 
 
-def test_documents_are_files_of_a_believable_size(tmp_path: Path) -> None:
+def test_documents_are_regular_files_of_limited_size(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text('{"number": 3}')
     assert read_document(path, Document, "").number == 3
@@ -58,5 +58,5 @@ def test_documents_are_files_of_a_believable_size(tmp_path: Path) -> None:
     path.write_text("[" * 100_000)
     with pytest.raises(SceneError, match="cannot be read"):
         read_document(path, Document, "")
-    with pytest.raises(SceneError, match="is no regular file"):
+    with pytest.raises(SceneError, match="is not a regular file"):
         read_document(Path("/dev/zero"), Document, "")

@@ -1,4 +1,4 @@
-"""A stranger's loader, the example for plugin authors, is as short as the built-in ones and works."""
+"""The example loader for plugin authors is short and works."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_it_is_short_and_imports_only_what_is_public() -> None:
+def test_it_is_short_and_imports_public_names_only() -> None:
     lines = [line for line in SOURCE.splitlines() if line.strip()]
     assert len(lines) < 80
     imported = {
@@ -78,7 +78,9 @@ def test_its_scene_is_undistorted_resized_and_split(
     assert "undistorted" in str(scene.fact("changed"))
 
 
-def test_what_is_missing_is_explained(loader: type[SceneLoader[Any]], folder: Path) -> None:
+def test_missing_files_and_fields_are_explained(
+    loader: type[SceneLoader[Any]], folder: Path
+) -> None:
     (folder / "3.png").unlink()
     with pytest.raises(SceneError, match="a photograph is missing"):
         build(loader, path=folder, train_views=None).load()

@@ -1,4 +1,4 @@
-"""Undistortion, by pycolmap, held against kornia's model of the same lenses."""
+"""Undistortion by pycolmap, compared with kornia's model of the same lenses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WIDTH, HEIGHT = 160, 120
 
 
 def waves() -> Pixels:
-    """A smooth picture: bilinear samples of it say where they were taken."""
+    """A smooth image whose bilinear samples determine their positions."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     channels = [np.sin(u / 9) + np.cos(v / 7), np.sin((u + v) / 11), np.cos(u / 13)]
     return (127.5 + 60 * np.stack(channels, axis=2)).astype(np.uint8)
@@ -28,9 +28,7 @@ def waves() -> Pixels:
         ("FULL_OPENCV", (-0.1, 0.03, 0.001, 0.002, 0.004, 0.01, -0.02, 0.001)),
     ],
 )
-def test_every_pixel_shows_what_kornia_says_it_should(
-    model: Distortion, coefficients: tuple[float, ...]
-) -> None:
+def test_every_pixel_agrees_with_kornia(model: Distortion, coefficients: tuple[float, ...]) -> None:
     bent = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT, model, coefficients)
     picture = waves()
     straight, pixels = undistort(bent, picture, "here")
@@ -57,7 +55,7 @@ def calibration(lens: Lens) -> torch.Tensor:
     return torch.tensor([matrix], dtype=torch.float64)
 
 
-def test_a_pinhole_is_left_alone() -> None:
+def test_a_pinhole_image_is_unchanged() -> None:
     lens, picture = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT), waves()
     assert undistort(lens, picture, "here") == (lens, picture)
 

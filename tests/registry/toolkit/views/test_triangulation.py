@@ -15,7 +15,7 @@ from tests.stereogs_plugins.building import build
 
 
 def ring(count: int) -> list[Camera]:
-    """Cameras around the origin that look at it."""
+    """Return cameras around the origin that look at it."""
     angles = [2 * math.pi * k / count for k in range(count)]
     eyes = [(4 * math.sin(angle), 0.0, 4 * math.cos(angle)) for angle in angles]
     return [Camera.look_at(eye, (0.0, 0.0, 0.0), 80, 64, 48) for eye in eyes]
@@ -34,7 +34,7 @@ def test_error_and_angle_are_limits() -> None:
     assert 0 < len(wide.positions) < len(loose.positions)
 
 
-def test_up_to_nine_photographs_are_all_matched_and_of_more_the_near_ones() -> None:
+def test_up_to_nine_photographs_are_all_matched_beyond_that_the_near_ones() -> None:
     few, many = ring(9), ring(24)
     assert pairs_to_match(few, (2.0, 6.0)) == list(combinations(range(9), 2))
     pairs = pairs_to_match(many, (2.0, 6.0))

@@ -24,18 +24,18 @@ def drawn(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def test_forward_facing_cameras_turn_to_the_published_depth() -> None:
+def test_the_focus_depth_is_the_published_one() -> None:
     # Bounds that FSGS's code quotes, of LLFF; 0.25 / 14.58 + 0.75 / 769.5 = 0.0181215.
     assert 1 / virtual_views.focus_depth((16.2, 153.9)) == pytest.approx(0.0181215, rel=1e-5)
 
 
-def test_axes_that_meet_have_their_focus_there() -> None:
+def test_the_focus_is_where_the_axes_meet() -> None:
     torch.testing.assert_close(
         virtual_views.focus_point(RING, BOUNDS), torch.zeros(3, dtype=torch.float64)
     )
 
 
-def test_parallel_and_parting_axes_focus_ahead() -> None:
+def test_parallel_and_diverging_axes_focus_ahead() -> None:
     parallel = [camera(x, 0, 0, at=(x, 0, 1)) for x in (-1, 1)]
     parting = [camera(x, 0, 0, at=(3 * x, 0, 1)) for x in (-1, 1)]
     ahead = torch.tensor([0, 0, virtual_views.focus_depth(BOUNDS)], dtype=torch.float64)
@@ -67,7 +67,7 @@ def test_a_camera_in_the_box_stays_in_it_and_sees_the_focus() -> None:
     assert (reached[:2] > torch.tensor([0.8, 0.4])).all()
 
 
-def test_a_camera_on_the_sphere_is_as_far_and_within_the_cap() -> None:
+def test_a_camera_on_the_sphere_keeps_its_distance_and_the_cap() -> None:
     generator = drawn()
     centers = torch.stack([c.center for c in RING])
     directions = centers / centers.norm(dim=1, keepdim=True)
@@ -81,7 +81,7 @@ def test_a_camera_on_the_sphere_is_as_far_and_within_the_cap() -> None:
         assert z > 0
 
 
-def test_between_neighbours_stays_near_the_line_of_two_that_are_near() -> None:
+def test_between_neighbours_stays_near_their_line() -> None:
     cameras = [camera(x, 0, 0, at=(x, 0, 1)) for x in (0, 1, 10)]
     generator = drawn()
     for _ in range(30):

@@ -9,7 +9,7 @@ from registry.toolkit.web_page import Axis, Line, Point, line_plot
 
 
 def plot(*lines: Line, axis: Axis | None = None) -> str:
-    """A plot below which stands the first and the last place, unless an axis is given."""
+    """A plot with ticks at the first and last point, unless an axis is given."""
     places = [point.across for line in lines for point in line.points] or [0.0]
     ends = Axis([(min(places), "first"), (max(places), "last")])
     figure = line_plot("x", lines, axis or ends)
@@ -19,12 +19,12 @@ def plot(*lines: Line, axis: Axis | None = None) -> str:
 
 
 def line(*values: float, label: str = "") -> Line:
-    """One value after the other."""
+    """A line with one point per value."""
     return Line(label, [Point(index, value) for index, value in enumerate(values)])
 
 
 def paths(figure: str) -> list[list[tuple[float, float]]]:
-    """The corners of each line on the picture, whose y grows downwards."""
+    """Vertices of each line in the image; y points down."""
     return [
         [(float(x), float(y)) for x, y in (corner.split(",") for corner in path.split())]
         for path in re.findall(r'points="([^"]+)"', figure)
@@ -32,12 +32,12 @@ def paths(figure: str) -> list[list[tuple[float, float]]]:
 
 
 def numbers(figure: str) -> list[str]:
-    """Those beside the plot."""
+    """Texts next to the plot."""
     return re.findall(r'text-anchor="end">([^<]+)</text>', figure)
 
 
 def texts_below(figure: str) -> dict[str, float]:
-    """Where each text below the plot is centred."""
+    """Horizontal centers of the texts below the plot."""
     found = re.findall(r'<text x="([^"]+)" y="[^"]+" text-anchor="middle">([^<]+)<', figure)
     return {text: float(x) for x, text in found}
 
@@ -50,7 +50,7 @@ def test_lines_go_from_the_first_to_the_last_point() -> None:
     assert right[1] == 194.0, "zero is the lower edge: no value is below it"
 
 
-def test_values_stand_above_their_place_on_the_axis() -> None:
+def test_values_are_above_their_position_on_the_axis() -> None:
     axis = Axis([(0, "none"), (0.5, "half"), (2, "<two>")], "factor & more")
     figure = plot(Line("", [Point(0.5, 1), Point(2, 3)]), axis=axis)
     below = texts_below(figure)
@@ -60,7 +60,7 @@ def test_values_stand_above_their_place_on_the_axis() -> None:
     assert quarter == pytest.approx(0.25, abs=0.01)
 
 
-def test_rules_lie_at_round_numbers() -> None:
+def test_grid_lines_are_at_round_numbers() -> None:
     assert numbers(plot(line(0.0, 1.0))) == ["0", "0.5", "1"]
     assert numbers(plot(line(150_000.0, 185_321.0))) == ["150,000", "160,000", "170,000", "180,000"]
 
@@ -72,7 +72,7 @@ def test_values_of_several_decades_are_drawn_on_a_logarithmic_axis() -> None:
     assert "logarithmic" not in plot(line(0.0, 1e9))
 
 
-def test_a_spread_is_a_bar_around_its_point_and_lies_within_the_plot() -> None:
+def test_a_spread_is_an_error_bar_within_the_plot() -> None:
     figure = plot(Line("", [Point(0, 10.0, spread=4.0), Point(1, 12.0)]))
     ((x, y), _) = paths(figure)[0]
     (bar,) = re.findall(r'<line x1="(\S+)" x2="(\S+)" y1="(\S+)" y2="(\S+)" stroke', figure)
@@ -82,13 +82,13 @@ def test_a_spread_is_a_bar_around_its_point_and_lies_within_the_plot() -> None:
     assert 10 < top < bottom < 194
 
 
-def test_a_spread_that_reaches_zero_rules_a_logarithmic_axis_out() -> None:
+def test_a_spread_that_reaches_zero_prevents_a_logarithmic_axis() -> None:
     points = [Point(0, 1.0, spread=1.0), Point(1, 1e6)]
     assert "logarithmic" not in plot(Line("", points))
     assert "logarithmic" in plot(Line("", [Point(0, 1.0), Point(1, 1e6)]))
 
 
-def test_few_points_are_marked_and_tell_their_value() -> None:
+def test_few_points_are_drawn_with_their_value() -> None:
     figure = plot(line(20.0, 21.5))
     assert re.findall(r"<circle .*?><title>(.*?)</title>", figure) == ["20", "21.5"]
     assert "<circle" not in plot(line(*range(100)))
@@ -102,7 +102,7 @@ def test_a_constant_and_a_single_point_are_drawn(value: float) -> None:
         assert figure.count("<circle") == len(values)
 
 
-def test_nothing_to_draw_is_no_figure() -> None:
+def test_a_plot_without_points_is_empty() -> None:
     assert plot() == plot(line(label="a")) == ""
 
 

@@ -18,7 +18,7 @@ def test_a_page_has_its_title_and_contents_and_loads_nothing() -> None:
     assert "script" not in page.tags
 
 
-def test_a_section_without_content_is_left_out() -> None:
+def test_a_section_without_content_is_skipped() -> None:
     assert web_page.section("Empty", "") == ""
     assert web_page.verbatim("") == ""
     assert web_page.grid([]) == ""
@@ -50,7 +50,7 @@ def test_plain_text_is_escaped(text: str) -> None:
     assert "<i> & more" in page.text
 
 
-def test_facts_are_written_as_people_write_them() -> None:
+def test_facts_are_formatted() -> None:
     facts = {"a": {"b": True, "c": None}, "d": 12345, "e": 0.123456, "f": [1, "two"], "g": 12345.6}
     text = web_page.facts_table(facts)
     for cells in ("a.b</th><td>yes", "a.c</th><td>\u2013", "d</th><td>12,345", "e</th><td>0.1235"):
@@ -59,7 +59,7 @@ def test_facts_are_written_as_people_write_them() -> None:
     assert "<th>g</th><td>12,346</td>" in text
 
 
-def test_a_table_tells_names_from_numbers_and_the_strong_from_others() -> None:
+def test_a_table_marks_names_and_strong_cells() -> None:
     rows = [[web_page.Cell("a"), web_page.Cell("on"), web_page.Cell("1", strong=True)]]
     text = web_page.score_table(["scene", "part", "psnr"], rows, names=2, caption="mean")
     assert '<th class="name">scene</th><th class="name">part</th><th>psnr</th>' in text
@@ -67,7 +67,7 @@ def test_a_table_tells_names_from_numbers_and_the_strong_from_others() -> None:
     assert "<caption>mean</caption>" in text
 
 
-def test_a_picture_is_inside_the_page_and_not_larger_than_asked(tmp_path: Path) -> None:
+def test_an_image_is_embedded_with_a_limited_size(tmp_path: Path) -> None:
     red = Image.new("RGBA", (40, 20), (255, 0, 0, 255))
     red.save(tmp_path / "red.png")
     text = "".join(
@@ -84,7 +84,7 @@ def test_a_picture_is_inside_the_page_and_not_larger_than_asked(tmp_path: Path) 
     assert red.size == (40, 20), "the picture that was given is as it was"
 
 
-def test_of_several_parts_the_first_is_shown_and_one_alone_needs_no_choice() -> None:
+def test_a_choice_shows_the_first_part_and_a_single_part_has_no_menu() -> None:
     text = web_page.choice("view", {"a": "<p>one</p>", "b": "<p>two</p>"})
     assert "<div><p>one</p></div><div hidden><p>two</p></div>" in text
     assert Page(text).tags.count("option") == 2
@@ -92,7 +92,7 @@ def test_of_several_parts_the_first_is_shown_and_one_alone_needs_no_choice() -> 
     assert web_page.choice("view", {}) == ""
 
 
-def test_a_scale_goes_through_its_colors() -> None:
+def test_a_color_scale_contains_its_colors() -> None:
     text = web_page.color_scale([(0, 0, 0), (1, 0.5, 0)], ["near", "far"])
     assert "linear-gradient(to right, rgb(0, 0, 0), rgb(255, 128, 0))" in text
     assert "<span>near</span><span>far</span>" in text

@@ -281,7 +281,7 @@ def test_files_and_names_are_checked_when_the_prior_is_built(tmp_path: Path) -> 
     with pytest.raises(PluginError, match="no input 'left'") as caught:
         stereo(path, family="foundation_stereo")
     assert "image1 float32[?, 3, ?, ?]" in caught.value.fix
-    with pytest.raises(PluginError, match="2 outputs; which one is not said"):
+    with pytest.raises(PluginError, match="2 outputs; its name must be specified"):
         stereo(path)
     with pytest.raises(PluginError, match="no output 'trust'"):
         stereo(path, family="raft_stereo", confidences=("trust",))

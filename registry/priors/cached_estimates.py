@@ -1,4 +1,4 @@
-"""Answers about a scene's views, kept on disk."""
+"""Cache estimates for the views of a scene."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Tensors: TypeAlias = "dict[str, Tensor]"
 Pictures: TypeAlias = "Mapping[str, Tensor]"
 
 
-def remembered(
+def cached(
     prior: Prior[Any],
     views: Sequence[TrainingView],
-    question: Sequence[Any],
-    ask: Callable[[], Tensors],
+    arguments: Sequence[Any],
+    compute: Callable[[], Tensors],
     pictures: Callable[[Tensors], Pictures],
 ) -> Tensors:
-    """The answer to a question about views, from the disk cache if it was asked before.
+    """Return an estimate for views, from the disk cache if possible.
 
     Args:
-        question: what the answer depends on beside the views, the settings, the code and
+        arguments: Inputs of the estimate besides the views, the settings, the code and
             `Prior.fingerprint`.
-        ask: gives the answer; called without gradients.
-        pictures: what to keep beside it for people to look at, by file name without ending.
+        compute: Function that computes the estimate; called without gradients.
+        pictures: Function that returns images of the estimate, by file name without suffix.
     """
     import torch
 
@@ -42,24 +42,27 @@ def remembered(
         code_digest(type(prior)),
         prior.settings.model_dump_json(),
         fingerprint,
-        *question,
+        *arguments,
         *(part for view in views for part in _content(view)),
     )
     found = cache.load(key)
     if found is None:
         with torch.no_grad():
-            found = {name: tensor.contiguous() for name, tensor in ask().items()}
-        facts = {"views": [stem(view) for view in views], "question": [str(q) for q in question]}
+            found = {name: tensor.contiguous() for name, tensor in compute().items()}
+        facts = {
+            "views": [stem(view) for view in views],
+            "question": [str(argument) for argument in arguments],
+        }
         cache.save(key, found, pictures(found), facts)
     return found
 
 
 def stem(view: TrainingView) -> str:
-    """A view's name without a file's ending, for names of pictures."""
+    """Return a view's name without suffix, for file names of images."""
     return view.name.partition(".")[0]
 
 
 def _content(view: TrainingView) -> tuple[Tensor | None, ...]:
-    """Everything of a view that an estimate may depend on."""
+    """Return all data of a view that an estimate may depend on."""
     camera = view.camera
     return view.image, view.mask, view.alpha, camera.world_to_camera, camera.intrinsics

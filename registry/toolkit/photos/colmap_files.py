@@ -1,14 +1,14 @@
-"""The three files of a COLMAP model, binary or text, read with care.
+"""Read the three files of a COLMAP model, binary or text.
 
-COLMAP's own reader trusts the counts in a file (on a truncated one it allocates until memory ends)
-and accepts NaN. Here nothing is believed that the file is too short for. Little-endian layout:
+COLMAP's own reader accepts truncated files, NaN and rotations of any norm. This one checks each count
+against the length of the file. Binary layout, little-endian:
 
     cameras.bin   u64 n, n x (i32 id, i32 model, u64 width, u64 height, f64 parameters)
     images.bin    u64 n, n x (i32 id, 7 f64 pose, i32 camera, name, 0, u64 m, m x (2 f64, i64))
-    points3D.bin  u64 n, n x (u64 id, 3 f64 position, 3 u8 colour, f64 error, u64 m, m x (2 i32))
+    points3D.bin  u64 n, n x (u64 id, 3 f64 position, 3 u8 color, f64 error, u64 m, m x (2 i32))
 
-The text files hold the same numbers, one record a line (`images.txt`: two lines, the second one with
-the features); lines that start with # are comments.
+The text files hold the same numbers, one record per line (`images.txt`: two lines, the second with the
+features); lines that start with # are comments.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ PARAMETERS = {
     "OPENCV_FISHEYE": 8,
     "FULL_OPENCV": 12,
 }
-"""Camera models that are understood and their number of parameters, in the order of COLMAP's ids."""
+"""Number of parameters of each supported camera model, in the order of COLMAP's model ids."""
 _MODELS = list(PARAMETERS)
 
 
 class ColmapCamera(NamedTuple):
-    """A lens: model name, size in pixels, parameters in COLMAP's order."""
+    """A camera: model name, size in pixels, parameters in COLMAP's order."""
 
     model: str
     width: int
@@ -46,7 +46,7 @@ class ColmapCamera(NamedTuple):
 
 
 class ColmapImage(NamedTuple):
-    """A registered photograph: rotation `(w, x, y, z)` and translation of world-to-camera."""
+    """A registered photograph: quaternion `(w, x, y, z)` and translation of world-to-camera."""
 
     quaternion: tuple[float, float, float, float]
     translation: tuple[float, float, float]
@@ -66,7 +66,7 @@ class ColmapImage(NamedTuple):
 
 
 class ColmapPoint(NamedTuple):
-    """A point: position `(x, y, z)`, colour 0..255, and the ids of the images that see it."""
+    """A point: position `(x, y, z)`, color 0..255, and the ids of the images that observe it."""
 
     position: tuple[float, float, float]
     color: tuple[int, int, int]
@@ -77,34 +77,34 @@ Record = TypeVar("Record", ColmapCamera, ColmapImage, ColmapPoint)
 
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:
-    """Cameras by id, from cameras.bin or cameras.txt.
+    """Read cameras by id from cameras.bin or cameras.txt.
 
     Raises:
-        ValueError: the file does not have the layout above, or names an unknown camera model.
+        ValueError: The layout is wrong, or a camera model is not supported.
     """
-    return _unique(_binary_cameras(path) if path.suffix == ".bin" else _text_cameras(path))
+    return _by_id(_binary_cameras(path) if path.suffix == ".bin" else _text_cameras(path))
 
 
 def read_images(path: Path) -> dict[int, ColmapImage]:
-    """Registered photographs by id, from images.bin or images.txt.
+    """Read registered photographs by id from images.bin or images.txt.
 
     Raises:
-        ValueError: the file does not have the layout above.
+        ValueError: The layout is wrong.
     """
-    return _unique(_binary_images(path) if path.suffix == ".bin" else _text_images(path))
+    return _by_id(_binary_images(path) if path.suffix == ".bin" else _text_images(path))
 
 
 def read_points3d(path: Path) -> list[ColmapPoint]:
-    """All points in the order of their ids, from points3D.bin or points3D.txt.
+    """Read all points, ordered by id, from points3D.bin or points3D.txt.
 
     Raises:
-        ValueError: the file does not have the layout above.
+        ValueError: The layout is wrong.
     """
-    points = _unique(_binary_points(path) if path.suffix == ".bin" else _text_points(path))
+    points = _by_id(_binary_points(path) if path.suffix == ".bin" else _text_points(path))
     return [points[identity] for identity in sorted(points)]
 
 
-def _unique(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
+def _by_id(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
     found: dict[int, Record] = {}
     for identity, record in records:
         if identity in found:
@@ -128,10 +128,9 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
 def _binary_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
     cursor = _Cursor(path.read_bytes())
     for _ in range(cursor.count(smallest=73)):
-        identity, w, x, y, z, *translation, camera_id = cursor.take("<i7di")
+        identity, w, x, y, z, t_x, t_y, t_z, camera_id = cursor.take("<i7di")
         name = cursor.text()
         cursor.skip(cursor.count(smallest=24) * 24)
-        t_x, t_y, t_z = translation
         yield identity, ColmapImage((w, x, y, z), (t_x, t_y, t_z), camera_id, name)
     cursor.end()
 
@@ -148,59 +147,52 @@ def _binary_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
-    for line in _lines(path):
+    for line in filter(None, _lines(path)):
         identity, model, width, height, *rest = _fields(line, at_least=4)
         if model not in PARAMETERS:
             raise ValueError(_unknown_model(model))
         if len(rest) != PARAMETERS[model]:
             raise ValueError(
-                f"a camera {model} has {PARAMETERS[model]} parameters, here are {len(rest)}"
+                f"a camera {model} has {PARAMETERS[model]} parameters, this one has {len(rest)}"
             )
         parameters = tuple(float(value) for value in rest)
         yield int(identity), ColmapCamera(model, int(width), int(height), parameters)
 
 
 def _text_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
-    lines = _lines(path, keep_empty=True)
-    for line in lines:
-        if not line:
-            continue
-        fields = line.split(maxsplit=9)
-        if len(fields) < 10:
-            raise ValueError(f"an image has 10 fields, here are {len(fields)}")
-        w, x, y, z, t_x, t_y, t_z = (float(value) for value in fields[1:8])
-        features = next(lines, "").split()
+    remaining = _lines(path)
+    for line in filter(None, remaining):
+        identity, *pose, camera_id, name = _fields(line, at_least=10, at_most=10)
+        w, x, y, z, t_x, t_y, t_z = (float(value) for value in pose)
+        features = next(remaining, "").split()
         if len(features) % 3:
-            raise ValueError("a feature has 3 numbers; a line of features breaks off")
-        yield (
-            int(fields[0]),
-            ColmapImage((w, x, y, z), (t_x, t_y, t_z), int(fields[8]), fields[9]),
-        )
+            raise ValueError("a feature has 3 numbers; a line of features is incomplete")
+        yield int(identity), ColmapImage((w, x, y, z), (t_x, t_y, t_z), int(camera_id), name)
 
 
 def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
-    for line in _lines(path):
+    for line in filter(None, _lines(path)):
         identity, x, y, z, red, green, blue, _error, *track = _fields(line, at_least=8)
         if len(track) % 2:
-            raise ValueError("a track breaks off in the middle of an observation")
+            raise ValueError("a track ends in the middle of an observation")
         color = (int(red), int(green), int(blue))
         if not all(0 <= channel <= 255 for channel in color):
-            raise ValueError(f"the colour {color} is not within 0..255")
+            raise ValueError(f"the color {color} is not within 0..255")
         image_ids = [int(image) for image in track[::2]]
         yield int(identity), ColmapPoint((float(x), float(y), float(z)), color, image_ids)
 
 
-def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[str]:
+def _lines(path: Path) -> Iterator[str]:
     for line in path.read_bytes().decode().split("\n"):
-        text = line.strip()
-        if not text.startswith("#") and (text or keep_empty):
-            yield text
+        if not line.strip().startswith("#"):
+            yield line.strip()
 
 
-def _fields(line: str, at_least: int) -> list[str]:
-    fields = line.split()
+def _fields(line: str, at_least: int, at_most: int = 0) -> list[str]:
+    """Split a line; the last of `at_most` fields may contain spaces."""
+    fields = line.split(maxsplit=at_most - 1)
     if len(fields) < at_least:
-        raise ValueError(f"a record has at least {at_least} fields, here are {len(fields)}")
+        raise ValueError(f"a record has at least {at_least} fields, this one has {len(fields)}")
     return fields
 
 
@@ -225,10 +217,10 @@ class _Cursor:
         return part
 
     def count(self, smallest: int) -> int:
-        """A number of records that follow, each at least `smallest` bytes long."""
+        """Read the number of records that follow, each at least `smallest` bytes long."""
         number: int = self.take("<Q")[0]
         if number * smallest > len(self._data) - self._position:
-            raise ValueError(f"it announces {number} records, which it is too short for")
+            raise ValueError(f"it claims {number} records, which it is too short for")
         return number
 
     def text(self) -> str:

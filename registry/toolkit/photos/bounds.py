@@ -1,10 +1,10 @@
-"""Depth bounds of a scene whose files publish none."""
+"""Estimate depth bounds for scenes whose files contain none."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ....errors import SceneError
+from ...errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,35 +14,35 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
-    from ....contract.scene import PointCloud
+    from ...contract.scene import PointCloud
 
 Bounds = tuple[float, float]
 
 MIN_POINTS = 8
-"""Fewer visible points say nothing about a scene's depths."""
+"""Visible points that an image needs to contribute."""
 PERCENTILES = (0.1, 99.9)
 MARGIN = 1.1
-"""Bounds from points are widened by this factor: points are sparse, their extremes too tame."""
+"""Factor that widens bounds from points: points are sparse and rarely cover the extremes."""
 FOCUS_FACTOR = 5.0
-"""Content is assumed from 1/5 to 5 times the distance of what the cameras look at together."""
+"""Content is assumed from 1/5 to 5 times the distance of the point that the cameras look at."""
 BASELINES = (1.0, 100.0)
-"""Bounds of cameras that look at nothing together, in units of their largest distance."""
+"""Bounds of cameras with parallel axes, in units of the largest distance between two cameras."""
 
 
 def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where: str) -> Bounds:
-    """(near, far) z-depth from what is known, in this order:
+    """Return (near, far) z-depth, from the first of these that applies:
 
-    1. Points: the 0.1 and 99.9 percentile of their depths in each image, the extremes over all images,
-       a tenth wider.
-    2. The point nearest to all optical axes, if it lies before all cameras and the axes are not close
-       to parallel: from a fifth of its smallest depth to five times its largest.
+    1. Points: the 0.1 and 99.9 percentiles of their depths in each image, the extremes over all images,
+       widened by 10 %.
+    2. The point nearest to all optical axes, if it lies in front of all cameras and the axes are not
+       almost parallel: from 1/5 of its smallest depth to 5 times its largest.
     3. The largest distance between two cameras: from 1 to 100 times that.
 
     Args:
-        cameras: of the training views.
+        cameras: Cameras of the training views.
 
     Raises:
-        SceneError: there is one camera, or all stand at one place, and there are no points.
+        SceneError: The scene has no points and all cameras have the same center.
     """
     import numpy as np
 
@@ -51,10 +51,10 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
     bounds = _from_points(cameras, points) or _from_focus(centers, axes) or _from_baselines(centers)
     if bounds is None:
         raise SceneError(
-            "nothing tells how deep the scene is: there are no points, and the training cameras "
-            "stand at one place",
+            "the scene's depth is unknown: it has no points, and the training cameras have the same "
+            "center",
             where=where,
-            fix="use two or more training views, or bring points",
+            fix="use two or more training views, or add points",
         )
     return bounds
 
@@ -79,7 +79,7 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
 
 
 def _from_focus(centers: NDArray[np.float64], axes: NDArray[np.float64]) -> Bounds | None:
-    """Least squares: the point p with the smallest sum of squared distances to all axes."""
+    """Use the point with the smallest sum of squared distances to all axes."""
     import numpy as np
 
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]

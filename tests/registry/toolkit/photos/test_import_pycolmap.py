@@ -1,4 +1,4 @@
-"""pycolmap before Pillow corrupts memory (two zlibs in one process), so the order of loading matters."""
+"""Importing pycolmap before Pillow corrupts memory (two zlibs in one process)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ assert (np.asarray(Image.open({str(tmp_path / "noise.png")!r})) == pixels).all()
     assert done.returncode == 0, done.stderr
 
 
-def test_it_only_ever_becomes_quieter() -> None:
+def test_the_log_level_is_never_lowered() -> None:
     code = """
 from registry.toolkit.photos import import_pycolmap
 levels = [import_pycolmap(level).logging.minloglevel for level in (2, 3, 2)]
@@ -49,7 +49,7 @@ assert levels == [2, 3, 3], levels
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows ends processes without a signal")
 @pytest.mark.parametrize("handled", [True, False])
-def test_sigterm_stays_whose_it_was(*, handled: bool) -> None:
+def test_the_handler_of_sigterm_is_kept(*, handled: bool) -> None:
     handler = "lambda *_: sys.exit(7)" if handled else "signal.SIG_DFL"
     code = f"""
 import os, signal, sys

@@ -1,0 +1,242 @@
+"""Decode photographs: composite them on a background, resize them, cache the result.
+
+A decoded photograph is 8-bit RGB, and resizing keeps it so, as in the published protocols. The disk cache
+holds resized photographs, losslessly: decoding 16 megapixels takes about thirty times as long as reading
+the small result.
+
+    STEREOGS_CACHE/photographs/<key>/image.png    key: hash of the file, the treatment, Pillow's version
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from ...errors import SceneError
+from ..cache import Cache, content_key
+from .opening import IMAGE_FIX, open_image
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from PIL import Image
+    from torch import Tensor
+
+Pixels: TypeAlias = "NDArray[np.uint8]"
+"""`[H, W, 3]`, or `[H, W]` for one channel."""
+Size = tuple[int, int]
+"""`(width, height)` in pixels."""
+SizeRule = Callable[[int, int], Size]
+"""Function of the stored width and height that returns the size to resize to."""
+ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
+"""Names of Pillow's filters; each averages over the area when it downsamples."""
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+"""Background colors for transparent pixels, in [0, 1], by name."""
+
+_ORIENTATION = 0x0112
+_QUARTER_TURNS = (5, 6, 7, 8)
+"""Values of this EXIF tag that exchange width and height."""
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+_BACKDROP_RUN = 50
+"""Pixels to the left of a dark one that must be dark too, to keep dark objects."""
+_CACHED = "image.png"
+
+
+def divided_by(divisor: int) -> SizeRule:
+    """Divide each side and round it, as the published protocols do."""
+    return lambda width, height: (
+        max(1, round(width / divisor)),
+        max(1, round(height / divisor)),
+    )
+
+
+def at_most(largest: int) -> SizeRule:
+    """Limit the width to `largest` pixels, keep the proportions, never enlarge."""
+
+    def size(width: int, height: int) -> Size:
+        if width <= largest:
+            return width, height
+        return largest, max(1, round(height * largest / width))
+
+    return size
+
+
+def longest_side(largest: int) -> SizeRule:
+    """Limit the longer side to `largest` pixels, keep the proportions, never enlarge."""
+
+    def size(width: int, height: int) -> Size:
+        scale = min(1.0, largest / max(width, height))
+        return max(1, round(width * scale)), max(1, round(height * scale))
+
+    return size
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """A reader of photographs.
+
+    Args:
+        size: Rule for the size; the default keeps the stored size.
+        resize_filter: Pillow's filter for resizing.
+        background: Color in [0, 1] behind transparent pixels.
+        upright: If True, rotate photographs by their EXIF orientation. Camera files of data sets
+            refer to pixels as stored.
+    """
+
+    size: SizeRule = lambda width, height: (width, height)
+    resize_filter: ResizeFilter = "bicubic"
+    background: tuple[float, float, float] = BACKGROUNDS["black"]
+    upright: bool = False
+
+    def read(self, path: Path) -> Pixels:
+        """Return the colors, `[H, W, 3]` uint8.
+
+        Raises:
+            SceneError: See `open_image`; also for more than 8 bits per channel.
+        """
+        import numpy as np
+
+        with open_image(path) as file:
+            _check_mode(file, path)
+            return np.asarray(self._resized(file, path, self._opaque, str(self.background)))
+
+    def read_alpha(self, path: Path) -> Pixels | None:
+        """Return the opacity, `[H, W]` uint8; None for an opaque photograph.
+
+        Raises:
+            SceneError: See `read`.
+        """
+        import numpy as np
+
+        with open_image(path) as file:
+            _check_mode(file, path)
+            if not file.has_transparency_data:
+                return None
+            return np.asarray(self._resized(file, path, _alpha, "alpha"))
+
+    def _resized(
+        self,
+        file: Image.Image,
+        path: Path,
+        select: Callable[[Image.Image], Image.Image],
+        selection: str,
+    ) -> Image.Image:
+        """Apply `select`, then resize.
+
+        Args:
+            selection: Parameters of `select`, for the key of the cache.
+        """
+        from PIL import Image, ImageOps
+
+        stored = upright_size(file) if self.upright else file.size
+        size = self.size(*stored)
+
+        def selected() -> Image.Image:
+            return select(ImageOps.exif_transpose(file) if self.upright else file)
+
+        if size == stored:
+            return selected()
+        resample = Image.Resampling[self.resize_filter.upper()]
+        treatment = f"{size} {self.resize_filter} {selection} {self.upright}"
+        return _cached(path, treatment, lambda: selected().resize(size, resample))
+
+    def _opaque(self, file: Image.Image) -> Image.Image:
+        from PIL import Image
+
+        if not file.has_transparency_data:
+            return file.convert("RGB")
+        color = tuple(round(255 * channel) for channel in self.background)
+        below = Image.new("RGBA", file.size, (*color, 255))
+        below.alpha_composite(file.convert("RGBA"))
+        return below.convert("RGB")
+
+
+def _alpha(file: Image.Image) -> Image.Image:
+    return file.convert("RGBA").getchannel("A")
+
+
+def _cached(path: Path, treatment: str, compute: Callable[[], Image.Image]) -> Image.Image:
+    """Return `compute()`, from the cache if the same file was treated in the same way before."""
+    import PIL
+
+    cache = Cache("photographs")
+    if cache.folder is None:
+        return compute()
+    key = content_key(path.read_bytes(), treatment, PIL.__version__)
+    image = cache.load(key, _read_cached)
+    if image is None:
+        image = compute()
+        cache.save(key, lambda folder: image.save(folder / _CACHED, compress_level=1))
+    return image
+
+
+def _read_cached(folder: Path) -> Image.Image:
+    from PIL import Image
+
+    with Image.open(folder / _CACHED, formats=("PNG",)) as file:
+        return file.copy()
+
+
+def read_mask(path: Path, size: Size) -> Pixels:
+    """Return the brightness of a mask, `[H, W]` uint8, resized with the bicubic filter if necessary.
+
+    Raises:
+        SceneError: See `open_image`; also for more than 8 bits per channel.
+    """
+    import numpy as np
+    from PIL import Image
+
+    with open_image(path, "the mask") as file:
+        _check_mode(file, path)
+        grey = file.convert("L")
+        return np.asarray(
+            grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
+        )
+
+
+def stored_size(path: Path, *, upright: bool = False) -> Size:
+    """Return `(width, height)` of an image file; if `upright`, after rotation by its EXIF orientation.
+
+    Raises:
+        SceneError: See `open_image`.
+    """
+    with open_image(path) as file:
+        return upright_size(file) if upright else file.size
+
+
+def upright_size(file: Image.Image) -> Size:
+    """Return `(width, height)` of a photograph after rotation by its EXIF orientation."""
+    width, height = file.size
+    return (
+        (height, width) if file.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
+    )
+
+
+def _check_mode(file: Image.Image, path: Path) -> None:
+    if file.mode not in _MODES:
+        raise SceneError(
+            f"the image has pixels of mode {file.mode!r}, not 8 bits per channel",
+            where=str(path),
+            fix=IMAGE_FIX,
+        )
+
+
+def dark_background(image: Tensor, level: int) -> Tensor:
+    """Return the black backdrop of DTU's photographs, bool `[H, W]` (DNGaussian, Li et al. 2024).
+
+    A pixel belongs to it if it and the 50 pixels to its left are dark; pixels outside the image count as
+    dark.
+
+    Args:
+        image: `[H, W, 3]` in [0, 1].
+        level: A pixel is dark if its largest channel is below level / 255.
+    """
+    import torch
+
+    bright = (image.amax(dim=2) >= level / 255).int().cumsum(dim=1)
+    before = torch.zeros_like(bright)
+    before[:, _BACKDROP_RUN + 1 :] = bright[:, : -(_BACKDROP_RUN + 1)]
+    return bright == before

@@ -1,1 +1,0 @@
-"""Files of photographs: which there are, how they are decoded and resized."""

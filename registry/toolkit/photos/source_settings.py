@@ -1,0 +1,104 @@
+"""Settings that scene loaders share: source folder and size of photographs, split of the views."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from ...contract.component import Settings
+from ...errors import SceneError
+from .decoder import Decoder, ResizeFilter, divided_by
+from .image_files import list_images
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class ImageSourceSettings(Settings):
+    """Settings of loaders for captures that are stored at several sizes; they are part of a protocol."""
+
+    downsample: int = Field(8, ge=1)
+    """Full-size width divided by training width; the same for the height."""
+    images: str | None = None
+    """Folder of the photographs inside the scene's folder; null means images, or images_N for
+    photographs that are stored at the size of `downsample`: N."""
+    image_source: Literal["folder", "resize"] = "folder"
+    """`folder` uses photographs at their stored size; `resize` downsamples full-size ones on loading."""
+    resize_filter: ResizeFilter = "bicubic"
+    """Pillow's filter for `image_source: resize`."""
+
+    def decoder(self) -> Decoder:
+        """Return a decoder for these settings."""
+        if self.image_source == "resize":
+            return Decoder(size=divided_by(self.downsample), resize_filter=self.resize_filter)
+        return Decoder()
+
+    def image_folder(self, scene: Path) -> Path:
+        """Return the folder of the photographs.
+
+        Raises:
+            SceneError: The folder is missing or has no images; the error lists the folders that exist.
+        """
+        full_size = self.image_source == "resize" or self.downsample == 1
+        folder = scene / (self.images or ("images" if full_size else f"images_{self.downsample}"))
+        if not list_images(folder):
+            present = ", ".join(sorted(path.name for path in scene.glob("images*"))) or "none"
+            raise SceneError(
+                "images are missing"
+                + ("" if self.images else f" for downsample {self.downsample}"),
+                where=str(folder),
+                fix=f"set `downsample` or `images` to an existing folder (found: {present})",
+            )
+        return folder
+
+
+class SplitSettings(Settings):
+    """Settings of loaders that use the sparse-view split."""
+
+    train_views: int | None = Field(3, ge=0)
+    """Number of training views; null or 0 uses all views that are not test views."""
+    test_every: int = Field(8, ge=2)
+    """Every n-th photograph of the sorted list is a test view, starting with the first."""
+
+
+def split(
+    count: int, test_every: int, train_views: int | None, where: str
+) -> tuple[list[int], list[int]]:
+    """Return the indices of training and test views among `count` sorted photographs.
+
+    The split of RegNeRF and later sparse-view papers: every 8th photograph is a test view; of the
+    other photographs T, the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`.
+
+    Args:
+        test_every: 0 selects no test views.
+
+    Raises:
+        SceneError: Fewer than `train_views` photographs are not test views.
+    """
+    test = list(range(0, count, test_every)) if test_every else []
+    pool = sorted({*range(count)} - {*test})
+    if not pool or (train_views or 0) > len(pool):
+        raise SceneError(
+            f"{train_views or 1} training views are wanted, but of {count} photographs only "
+            f"{len(pool)} are not test views",
+            where=where,
+            fix=f"set `train_views` to at most {len(pool)}, or raise `test_every`",
+        )
+    return evenly_spaced(pool, train_views), test
+
+
+def split_rule(test_every: int) -> str:
+    """Return a description of `split` for the scene's facts."""
+    if not test_every:
+        return "evenly spaced train, none tests"
+    return f"every {test_every}th tests, the others evenly spaced train"
+
+
+def evenly_spaced(pool: list[int], wanted: int | None) -> list[int]:
+    """Return `wanted` evenly spaced members of the pool, including both ends; None or 0 returns all."""
+    import numpy as np
+
+    # numpy rounds halves to even, as the published splits do.
+    chosen = np.round(np.linspace(0, len(pool) - 1, wanted or len(pool))).astype(int)
+    return [pool[k] for k in chosen]
