@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.both_networks import with_alexnet
-from benchmarks.scores import ALEXNET, VGG
+from benchmarks.cells import ALEXNET, VGG
+from benchmarks.training_process import with_alexnet
 from registry.pipeline.pipeline import Pipeline
 from registry.session import build_pipeline
 

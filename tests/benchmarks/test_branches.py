@@ -84,11 +84,11 @@ def test_a_group_leaves_a_record_of_each_as_it_ends(tmp_path: Path) -> None:
         seconds=None,
         device=None,
         out=tmp_path / "out",
-        kept=tmp_path / "records",
+        kept=tmp_path / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
     assert failures == {}
-    records = training_records.read(runs, tmp_path / "records")
+    records = training_records.read(runs, tmp_path / "records.jsonl")
     assert [record.run for record in records] == runs
     first, second = (record.measured for record in records)
     assert first["hash"] != second["hash"]

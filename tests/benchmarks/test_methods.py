@@ -13,6 +13,7 @@ import yaml
 from rich.console import Console
 
 from benchmarks import methods_page, training_process, training_records, trainings
+from benchmarks.cells import NONE
 from benchmarks.methods_plan import (
     AUTHORS_SETTINGS,
     BASELINE,
@@ -26,7 +27,6 @@ from benchmarks.methods_plan import (
     planned_runs,
 )
 from benchmarks.results_plan import Case
-from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry import RunError
 from registry.pipeline.pipeline import Pipeline
@@ -152,7 +152,7 @@ def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str
         seconds=seconds,
         device=None,
         out=place / "out",
-        kept=place / "records",
+        kept=place / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
 
@@ -160,7 +160,7 @@ def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str
 def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
     assert trained(run, tmp_path, None) == {}
-    (record,) = training_records.read([run], tmp_path / "records")
+    (record,) = training_records.read([run], tmp_path / "records.jsonl")
     found = record.measured
     assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
@@ -198,20 +198,21 @@ def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
 
 def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
-    training_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
-    assert [one.scores["psnr"] for one in training_records.read([run], tmp_path)] == [20.0]
+    file = tmp_path / "records.jsonl"
+    training_records.save(run, {"scores": {"psnr": 20.0}}, file)
+    assert [one.scores["psnr"] for one in training_records.read([run], file)] == [20.0]
     changed = MethodRun(run.method, "own", ROOM, 0, run.pipeline, "another")
-    assert training_records.read([changed], tmp_path) == []
-    next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
+    assert training_records.read([changed], file) == []
+    file.write_text("[]", "utf-8")
     with pytest.raises(RunError, match="cannot be read"):
-        training_records.read([run], tmp_path)
+        training_records.read([run], file)
 
 
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
     records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
     records += [record(dropgaussian, FERN, seed, 20.0 + seed) for seed in FACING.seeds]
-    text = methods_page.page_text(records, 279)
+    text = methods_page.tables(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
@@ -221,8 +222,8 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", NONE, NONE, "+4.00"]
     assert ours[6:13] == ["0.500", "0.250", "0.125", "12,345", "68", "1.0", "910"]
     assert ours[13:] == ["20.76", "0.713", "0.200"]
-    assert "### Own points" in text
-    assert "### Same points" not in text
+    assert "## Own points" in text
+    assert "## Same points" not in text
     assert "5 of 279" in text
 
 
@@ -230,8 +231,8 @@ def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
     dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
     records = [record(BASELINE, case, 0, 15.0, "same") for case in OBJECTS.cases]
     records += [record(dropgaussian, case, 0, 17.5, "same") for case in OBJECTS.cases]
-    text = methods_page.page_text(records, 279)
-    assert "### Same points around objects" in text
+    text = methods_page.tables(records, 279)
+    assert "## Same points around objects" in text
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
     assert heads[2:7] == ["dtu_scan24", "dtu_scan65", "blender_lego", "mean", "to 3DGS"]
@@ -261,7 +262,7 @@ def test_times_are_of_one_machine_and_compared_on_each() -> None:
         timed(other, flower, 0, 160, **fast),
         timed(alone, flower, 1, 90),
     ]
-    text = methods_page.page_text(records, 279)
+    text = methods_page.tables(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
     assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU / 3DGS", "MB"]

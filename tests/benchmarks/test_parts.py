@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from benchmarks.branches import shared_iterations
-from benchmarks.parts_page import page_text
+from benchmarks.cells import NONE
+from benchmarks.parts_page import tables
 from benchmarks.parts_plan import (
     EIGHT,
     LATE,
@@ -20,7 +21,6 @@ from benchmarks.parts_plan import (
     planned_runs,
     together,
 )
-from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry.plugins.discovery import Plugins
 
@@ -139,27 +139,27 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
 
 
 def rows_of(text: str, heading: str) -> list[list[str]]:
-    part = text.split(f"### {heading}\n")[1].split("###")[0]
+    part = text.split(f"## {heading}\n")[1].split("##")[0]
     lines = [line for line in part.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def test_tables_show_means_differences_and_the_papers_numbers() -> None:
-    text = page_text(records_of({NOTHING: 18.0, "initializer, opacity": 20.5, ALL: 20.75}), 99)
+    text = tables(records_of({NOTHING: 18.0, "initializer, opacity": 20.5, ALL: 20.75}), 99)
     nothing, both, whole = rows_of(text, EIGHT.title)
     assert nothing[:7] == ["✗", "✗", "✗", "3 + 3", "19.00 ± 1.00", "19.00 ± 1.00", NONE]
     assert both[:3] == ["✓", "✗", "✓"]
     assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.125", "0.062", "12,345", "21.91"]
-    parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "What each part adds")}
+    parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "Gain of each part")}
     assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", NONE, "+0.73"]
     assert parts["decay", NOTHING] == [NONE, NONE, "+2.16"]
     assert "18 of 99 runs, on a processor" in text
-    assert f"### {TERM_TABLE.title}" not in text  # there is nothing in it yet that is not above
-    assert "### Around objects" not in text
+    assert f"## {TERM_TABLE.title}" not in text  # there is nothing in it yet that is not above
+    assert "## Around objects" not in text
 
 
 def test_the_stereo_term_is_shown_with_what_it_asked() -> None:
-    text = page_text(records_of({"initializer, opacity": 20.5, ALL: 20.75, "sgm": 20.25}), 99)
+    text = tables(records_of({"initializer, opacity": 20.5, ALL: 20.75, "sgm": 20.25}), 99)
     none, sgm, paper = rows_of(text, TERM_TABLE.title)
     assert none[:5] == ["none", "3 + 3", "21.50 ± 1.00", "21.50 ± 1.00", NONE]
     assert none[-2:] == [NONE, NONE]

@@ -5,15 +5,16 @@ from __future__ import annotations
 import io
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 from rich.console import Console
 
-from benchmarks import results, trainings
+from benchmarks import campaigns, trainings
 from benchmarks.campaign import Campaign, one_by_one
-from benchmarks.marked_page import rewrite
-from benchmarks.results_page import BEGIN, END, Record, page_text
+from benchmarks.pages import DOCS, marks, rewrite
+from benchmarks.results_page import Record, summary, tables
 from benchmarks.results_picture import PICTURE, draw_first_views
 from benchmarks.results_plan import (
     CASES,
@@ -26,14 +27,16 @@ from benchmarks.results_plan import (
     Method,
     make_measurements,
 )
-from benchmarks.training_records import read
+from benchmarks.training_records import read, save
 from registry import RunError
 from registry.plugins.discovery import Plugins
+from registry.runs.guarding.lock import locked
 
 ROOM = Case(
     "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
 )
 SEED = LPIPS_SEED + 1
+MARKS = BEGIN, END = marks("results")
 TINY = """\
 name: {name}
 scene: procedural
@@ -86,7 +89,7 @@ def test_missing_data_is_said_before_anything_is_trained(
         monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["results"])
     with pytest.raises(SystemExit, match=said):
-        results.RESULTS_CAMPAIGN.main(None)
+        campaigns.RESULTS.main(None)
 
 
 def train(planned: list[Measurement], place: Path) -> dict[str, str]:
@@ -96,7 +99,7 @@ def train(planned: list[Measurement], place: Path) -> dict[str, str]:
         seconds=None,
         device=None,
         out=place / "out",
-        kept=place / "records",
+        kept=place / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
 
@@ -112,7 +115,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Record], Pa
         methods.append(Method(name, file, baseline=name == "plain"))
     planned = make_measurements([ROOM], methods, [SEED], Plugins())
     assert train(planned, place) == {}
-    return read(planned, place / "records"), place / "out"
+    return read(planned, place / "records.jsonl"), place / "out"
 
 
 def row_of(text: str, first: str) -> list[str]:
@@ -123,8 +126,8 @@ def row_of(text: str, first: str) -> list[str]:
 def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Path]) -> None:
     records, _ = measured
     plain, better = records
-    text = page_text(records, 5)
-    colours, rest = text.split("### What people see")
+    text = tables(records, 5)
+    colours, rest = text.split("## Perceptual scores")
     psnr = [f"{record.scores['psnr']:.2f}" for record in records]
     gain = f"{better.scores['psnr'] - plain.scores['psnr']:+.2f}"
     ssim = [f"{record.scores['ssim']:.3f}" for record in records]
@@ -166,7 +169,7 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
     records = [moved(plain, room, seed, 10) for seed in SEEDS]
     records += [moved(better, room, seed, 12 + seed) for seed in SEEDS]
     records += [moved(better, den, 0, 21)]
-    text = page_text(records, 5)
+    text = tables(records, 5)
     # Differences 2, 3, 4: Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
     assert row_of(text, "room")[1:6] == ["3", "3", "10.00 ± 0.00", "13.00 ± 1.00", "+3.00 ± 2.48"]
     mean = row_of(text, "**mean of house-3**")
@@ -176,12 +179,12 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
 def test_what_people_wrote_on_the_page_stays(tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text(f"# Ours\n\nWhy.\n\n{BEGIN}\nold numbers\n{END}\n\nWhat we saw.\n", "utf-8")
-    rewrite(page, BEGIN, END, "new numbers")
+    rewrite(page, MARKS, "new numbers")
     text = page.read_text("utf-8")
     assert text == f"# Ours\n\nWhy.\n\n{BEGIN}\n\nnew numbers\n{END}\n\nWhat we saw.\n"
     page.write_text("# No marks\n", "utf-8")
-    with pytest.raises(RunError, match="lost the marks"):
-        rewrite(page, BEGIN, END, "new numbers")
+    with pytest.raises(RunError, match="lacks the marks"):
+        rewrite(page, MARKS, "new numbers")
     assert page.read_text("utf-8") == "# No marks\n"
 
 
@@ -196,7 +199,46 @@ def test_a_failed_run_is_told_and_no_other_is_lost(
     monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path / "records")
     monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["tiny"])
-    campaign = Campaign("tiny", [], lambda _: planned, "x.md", (BEGIN, END), page_text)
+    campaign = Campaign("tiny", "Tiny", [], lambda _: planned, "x.md", summary, tables)
     with pytest.raises(SystemExit, match=r"1 runs failed(.|\n)*missing\.ply"):
         campaign.main(None)
     assert "1 runs, 1 to train" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("campaign", campaigns.CAMPAIGNS.values(), ids=lambda one: one.name)
+def test_its_page_has_its_marks(campaign: Campaign[Any]) -> None:
+    text = (DOCS / campaign.page).read_text("utf-8")
+    begin, end = marks(campaign.name)
+    assert text.count(begin) == text.count(end) == 1
+    assert text.index(begin) < text.index(end)
+
+
+def test_write_docs_writes_all_tables_and_the_summary(
+    measured: tuple[list[Record], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, _ = measured
+    kept, page = tmp_path / "results.jsonl", tmp_path / "x.md"
+    for record in found:
+        identity = record.run.identity
+        save(record.run, {k: v for k, v in record.measured.items() if k not in identity}, kept)
+    page.write_text(f"# Page\n\n{BEGIN}\n{END}\n", "utf-8")
+    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path / "out")
+    monkeypatch.setattr("benchmarks.campaign.DOCS", tmp_path)
+    monkeypatch.setattr("benchmarks.pages.TABLES", tmp_path / "tables")
+    monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path)
+    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["results", "--write-docs"])
+    runs = [record.run for record in found]
+    campaign = Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
+    assert campaign.main(None) == 0
+    assert page.read_text("utf-8") == f"# Page\n\n{BEGIN}\n\n{summary(found)}\n{END}\n"
+    assert (tmp_path / "tables" / "results.md").read_text("utf-8").endswith(tables(found, 2))
+
+
+def test_a_second_command_is_kept_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tiny"])
+    campaign = Campaign("tiny", "Tiny", [], lambda _: [], "x.md", summary, tables)
+    (tmp_path / "tiny").mkdir()
+    with locked(tmp_path / "tiny"), pytest.raises(SystemExit, match="in use by another process"):
+        campaign.main(None)

@@ -44,7 +44,7 @@ class ConsistencyDenseSettings(Settings):
     guessed, and matched features are the points, as of `sfm`, unless there are few."""
     fill_shown: bool = True
     """With `fill`: guess also where a confirmed point of another view falls that has the pixel's colour.
-    Without, there are fewer points, and fewer wrong ones around objects (docs/engine_notes.md)."""
+    Without, there are fewer points, and fewer wrong ones around objects (benchmarks/notes.md)."""
     background_range: int = Field(2, ge=0, le=255)
     """8-bit levels: a colour whose channels all differ by less from the scene's background counts as it, and
     no point is guessed there. Photographs of objects before black are rarely black to the last level."""

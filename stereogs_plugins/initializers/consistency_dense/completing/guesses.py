@@ -27,7 +27,7 @@ LEAST_CONFIRMED = 0.25
 """Of the surface that would be known with guesses: with less, guesses are worth less than nothing.
 
 Chosen on training views left out: of a temple on a turntable 14 % is confirmed, and guesses cost 5.2 dB; of
-a toy before white it is 33 %, and they gain 0.4 dB (docs/engine_notes.md)."""
+a toy before white it is 33 %, and they gain 0.4 dB (benchmarks/notes.md)."""
 
 
 @dataclass(frozen=True, eq=False)
