@@ -40,7 +40,7 @@ PARTS = Campaign(
     page="results.md",
     summary=parts_page.summary,
     tables=parts_page.tables,
-    group=parts_plan.together,
+    group=parts_plan.shared_groups,
 )
 RESULTS = Campaign(
     name="results",

@@ -1,4 +1,4 @@
-"""Cameras found by `photos` against published ones: `python -m benchmarks.photos`, `make bench-photos`.
+"""Cameras estimated by `photos`, compared with published ones: `make bench-photos`.
 
 Evenly spaced pictures of real data sets, and all pictures of each; the search sees nothing else. Finished
 cases are kept in `benchmarks/out/photos`: the same command continues where it stopped. With `--write-docs`
@@ -43,11 +43,11 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Published:
-    """A camera as the data set gives it.
+    """A published camera.
 
     Args:
         rotation: `[3, 3]`, world to camera.
-        focal: focal length in units of the picture's longer side.
+        focal: Focal length in units of the picture's longer side.
     """
 
     rotation: _Array
@@ -60,10 +60,10 @@ class Record:
 
     Args:
         placed: Number of pictures whose cameras fit together.
-        rotation_median, rotation_largest: degrees, after the rotation that aligns all best; None
-            where no camera was placed.
-        focal_error: of the focal length, as a share of the published one.
-        cpu_seconds: of the whole search over all threads, without reading the folder.
+        rotation_median, rotation_largest: Errors in degrees after the best common rotation; None if no camera
+            was placed.
+        focal_error: Relative error of the focal length; None if no camera was placed.
+        cpu_seconds: CPU seconds of the search over all threads, without reading the folder.
     """
 
     scene: str
@@ -76,7 +76,7 @@ class Record:
 
 
 def measure(scene: str, count: int | None) -> Record:
-    """Find the cameras of `count` evenly spaced pictures of a scene, or of all."""
+    """Estimate the cameras of `count` evenly spaced pictures of a scene, or of all."""
     photos, published = _pictures(scene, count)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as name:
@@ -120,11 +120,11 @@ def _dtu(folder: Path) -> Iterator[tuple[str, Published]]:
 def _errors(
     found: Reconstruction, photos: list[UnposedPhoto], published: dict[str, Published]
 ) -> tuple[float, float, float]:
-    """Median and largest rotation error in degrees, and the focal length's as a share."""
+    """Median and largest rotation error in degrees, and the relative error of the focal length."""
     model = read_model(found.pieces[0].folder, "")
     truth = [published[photos[image_index(image.name)].path.stem] for _, image in model.images]
     rotations = [image.world_to_camera[:3, :3] for _, image in model.images]
-    # The rotation between the two worlds that is nearest to all (orthogonal Procrustes).
+    # The best rotation between the two worlds (orthogonal Procrustes).
     u, _, v = np.linalg.svd(sum(t.rotation.T @ r for t, r in zip(truth, rotations, strict=True)))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
     cosines = [
@@ -137,7 +137,7 @@ def _errors(
 
 
 def table(records: list[Record]) -> str:
-    """The records as Markdown."""
+    """Return the records as a table."""
     rows = []
     for record in records:
         cells = ["-", "-", "-"]

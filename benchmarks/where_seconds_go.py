@@ -24,6 +24,7 @@ from benchmarks.results_plan import DATA, PIPELINES
 from benchmarks.stage_clock import BORN
 
 ROOT = Path(__file__).parent.parent
+TARGET = "profile"
 PAGE = pages.DOCS / "run_time.md"
 PICTURE = pages.DOCS / "images" / "stages.png"
 
@@ -114,7 +115,7 @@ def main() -> int:
     text = table(first, warm)
     print(text)
     if arguments.write_docs:
-        pages.rewrite(PAGE, pages.marks("profile"), text)
+        pages.rewrite(PAGE, pages.marks(TARGET), text)
         draw(warm, PICTURE)
     return 0
 

@@ -1,17 +1,16 @@
-"""The results tables: what is planned, and the page and picture that real trainings end in."""
+"""The results campaign: its plan, and the tables and picture of real trainings."""
 
 from __future__ import annotations
 
 import io
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
 from rich.console import Console
 
-from benchmarks import campaigns, trainings
+from benchmarks import campaigns, error_report, priors, skips, trainings, where_seconds_go
 from benchmarks.campaign import Campaign, one_by_one
 from benchmarks.pages import DOCS, marks, rewrite
 from benchmarks.results_page import Record, summary, tables
@@ -77,18 +76,18 @@ def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("present", "said"),
+    ("present", "message"),
     [(None, "STEREOGS_DATA is not set"), ("llff_fern", "STEREOGS_DATA lacks llff_flower")],
 )
-def test_missing_data_is_said_before_anything_is_trained(
-    present: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_missing_data_is_reported_before_training(
+    present: str | None, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_DATA", raising=False)
     if present:
         (tmp_path / present).mkdir()
         monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["results"])
-    with pytest.raises(SystemExit, match=said):
+    with pytest.raises(SystemExit, match=message):
         campaigns.RESULTS.main(None)
 
 
@@ -142,7 +141,7 @@ def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Pa
 _COSTS = ("gaussians", "cpu_seconds", "peak_memory_mb")
 
 
-def test_the_picture_shows_truth_and_renders_that_are_here(
+def test_the_picture_shows_photographs_and_present_renders(
     measured: tuple[list[Record], Path], tmp_path: Path
 ) -> None:
     records, out = measured
@@ -176,7 +175,7 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
     assert mean[3:6] == ["**\u2013**", "**17.00**", "**+3.00 ± 2.48**"]
 
 
-def test_what_people_wrote_on_the_page_stays(tmp_path: Path) -> None:
+def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text(f"# Ours\n\nWhy.\n\n{BEGIN}\nold numbers\n{END}\n\nWhat we saw.\n", "utf-8")
     rewrite(page, MARKS, "new numbers")
@@ -188,7 +187,7 @@ def test_what_people_wrote_on_the_page_stays(tmp_path: Path) -> None:
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-def test_a_failed_run_is_told_and_no_other_is_lost(
+def test_a_failed_run_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "broken.yaml"
@@ -205,10 +204,14 @@ def test_a_failed_run_is_told_and_no_other_is_lost(
     assert "1 runs, 1 to train" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("campaign", campaigns.CAMPAIGNS.values(), ids=lambda one: one.name)
-def test_its_page_has_its_marks(campaign: Campaign[Any]) -> None:
-    text = (DOCS / campaign.page).read_text("utf-8")
-    begin, end = marks(campaign.name)
+PAGES = {one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
+PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, skips, where_seconds_go)}
+
+
+@pytest.mark.parametrize("target", PAGES)
+def test_a_page_has_its_marks(target: str) -> None:
+    text = PAGES[target].read_text("utf-8")
+    begin, end = marks(target)
     assert text.count(begin) == text.count(end) == 1
     assert text.index(begin) < text.index(end)
 

@@ -1,4 +1,4 @@
-"""What `make bench-skips` says of its runs."""
+"""Tables of `make bench-skips`, and its switches."""
 
 from __future__ import annotations
 
