@@ -55,9 +55,9 @@ def test_a_branch_ends_in_the_bits_of_the_whole_run() -> None:
 def test_a_branch_logs_the_values_of_the_whole_run() -> None:
     without, with_it, *_ = train_branches(pipelines(), None)
     (alone,) = train_branches([build_pipeline(TEXT)], None)
-    asked = "stereo_depth_inferences"
-    assert asked not in without.logged
-    assert with_it.logged[asked] == alone.logged[asked] > 0
+    inferences = "stereo_depth_inferences"
+    assert inferences not in without.logged
+    assert with_it.logged[inferences] == alone.logged[inferences] > 0
     assert with_it.logged["stereo_depth_seconds"] > 0
     assert with_it.run.finished
     assert with_it.run.seconds.training > 0

@@ -240,6 +240,12 @@ def test_objects_have_one_published_metric_of_each_protocol() -> None:
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert ours[1:7] == ["1 + 1 + 1", "17.50", "17.50", "17.50", "17.50", "+2.50 ± 0.00"]
     assert ours[-2:] == [NONE, "24.42"]
+    heads, _, base, ours = methods_page.summary(records).splitlines()
+    assert heads.count("paper") == 3
+    assert base == (f"| 3DGS | {NONE} | {NONE} | 16.02 | 15.00 | 10.99 | 15.00 | 23.20 | {NONE} |")
+    assert ours == (
+        f"| DropGaussian | {NONE} | {NONE} | 20.76 | 17.50 | {NONE} | 17.50 | 24.42 | {NONE} |"
+    )
 
 
 def test_seconds_are_of_one_machine_and_ratios_of_each() -> None:

@@ -116,7 +116,7 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
         "seconds": 100.0,
         "device": {"name": "a processor"},
     }
-    quiet, asked = (
+    without_stereo, with_stereo = (
         {},
         {
             "stereo_depth_inferences": 12.0,
@@ -135,7 +135,7 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
                 "lpips_alex": 0.125,
                 "avge": 0.0625,
             }
-            logged = asked if run.parts_at else quiet
+            logged = with_stereo if run.parts_at else without_stereo
             found.append(Record(run, measured | {"scores": scores, "logged": logged}))
     return found
 

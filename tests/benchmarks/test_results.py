@@ -173,6 +173,7 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
     assert row_of(text, "room")[1:6] == ["3", "3", "10.00 ± 0.00", "13.00 ± 1.00", "+3.00 ± 2.48"]
     mean = row_of(text, "**mean of house-3**")
     assert mean[3:6] == ["**\u2013**", "**17.00**", "**+3.00 ± 2.48**"]
+    assert row_of(summary(records), "house-3")[1:3] == ["\u2013", "17.00"]
 
 
 def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
