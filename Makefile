@@ -74,45 +74,45 @@ docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, wri
 site: $(VENV)/.docs ## the documentation as a site in build/site; opens without a network
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-methods: $(VENV)/.dev ## every published method on two scenes; rewrites the table in docs/methods.md; resumable
-	$(BIN)/python -m benchmarks.methods --write-docs
+methods: $(VENV)/.dev ## every published method under one protocol, hours; rewrites tables; resumable
+	$(BIN)/python -m benchmarks.campaigns methods --write-docs
 
-parts: $(VENV)/.dev ## StereoGS's parts with networks, three seeds, hours; rewrites tables in docs; resumable
-	$(BIN)/python -m benchmarks.parts --write-docs
+parts: $(VENV)/.dev ## StereoGS's parts, three seeds, hours; rewrites tables; resumable
+	$(BIN)/python -m benchmarks.campaigns parts --write-docs
 
-bench-engine: $(VENV)/.dev ## how long the engine takes, beside named baselines
+bench-engine: $(VENV)/.dev ## time of the engine, compared with named baselines
 	$(BIN)/python -m benchmarks.engine
 
-# Without what it depends on, which its plain torch path does not need.
-bench-peer: $(VENV)/.dev ## the engine's projection beside gsplat's in plain torch: time and agreement
+# Without its dependencies, which its plain torch path does not need.
+bench-peer: $(VENV)/.dev ## the engine's projection compared with gsplat's in plain torch: time and agreement
 	$(PIP) --no-deps --upgrade --target $(VENV)/gsplat gsplat
 	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m pytest tests/core_rasterizer/test_against_gsplat.py
 	PYTHONPATH=$(VENV)/gsplat $(BIN)/python -m benchmarks.peer
 
-bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites its page in docs
+bench-error: $(VENV)/.dev ## run time against error, one switch at a time; rewrites tables
 	$(BIN)/python -m benchmarks.error --write-docs
 
-bench-priors: $(VENV)/.dev ## sgm, plane_sweep and patch_match against the truth; rewrites its page in docs
+bench-priors: $(VENV)/.dev ## accuracy of sgm, plane_sweep and patch_match; rewrites tables
 	$(BIN)/python -m benchmarks.priors --write-docs
 
-bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out: how choices are made; variants by hand
+bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out, to compare variants
 	$(BIN)/python -m benchmarks.left_out plain
 
-bench-photos: $(VENV)/.dev ## cameras that are found against published ones; rewrites its table in docs; resumable
+bench-photos: $(VENV)/.dev ## estimated cameras compared with published ones; rewrites its table; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
 
-bench-skips: $(VENV)/.dev ## what each shortcut of a pipeline saves and costs, over an hour; rewrites its table in docs; resumable
+bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.skips --write-docs
 
-profile: $(VENV)/.dev ## where the seconds of weightfree_fast go, stage by stage; rewrites its page in docs
+profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
-curve: $(VENV)/.dev ## error against seconds, the README's picture; alone on the machine, as it is about seconds
+curve: $(VENV)/.dev ## error against seconds, the README's picture; needs an idle machine
 	$(BIN)/stereogs bench benchmarks/curve.yaml --out benchmarks/out/curve
 	$(BIN)/python -m benchmarks.curve
 
-results: $(VENV)/.dev ## four pipelines on every data set, three seeds, hours; rewrites its page in docs; resumable
-	$(BIN)/python -m benchmarks.results --write-docs
+results: $(VENV)/.dev ## four pipelines on every data set, three seeds, hours; rewrites tables; resumable
+	$(BIN)/python -m benchmarks.campaigns results --write-docs
 
 browser: $(VENV)/.dev ## every page in Chromium, which must be on PATH; screenshots in tests/browser/screenshots
 	BROWSER=1 $(BIN)/python -m pytest tests/browser --timeout 1200

@@ -1,1 +1,4 @@
-"""Run time against error, each figure beside a named baseline of the same run."""
+"""Benchmarks of quality, time and error.
+
+Records of trainings are in `records`, complete tables in `tables`, lab notes in `notes.md`.
+"""

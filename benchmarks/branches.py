@@ -1,7 +1,7 @@
-"""Trainings that begin alike: the first of them is trained whole, the others go on from where they part.
+"""Trainings that share their first iterations: one is trained whole, the others continue from its checkpoint.
 
-A term that is not due yet leaves no trace, so that runs that differ in such terms alone have equal bits until
-the first is due. What a branch ends in are the bits of the whole run.
+A regularizer has no effect before its start, so runs that differ in late regularizers only have equal bits
+until the first of them starts. A branch ends in the bits of the whole run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from registry.training.checkpoint import Checkpoint
 from registry.training.trainer import maps_of
 
 SECONDS = "_seconds"
-"""How what components log of their own time ends."""
+"""Suffix of the times that components log."""
 
 
 @dataclass
@@ -29,11 +29,11 @@ class Trained:
     """A training that has reached its end.
 
     Args:
-        run: without a folder.
-        cpu_seconds: of loading, initialization and training, over all threads; what it shares with others
-            counts in full.
-        peak_memory_mb: the most that the process took until then; of the first training alone.
-        logged: what components logged in the last iteration; their seconds over all iterations instead.
+        run: Run without a folder.
+        cpu_seconds: CPU seconds of loading, initialization and training, over all threads; shared
+            iterations count in full.
+        peak_memory_mb: Peak memory of the process until then; known for the first training only.
+        logged: Values that components logged in the last iteration; times are summed over all iterations.
     """
 
     run: Run
@@ -44,7 +44,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class _Moment:
-    """Where the runs part."""
+    """The state at which the runs diverge."""
 
     checkpoint: Checkpoint
     cpu_seconds: float
@@ -52,16 +52,16 @@ class _Moment:
 
 
 def train_branches(pipelines: Sequence[Pipeline], device: str | None) -> Iterator[Trained]:
-    """Train pipelines that differ in priors and in regularizers that are not due at first.
+    """Train pipelines that differ only in priors and in regularizers with a late start.
 
     Args:
-        pipelines: the first one is trained whole; priors that differ must be asked by those regularizers
-            alone.
-        device: part of its name; None chooses.
+        pipelines: Pipelines, the first of which is trained whole; priors that differ must be used by those
+            regularizers only.
+        device: Part of the device's name, or None.
 
     Raises:
         RunError: they differ otherwise, or a training was stopped.
-        ExplainedError: whatever goes wrong in one.
+        ExplainedError: any other failure of a training.
     """
     first, *others = pipelines
     shared = shared_iterations(pipelines)
@@ -85,16 +85,16 @@ def train_branches(pipelines: Sequence[Pipeline], device: str | None) -> Iterato
 
 
 def _kept(run: Run) -> Checkpoint:
-    """Where a run stands, for good: it trains on."""
+    """A checkpoint with copies of the tensors, as the run continues to train."""
     checkpoint = run.checkpoint()
     return replace(checkpoint, tensors={k: v.clone() for k, v in checkpoint.tensors.items()})
 
 
 def shared_iterations(pipelines: Sequence[Pipeline]) -> int:
-    """After how many iterations the first of some pipelines parts from the others.
+    """Return the number of iterations that the first of some pipelines shares with the others.
 
     Raises:
-        RunError: they are never alike.
+        RunError: they do not share any.
     """
     first, *others = pipelines
     apart = [item for other in others for item in _differences(first, other)]
@@ -104,10 +104,10 @@ def shared_iterations(pipelines: Sequence[Pipeline]) -> int:
     shared = min((item.schedule.start for item in terms), default=first.training.iterations) - 1
     if early or not alike or (others and shared < 1):
         raise RunError(
-            "these pipelines do not begin alike: "
+            "these pipelines do not share their first iterations: "
             + (
                 ", ".join(item.qualified_name for item in early)
-                or "terms are due at once, or lengths differ"
+                or "regularizers start at once, or lengths differ"
             ),
             where=first.name,
             fix="train them one by one",
@@ -116,7 +116,7 @@ def shared_iterations(pipelines: Sequence[Pipeline]) -> int:
 
 
 def _differences(one: Pipeline, other: Pipeline) -> list[Item]:
-    """What either has and the other has not, or has with other settings."""
+    """Items that only one of the pipelines has, or that have different settings."""
     return [item for item in one if item not in tuple(other)] + [
         item for item in other if item not in tuple(one)
     ]
@@ -152,7 +152,7 @@ def _branch(pipeline: Pipeline, trunk: Run, moment: _Moment) -> Trained:
 
 
 def _add(logged: dict[str, float], done: Iteration) -> None:
-    """Take an iteration's numbers in the place of those before; of seconds the sum."""
+    """Replace the values by those of an iteration; add up seconds."""
     for name, value in done.logged.items():
         before = logged.get(name, 0.0) if name.endswith(SECONDS) else 0.0
         logged[name] = before + value

@@ -1,7 +1,7 @@
 """The picture of the README: `python -m benchmarks.curve`, after `stereogs bench benchmarks/curve.yaml`.
 
-`make curve` runs both. A panel for each scene: PSNR of the test views against seconds since the run began,
-from the scores that a run makes on its way and at its end.
+`make curve` runs both. A panel for each scene: PSNR of the test views against seconds since the start of the
+run, from scores during the run and at its end.
 """
 
 from __future__ import annotations

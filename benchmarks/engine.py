@@ -1,8 +1,8 @@
-"""How long the engine takes: `python -m benchmarks.engine`, which `make bench-engine` runs.
+"""Time and memory of the engine: `python -m benchmarks.engine`, which `make bench-engine` runs.
 
-Prints tables and writes `benchmarks/out/engine.json`. Figures are medians of one run on one machine;
-only ratios carry over to another: those of the engine to named baselines, and those of each time to what
-the machine takes for the bytes alone (`benchmarks.yardsticks`).
+Prints tables and writes `benchmarks/out/engine.json`. Figures are medians of one run on one machine. Only
+ratios compare between machines: to named baselines, and to plain work on the same number of bytes
+(`benchmarks.yardsticks`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from core_rasterizer import (
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
 UNSEEN_COUNT = 1000
-"""Gaussians behind the camera, where only what an iteration costs at all is measured."""
+"""Gaussians behind the camera, to measure the fixed costs of an iteration."""
 MORE_COUNTS = (10_000, 50_000, 126_000, 300_000, 1_000_000)
 SIZES = ((252, 189), (504, 378), (1008, 756))
 RATES = dict.fromkeys(
@@ -75,7 +75,7 @@ class Workload:
 
 
 def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
-    """Median milliseconds of the steps of an iteration in which no Gaussian is to be seen."""
+    """Return median milliseconds of the steps of an iteration without visible Gaussians."""
     workload = Workload(UNSEEN_COUNT, device)
     around = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
     camera = workload.camera
@@ -103,7 +103,7 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
 
 
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
-    """Milliseconds of each kernel in an iteration, the device drained after each."""
+    """Return milliseconds of each kernel in an iteration, with the device drained after each."""
     totals: dict[str, float] = {}
     kernels = workload.model.renderer.programs
     programs = [kernels.base, kernels.raster(), workload.optimizer.program]
@@ -128,7 +128,7 @@ def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
 
 
 def torch_photometric(rgb: Tensor, target: Tensor) -> Tensor:
-    """The same loss in plain torch, the baseline of the fused one."""
+    """Return the same loss in plain torch, the baseline of the fused one."""
     offsets = torch.arange(11) - 5.0
     window = torch.exp(-offsets.square() / (2 * 1.5**2))
     window = (window / window.sum())[:, None] @ (window / window.sum())[None]
@@ -147,7 +147,7 @@ def torch_photometric(rgb: Tensor, target: Tensor) -> Tensor:
 
 
 def ratios(device: Device) -> dict[str, float]:
-    """The engine against named baselines, in this run."""
+    """Return ratios of the engine to named baselines, in this run."""
     count = COUNTS[-1]
     workload = Workload(count, device)
     other = Workload(count, device.as_variant("gpu"))
@@ -172,7 +172,7 @@ def ratios(device: Device) -> dict[str, float]:
 
 
 def options(device: Device, rounds: int = 45) -> dict[str, float]:
-    """Time of renders that ask for more over that of a plain one, all in turn, medians over rounds."""
+    """Return times of renders with options over that of a plain one, in turns, medians over rounds."""
     workload = Workload(COUNTS[-1], device)
     camera, gaussians = workload.camera, workload.model.gaussians()
     compensated = GaussianModel(gaussians, device, compensate_dilation=True)
@@ -210,7 +210,7 @@ def options(device: Device, rounds: int = 45) -> dict[str, float]:
 
 
 def peak_memory_mb(count: int) -> float:
-    """Peak memory above that of an interpreter with torch and a device, in a process of its own."""
+    """Return peak memory in a new process, above that of an interpreter with torch and a device."""
     code = (
         "import sys; from benchmarks.engine import Workload, open_device\n"
         "from registry.system.memory import peak_memory_mb as peak\n"
@@ -225,7 +225,7 @@ def peak_memory_mb(count: int) -> float:
 
 
 def measure(device: Device) -> dict[str, Any]:
-    """All figures, in the layout of `engine.json`."""
+    """Return all figures, in the layout of `engine.json`."""
     result: dict[str, Any] = {
         "device": f"{device.name} ({device.platform}, {device.compute_units} compute units)",
         "size": [WIDTH, HEIGHT],
@@ -254,7 +254,7 @@ def measure(device: Device) -> dict[str, Any]:
 
 
 def show(result: dict[str, Any]) -> None:
-    """The figures as tables."""
+    """Print the figures as tables."""
     console = Console()
     console.print(f"[bold]{result['device']}[/], {WIDTH}x{HEIGHT}, SH degree 3, medians in ms")
     known = {count: Yardsticks(**ms) for count, ms in result["yardsticks_ms"].items()}
@@ -285,7 +285,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", help="part of a device's name")
     arguments = parser.parse_args()
-    # As `stereogs` does: torch's threads would wait in a spin beside the OpenCL device's.
+    # As `stereogs` does: torch's threads would spin next to the OpenCL device's.
     torch.set_num_threads(1)
     result = measure(open_device(arguments.device))
     show(result)

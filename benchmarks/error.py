@@ -1,8 +1,8 @@
 """Run time against error: `python -m benchmarks.error`, which `make bench-error` runs.
 
-Every approximation and every skip is switched alone: what it saves stands beside what it gets wrong.
-Prints tables and writes `benchmarks/out/error.json`; with `--write-docs` also the page and the picture
-in `docs/`. The default and the variant take turns, so that a busy machine slows both.
+Switches each approximation and each skip alone and measures its time and its error. Prints tables and writes
+`benchmarks/out/error.json`; with `--write-docs` also `benchmarks/tables/error.md` and the summary and
+picture in `docs/run_time.md`. Default and variant take turns, so a busy machine slows both.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Lap = tuple[float, float]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a setting computes: the colour image and the gradients of a fixed loss, in double."""
+    """The colour image and the gradients of a fixed loss with a setting, in double."""
 
     rgb: Tensor
     gradients: Mapping[str, Tensor]
@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Row:
-    """One setting: time beside the default's, and errors relative to the switch's baseline."""
+    """One setting: time relative to the default's, and errors relative to the switch's baseline."""
 
     switch: str
     setting: str
@@ -63,9 +63,9 @@ class Row:
     """The same for the 99.9th percentile of the errors."""
     image_psnr: float
     gradient: float
-    """|error| / |gradient| (L2), of the parameter that fares worst."""
+    """|error| / |gradient| (L2), of the parameter with the largest ratio."""
     total_psnr: float
-    """The image against the truth: double, with nothing left out."""
+    """The image against the truth: double, no approximation."""
 
 
 class Subject:
@@ -140,7 +140,7 @@ class SceneBenchmark:
         self.truth = self.double(EXACT)
 
     def double(self, overrides: Overrides) -> Outcome:
-        """What double-precision kernels compute."""
+        """Return the outcome of double-precision kernels."""
         key = tuple(sorted(overrides.items()))
         if key not in self._double:
             setting = Setting("double", overrides, dtype=torch.float64)
@@ -163,7 +163,7 @@ class SceneBenchmark:
         )
 
     def row(self, switch: Switch, setting: Setting) -> Row:
-        """Measure one setting; the default is not raced against itself."""
+        """Measure one setting; the default is not timed against itself."""
         subject = Subject(self.model, self.camera, setting)
         outcome = subject.outcome()
         baseline = (
@@ -174,7 +174,7 @@ class SceneBenchmark:
         return Row(switch.name, setting.label, setting.default, *times, **errors)
 
     def measure(self) -> dict[str, Any]:
-        """Rows of all settings, the default's milliseconds, and what a ratio is good for."""
+        """Return rows of all settings, the default's milliseconds, and ratios of the default to itself."""
         rows = []
         for switch in switches(self.model.device):
             Console(stderr=True).print(f"  {switch.name}", style="dim")
@@ -191,7 +191,7 @@ class SceneBenchmark:
 
 
 def measure(device: Device) -> dict[str, Any]:
-    """All figures, in the layout of `error.json`."""
+    """Return all figures, in the layout of `error.json`."""
     discs, camera = surfaces(50_000)
     scenes = {"surfaces": (discs, [camera, camera.shifted_right(1.0)])}
     if (real := garden()) is not None:
@@ -211,7 +211,9 @@ def measure(device: Device) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", help="part of a device's name")
-    parser.add_argument("--write-docs", action="store_true", help="rewrite the page in docs/")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="rewrite tables, summary and picture"
+    )
     arguments = parser.parse_args()
     result = measure(open_device(arguments.device))
     print_tables(result)

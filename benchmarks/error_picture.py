@@ -1,4 +1,4 @@
-"""Time against error as a picture: one point a setting, one colour a switch."""
+"""Time against error as a picture: one point for each setting, one colour for each switch."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 NO_ERROR = 5e-9
-"""Where a point without any error is drawn."""
+"""Error at which a point without error is drawn."""
 CROWD = 1.5
-"""Points up to this time ratio stand close together; their labels get a column of their own."""
+"""Points up to this time ratio are close together; their labels get a separate column."""
 LABEL_COLUMN = 0.72
-"""Time ratio at which that column ends."""
+"""Time ratio at the end of that column."""
 LINEAR = 0.15
-"""Logarithm of the ratio at which the time axis turns from linear to logarithmic."""
+"""Logarithm of the ratio at which the time axis changes from linear to logarithmic."""
 LINE_HEIGHT = 2.1
 """Factor of error between two labels."""
 
@@ -61,7 +61,7 @@ def draw(scene: dict[str, Any], title: str, path: Path) -> None:
 
 
 def _spread(ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The time axis: stretched around 1, where most settings are, and logarithmic far away."""
+    """The time axis: stretched around 1, where most settings are, logarithmic far away."""
     return np.arcsinh(np.log(np.maximum(ratios, 1e-6)) / LINEAR)
 
 
@@ -71,7 +71,7 @@ def _gather(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
-    """Draws each switch as a line with its settings on it; returns what wants a label."""
+    """Draw each switch as a line through its settings; return the points to label."""
     points: list[Point] = []
     names = list(dict.fromkeys(row["switch"] for row in scene["rows"]))
     for number, name in enumerate(names):
@@ -80,7 +80,7 @@ def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
         times = [row["time_ratio"] for row in rows]
         errors = [max(row["image_999"], NO_ERROR) for row in rows]
         axes.plot(times, errors, color=color, alpha=0.5, linewidth=1)
-        # The default deserves a point where another setting is more exact.
+        # The default gets a point if another setting is more exact.
         improvable = min(row["image_999"] for row in rows)
         for row, time, error in zip(rows, times, errors, strict=True):
             if row["default"] and row["image_999"] <= 1.5 * improvable:
@@ -96,7 +96,7 @@ def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
 
 
 def _label_crowd(axes: Axes, points: list[Point]) -> None:
-    """Labels in a column on the left, in the order of errors and apart, each with a thin line."""
+    """Put labels in a column on the left, in the order of errors, each with a thin line."""
     height = float("inf")
     for time, error, label, color in sorted(points, key=lambda point: (-point[1], point[0])):
         height = min(height / LINE_HEIGHT, error * LINE_HEIGHT)

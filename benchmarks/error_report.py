@@ -1,4 +1,4 @@
-"""What `benchmarks.error` found, as tables on the terminal and as a page with a picture in `docs/`."""
+"""Results of `benchmarks.error` as tables, and a summary and picture in `docs`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import pages
+
 WIDTH = 130
 """Characters of the widest table; a narrower terminal wraps or scrolls."""
-DOCS = Path(__file__).parent.parent / "docs"
-PAGE = DOCS / "speed_and_error.md"
-PICTURE = DOCS / "images" / "speed_and_error.png"
+TARGET = "bench-error"
+PAGE = pages.DOCS / "run_time.md"
+PICTURE = pages.DOCS / "images" / "engine_error.png"
 
 COLUMNS = (
     "switch",
@@ -42,36 +44,27 @@ SCENES = {
     "0.8, random shapes, and noise for the SH bands that points do not have",
 }
 INTRODUCTION = """\
-# Run time against error
+Each approximation of the engine is switched alone; its time and its error are compared with the default.
 
-The engine leaves things out to be fast. Here each of them is switched alone, and what it saves stands
-beside what it gets wrong. `make bench-error` measures it all anew and rewrites this page.
-
-![Time ratio against image error, a point a setting](images/speed_and_error.png)
-
-## How to read it
-
-- **Bold** is how the engine is built. *time* is forward and backward pass together over those of the bold
-  setting: above 1 a setting is slower. The two take turns, and the ratio is the median over the turns;
-  milliseconds are the default's median times a ratio, so that what else the machine does cancels. Races of
-  the default against a second build of itself gave {low:.2f} to {high:.2f}; a few hundredths mean little.
-- *image max* is the largest error of a colour, *image 99.9 %* the error that one value in a thousand
-  exceeds, both over the largest colour; *image dB* is PSNR with white at 1. *gradient* is
-  |error| / |gradient| of the parameter that fares worst, for one fixed random weighting of the image.
-- Errors of the alpha cut-off, the early stop, the exponential, the number type and the SH degree are
-  measured from double-precision kernels in which **this one switch** is at its most exact and all others
-  are as they are. Errors of the tile size, the exact tile test, the depth gradient and the raster kernels
-  are measured from the default: they should change nothing but the order of additions.
-- *to truth dB* compares with double precision and nothing left out at all: cut-off 1e-6, no early stop. The
-  cut-off dominates it. 1/255 is a convention that published scenes were trained with, so it is part of
-  what this engine promises, but it is the one choice whose error could be seen.
-- Where a Gaussian is within rounding of a threshold, float and double decide differently. A few pixels then
-  differ by up to 1/255 of a colour, which shows in *image max* and not in *image 99.9 %*.
-- *SH degree* renders stored degree 3 with fewer bands. Skipped bands have no gradient: hence its error.
-- *Adam, visible only* leaves values alone whose gradient is exactly zero, as it is for everything unseen.
-  *movement* is how far it ends from where Adam goes, over how far Adam goes, after {steps} steps over all
-  views of the scene from disturbed colours; *fit dB* is the PSNR then reached in the first view, *iteration*
-  the time of a whole one over that with Adam.
+- **Bold** is the default. *time* is forward and backward pass together over those of the default. Default and
+  variant take turns; the ratio is the median over the turns. Milliseconds are the default's median times a
+  ratio: the load of other processes cancels. Ratios of the default to a second build of itself:
+  {low:.2f} to {high:.2f}.
+- *image max* is the largest error of a colour, *image 99.9 %* the 99.9th percentile, both over the largest
+  colour; *image dB* is PSNR with white at 1. *gradient* is |error| / |gradient| of the parameter with the
+  largest ratio, for one fixed random weighting of the image.
+- Errors of the alpha cut-off, early stop, exponential, number type and SH degree are
+  relative to double-precision kernels in which this one switch is at its most exact setting and all others
+  are at their defaults. Errors of the tile size, the exact tile test, the depth gradient and the raster
+  kernels are relative to the default: only the order of additions should change.
+- *to truth dB* compares with double precision, a cut-off of 1e-6 and no early stop. The cut-off dominates
+  it; published scenes were trained with 1/255.
+- If a Gaussian is within rounding of a threshold, float and double decide differently. A few pixels then
+  differ by up to 1/255 of a colour, visible in *image max* but not in *image 99.9 %*.
+- *SH degree* renders stored degree 3 with fewer bands. Skipped bands have no gradient, hence its error.
+- *Adam, visible only* skips values whose gradient is exactly zero. *movement* is its distance to Adam's
+  result over Adam's movement, after {steps} steps over all views from disturbed colours; *fit dB*
+  is the PSNR of the first view after them, *iteration* the time of a whole iteration over Adam's.
 
 Measured on {device}.
 """
@@ -91,8 +84,8 @@ def print_tables(result: dict[str, Any]) -> None:
             console.print(table)
 
 
-def write_docs(result: dict[str, Any]) -> tuple[Path, Path]:
-    """Write the page and its picture, which shows the last scene; return both paths."""
+def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
+    """Write the tables, the summary and the picture, which shows the last scene; return their paths."""
     from benchmarks.error_picture import draw  # the tables do without matplotlib
 
     scenes = result["scenes"]
@@ -105,10 +98,35 @@ def write_docs(result: dict[str, Any]) -> tuple[Path, Path]:
         parts.append(f"## {name.capitalize()}\n\n{_headline(name, scene)}\n")
         parts.append(_markdown(COLUMNS, _rows(scene)))
         parts.append(_markdown(ADAM_COLUMNS, _adam_rows(scene)))
-    PAGE.write_text("\n".join(parts), encoding="utf-8")
+    file = pages.write_tables("error", "Run time against error", TARGET, "\n".join(parts))
+    pages.rewrite(PAGE, pages.marks(TARGET), summary(scenes))
     name, scene = list(scenes.items())[-1]
     draw(scene, f"{name}, {scene['gaussians']:,} Gaussians, {result['device']}", PICTURE)
-    return PAGE, PICTURE
+    return file, PAGE, PICTURE
+
+
+def summary(scenes: dict[str, Any]) -> str:
+    """Return one table: time and error of each setting that is not the default, in each scene."""
+    columns = ("time", "image 99.9 %", "gradient")
+    headings = [
+        "switch",
+        "setting",
+        *(f"{name}, {column}" for column in columns for name in scenes),
+    ]
+    of_scenes = [scene["rows"] for scene in scenes.values()]
+    defaults = {row["switch"]: row["setting"] for row in of_scenes[0] if row["default"]}
+    rows = [
+        [
+            f"{settings[0]['switch']} ({defaults[settings[0]['switch']]})",
+            settings[0]["setting"],
+            *(f"{row['time_ratio']:.2f}" for row in settings),
+            *(_small(row["image_999"]) for row in settings),
+            *(_small(row["gradient"]) for row in settings),
+        ]
+        for settings in zip(*of_scenes, strict=True)
+        if not settings[0]["default"]
+    ]
+    return pages.table(headings, rows, left=2)
 
 
 def _headline(name: str, scene: dict[str, Any]) -> str:
@@ -117,7 +135,7 @@ def _headline(name: str, scene: dict[str, Any]) -> str:
 
 
 def _rows(scene: dict[str, Any]) -> list[tuple[bool, list[str]]]:
-    """Cells of each setting, and whether it is the default; a switch is named once."""
+    """Cells of each setting, and whether it is the default; only the first row names the switch."""
     names = [row["switch"] for row in scene["rows"]]
     return [
         (
@@ -161,12 +179,11 @@ def _decibel(value: float) -> str:
 
 
 def _markdown(columns: tuple[str, ...], rows: list[tuple[bool, list[str]]]) -> str:
-    lines = [" | ".join(columns), " | ".join(["---"] * len(columns))]
-    lines += [
-        " | ".join(
+    marked = [
+        [
             f"**{cell}**" if default and cell and number else cell
             for number, cell in enumerate(cells)
-        )
+        ]
         for default, cells in rows
     ]
-    return "".join(f"| {line} |\n" for line in lines)
+    return pages.table(columns, marked, left=len(columns))

@@ -1,4 +1,4 @@
-"""A real scene for measurements: the points of Mip-NeRF 360's garden, made into Gaussians."""
+"""A real scene for measurements: Gaussians from the points of Mip-NeRF 360's garden."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from core_rasterizer import Camera, Gaussians
 
 OPACITY = 0.8
 SHAPE = (0.5, 1.5)
-"""Range of the factors on a Gaussian's three axes: the rotation of a ball would have no gradient."""
+"""Range of the factors on a Gaussian's three axes: the rotation of a ball has no gradient."""
 VIEW_DEPENDENCE = 0.03
-"""Standard deviation of the SH bands above the constant one, which points do not have."""
+"""Standard deviation of the random SH bands above the constant one."""
 
 
 def garden() -> tuple[Gaussians, list[Camera]] | None:
-    """138,766 points with their colours, and three cameras of 648x420 pixels.
+    """Return 138,766 Gaussians with the colours of the points, and three cameras of 648x420 pixels.
 
     A Gaussian's size is the root of the mean squared distance to its three nearest neighbours (3DGS);
     its shape and its rotation are random. None if STEREOGS_DATA does not name a folder that holds the points.

@@ -1,13 +1,13 @@
-"""Pipelines judged on training views that they did not see: `python -m benchmarks.left_out`.
+"""Score pipelines on training views left out: `python -m benchmarks.left_out`.
 
-Every third of a data set's training views is left out, the middle one of each three; the pipeline
-trains on the others and is scored on those. Test views play no part, so that settings may be chosen
-here. A variant is a line of overrides, as for `--set`:
+The middle one of each three training views is left out; the pipeline trains on the others and is scored on
+those. Test views are not used, so settings may be chosen here. A variant is a line of overrides, as for
+`--set`:
 
     python -m benchmarks.left_out plain "more dropout: modifiers.dropout.rate=0.3"
 
-prints what each variant gains over the first. Records lie in `benchmarks/out/left_out.jsonl`; what is
-there with the same pipeline is not trained again (a change of the code is not seen: remove the file).
+prints the gain of each variant over the first. Records are kept in `benchmarks/out/left_out.jsonl`; a
+recorded pipeline is not trained again (a change of the code is not detected: remove the file).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pathlib import Path
 from statistics import fmean
 from time import process_time
 
+from benchmarks import pages
 from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
 from benchmarks.results_plan import PIPELINES
 from core_rasterizer import Device, open_device
@@ -39,7 +40,7 @@ DEFAULT_CASES = "llff_fern-6,llff_flower-6,dtu_scan24-6,dtu_scan65-6"
 
 @dataclass(frozen=True)
 class Variant:
-    """A name, and what `--set` would say to the pipeline."""
+    """A name and overrides as for `--set`."""
 
     name: str
     overrides: tuple[str, ...]
@@ -56,14 +57,16 @@ class Record:
     """One training.
 
     Args:
-        case: the data set and how many training views it has before some are left out.
-        changes: made to the scene, by commas; see `benchmarks.left_out_scenes`.
-        digest: of the pipeline.
-        psnr, ssim: means over the views left out.
-        train_psnr: mean over the views trained on.
-        gaussians: at the end.
-        initial_cpu_seconds: depth and first points; 0 if an earlier trial of this process made them.
-        cpu_seconds: of the training, all threads together.
+        case: Data set and number of training views before some are left out.
+        changes: Changes of the scene, separated by commas; see `benchmarks.left_out_scenes`.
+        digest: Digest of the pipeline.
+        seed: Seed of the training.
+        psnr: Mean over the views left out, dB.
+        ssim: Mean over the views left out.
+        train_psnr: Mean over the views trained on, dB.
+        gaussians: Number at the end.
+        initial_cpu_seconds: Depth and first points; about 0 if an earlier trial of this process made them.
+        cpu_seconds: CPU seconds of the training, all threads.
     """
 
     case: str
@@ -80,10 +83,11 @@ class Record:
 
 @dataclass(eq=False)
 class Bench:
-    """Trains variants of pipelines; scenes and first points are made once for all that share them.
+    """Trains variants of pipelines; loads shared scenes and computes shared first points once.
 
     Args:
-        changes: names of `left_out_scenes.CHANGES`, done to each scene one after the other.
+        device: Device of the trainings.
+        changes: Names of `left_out_scenes.CHANGES`, applied to each scene in order.
     """
 
     device: Device
@@ -150,7 +154,7 @@ def _number(score: float | None) -> float:
 def measure(
     bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
 ) -> Iterator[tuple[Variant, Record]]:
-    """Every variant on every case with every seed; what is recorded already is not trained again."""
+    """Yield every variant on every case with every seed; train those without a record."""
     known = {(record.case, record.changes, record.digest): record for record in _recorded()}
     for case in cases:
         for seed in range(seeds):
@@ -165,11 +169,9 @@ def measure(
 
 
 def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
-    """Means of each variant, and what it gains over the first on the same cases and seeds."""
-    lines = [
-        "| variant | PSNR | SSIM | gain dB, mean | by case | training views | CPU s | Gaussians |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    """Return means of each variant and its gain over the first, on the same cases and seeds."""
+    headings = ["variant", "PSNR", "SSIM", "gain dB, mean", "by case", "training views", "CPU s"]
+    lines = []
     rows = {v.name: [r for one, r in results if one == v] for v in variants}
     first = rows[variants[0].name]
     for name, records in rows.items():
@@ -180,13 +182,18 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
             for case in cases
         ]
         lines.append(
-            f"| {name} | {fmean(r.psnr for r in records):.2f} | {fmean(r.ssim for r in records):.4f} "
-            f"| {fmean(gains):+.3f} | {' '.join(f'{gain:+.2f}' for gain in by_case)} "
-            f"| {fmean(r.train_psnr for r in records):.2f} "
-            f"| {fmean(r.cpu_seconds for r in records):.1f} "
-            f"| {fmean(r.gaussians for r in records):,.0f} |"
+            [
+                name,
+                f"{fmean(r.psnr for r in records):.2f}",
+                f"{fmean(r.ssim for r in records):.4f}",
+                f"{fmean(gains):+.3f}",
+                " ".join(f"{gain:+.2f}" for gain in by_case),
+                f"{fmean(r.train_psnr for r in records):.2f}",
+                f"{fmean(r.cpu_seconds for r in records):.1f}",
+                f"{fmean(r.gaussians for r in records):,.0f}",
+            ]
         )
-    return "\n".join(lines)
+    return pages.table([*headings, "Gaussians"], lines)
 
 
 def _recorded() -> list[Record]:
@@ -206,11 +213,11 @@ def main() -> int:
     parser.add_argument("variants", nargs="+", type=Variant.parse, help='"name: one=1; two=2"')
     parser.add_argument("--pipeline", type=Path, default=PIPELINES / "weightfree_fast.yaml")
     parser.add_argument(
-        "--cases", default=DEFAULT_CASES, help="by commas; of: " + ", ".join(OVERRIDES)
+        "--cases", default=DEFAULT_CASES, help="separated by commas; of: " + ", ".join(OVERRIDES)
     )
-    parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 on")
+    parser.add_argument("--seeds", type=int, default=1, help="number of seeds")
     parser.add_argument(
-        "--change", action="append", default=[], choices=CHANGES, help="what is done to the scenes"
+        "--change", action="append", default=[], choices=CHANGES, help="change of the scenes"
     )
     arguments = parser.parse_args()
     bench, results = Bench(open_device(), tuple(arguments.change)), []

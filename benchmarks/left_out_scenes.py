@@ -1,4 +1,4 @@
-"""What `benchmarks.left_out` trains on: scenes without test views, whole, small or spoilt on purpose."""
+"""Scenes of `benchmarks.left_out`: without test views, whole, at half size or perturbed."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from benchmarks.results_plan import CASES, temple
 from registry import Scene, View
 
 OVERRIDES = {f"{case.data}-{case.views}": case.overrides for case in (*CASES, temple(views=12))}
-"""What `--set` would say for a scene, by data set and number of training views."""
+"""Overrides for a scene, by data set and number of training views."""
 TURN = 0.7
-"""Pixels, root mean square, by which `turned` moves the middle of a photograph."""
+"""Root mean square, in pixels, of the motion of a photograph's centre in `turned`."""
 GAIN, TINT = 0.15, 0.05
-"""Standard deviations of the logarithm of a photograph's brightness, and of a channel's beside it."""
+"""Standard deviations of the logarithm of a photograph's brightness, and of each channel in addition."""
 
 
 def thinned(scene: Scene) -> Scene:
-    """The scene without its test views, tested on every third training view instead.
+    """Return the scene without its test views, tested on every third training view instead.
 
     Args:
-        scene: with at least two training views.
+        scene: Scene with at least two training views.
     """
     kept = tuple(view for index, view in enumerate(scene.train) if index % 3 != 1)
     tested = tuple(view for index, view in enumerate(scene.train) if index % 3 == 1)
@@ -32,14 +32,14 @@ def thinned(scene: Scene) -> Scene:
 
 
 def half(scene: Scene) -> Scene:
-    """All photographs at half their size, for a quarter of the time."""
+    """Return the scene with photographs at half their size, for a quarter of the time."""
     return replace(
         scene, train=tuple(map(_halved, scene.train)), test=tuple(map(_halved, scene.test))
     )
 
 
 def turned(scene: Scene) -> Scene:
-    """Training cameras turned about their centres by up to a pixel or two, none on average."""
+    """Rotate training cameras about their centres by one or two pixels, zero on average."""
     turns = torch.randn(len(scene.train), 3, generator=_draw(), dtype=torch.float64)
     turns = turns - turns.mean(dim=0)
     turns = turns * TURN / turns[:, :2].square().sum(dim=1).mean().sqrt()
@@ -54,7 +54,7 @@ def turned(scene: Scene) -> Scene:
 
 
 def exposed(scene: Scene) -> Scene:
-    """Training photographs of different brightness and tint, none on average; what is too bright is cut."""
+    """Change brightness and tint of training photographs, zero on average; clamp to [0, 1]."""
     draw = _draw()
     count = len(scene.train)
     gains = GAIN * torch.randn(count, 1, generator=draw) + TINT * torch.randn(
@@ -73,7 +73,7 @@ CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "turned": turned,
     "exposed": exposed,
 }
-"""What may be done to a scene, by name."""
+"""Changes of a scene, by name."""
 
 
 def _draw() -> torch.Generator:
@@ -81,7 +81,7 @@ def _draw() -> torch.Generator:
 
 
 def _halved(view: View) -> View:
-    """Each pixel the mean of four; an odd last row or column is left out."""
+    """Average four pixels into one; drop an odd last row or column."""
     camera = view.camera
     smaller = replace(
         camera,

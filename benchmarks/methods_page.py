@@ -1,37 +1,91 @@
-"""The records of `benchmarks.methods` as tables, beside what papers report."""
+"""The records of `benchmarks.methods_plan` as tables, next to the numbers of papers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from benchmarks import pages
+from benchmarks.cells import (
+    NONE,
+    commonest_processor,
+    count,
+    cpu_seconds,
+    gain,
+    mean_over_scenes,
+    score_of,
+    scores_shown,
+    spread,
+    time_ratio,
+)
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.results_plan import Case
-from benchmarks.scores import mean_over_scenes, score_of, scores_shown
-from benchmarks.spread import NONE, spread
-from benchmarks.times import commonest_processor, cpu_seconds, time_ratio
-from benchmarks.training_records import Record, processor
+from benchmarks.training_records import Record as AnyRecord
+from benchmarks.training_records import processor
 from stereogs_plugins.tools.experiments.comparing.paper_tables import PaperTables, paper_tables
-from stereogs_plugins.tools.experiments.showing.paired import difference
 
-BEGIN = "<!-- measured: `make methods` rewrites everything from here to the end mark -->"
-END = "<!-- measured: end; what stands outside the marks is kept -->"
+Record = AnyRecord[MethodRun]
+Records = Sequence[Record]
+
 PAPER = "stereogs"
 TITLES: dict[Points, str] = {"own": "Own points", "same": "Same points"}
 NOTES = """\
-PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several;
-*mean* is over the scenes, and what follows over those that a row has. *to 3DGS* is the mean
-difference in PSNR to 3DGS in the same table, over pairs of the same scene and seed, with its 95 % interval
-(Student's t) from three pairs on. LPIPS is by VGG, and AVGE with it; by AlexNet over the runs that
-measured it. *CPU s* is the processor time of loading, initialization and training, over all threads,
-without scoring, over the runs on the machine that most runs of the table were made on; nothing came from
-the cache of prior answers. *CPU / 3DGS* is how many times 3DGS's that is, over the scenes and machines
-that both were trained on. *MB* is the most memory that the process took until scoring.
-*paper* are averages over all scenes of a data set from {source}. {notes}
+Columns are defined in [results](../../docs/results.md#columns). *mean* is over the scenes, and the columns
+after it are means over the scenes of a row. *to 3DGS* is the gain over 3DGS in the same table. *CPU s* is of
+the runs on the machine that made most runs of the table, *CPU / 3DGS* the ratio to 3DGS over the scenes
+and machines that both were trained on. *paper* are averages over all scenes of a data set from
+{source}. {notes}
+
+{count}
 """
 
 
-def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
-    """The measured part of the page, in Markdown."""
+def summary(records: Records) -> str:
+    """Return one table: PSNR of each method by protocol and first points, next to the paper's."""
+    paper = paper_tables(PAPER)
+    columns: list[tuple[str, Callable[[Method, Records], str]]] = []
+    for group in GROUPS:
+        for protocol in _protocols(group):
+            cases = [case for case in group.cases if case.protocol == protocol]
+            for points in group.points:
+                heading = f"{protocol}, {TITLES[points].lower()}"
+                columns.append((heading, _psnr_of(cases, points)))
+            columns.append((f"{protocol}, paper", _papers_psnr(paper, protocol)))
+    leaves = [record for record in records if record.run.case in GROUPS[0].cases]
+    columns.append((f"CPU / {BASELINE.title}", _time_of(leaves, GROUPS[0].points[-1])))
+    rows = []
+    for method in METHODS:
+        own = [record for record in records if record.run.method is method]
+        if own:
+            rows.append([method.title, *(cell(method, own) for _, cell in columns)])
+    return pages.table(["method", *(heading for heading, _ in columns)], rows)
+
+
+def _psnr_of(cases: Sequence[Case], points: Points) -> Callable[[Method, Records], str]:
+    def cell(method: Method, own: Records) -> str:
+        shown = [record for record in own if record.run.points == points]
+        by_scene = [[r for r in shown if r.run.case is case] for case in cases]
+        return mean_over_scenes(by_scene, score_of("psnr"), ".2f") if all(by_scene) else NONE
+
+    return cell
+
+
+def _papers_psnr(paper: PaperTables, protocol: str) -> Callable[[Method, Records], str]:
+    return lambda method, _: _numbers(paper, protocol, method, 1)[0]
+
+
+def _time_of(leaves: Records, points: Points) -> Callable[[Method, Records], str]:
+    def cell(method: Method, _: Records) -> str:
+        own, baseline = (
+            [r for r in leaves if r.run.points == points and r.run.method is one]
+            for one in (method, BASELINE)
+        )
+        return NONE if method is BASELINE else time_ratio(own, baseline)
+
+    return cell
+
+
+def tables(records: Records, planned: int) -> str:
+    """Return a table for each group and choice of first points, with notes, in Markdown."""
     paper = paper_tables(PAPER)
     parts = []
     for group in GROUPS:
@@ -39,52 +93,49 @@ def page_text(records: Sequence[Record[MethodRun]], planned: int) -> str:
             shown = [r for r in records if r.run.points == points and r.run.case in group.cases]
             if shown:
                 title = f"{TITLES[points]} {group.title}".rstrip()
-                parts += [f"### {title}\n", _table(group, shown, paper)]
-    parts.append(NOTES.format(source=paper.source, notes=" ".join(paper.notes)))
-    devices = " and ".join(_devices(records)) or "no device yet"
-    parts.append(f"{len(records)} of {planned} runs, on {devices}.\n")
+                parts += [f"## {title}\n", _table(group, shown, paper)]
+    notes = " ".join(paper.notes)
+    parts.append(NOTES.format(source=paper.source, notes=notes, count=count(records, planned)))
     return "\n".join(parts)
 
 
-def _table(group: Group, records: Sequence[Record[MethodRun]], paper: PaperTables) -> str:
+def _table(group: Group, records: Records, paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     machine = commonest_processor(records)
-    several = len(_devices(records)) > 1
+    several = len(set(map(processor, records))) > 1
     scores = scores_shown(records)
     headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
     headings += [f"CPU s, {machine}" if several else "CPU s", f"CPU / {BASELINE.title}", "MB"]
     headings += _papers_columns(group, paper)
     baseline = [record for record in records if record.run.method is BASELINE]
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)]]
+    rows = []
     for method in METHODS:
         own = [record for record in records if record.run.method is method]
         if own:
             cells = _cells(group.cases, own, baseline, list(scores), machine)
-            lines.append([method.title, *cells, *_published(group, method, paper)])
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+            rows.append([method.title, *cells, *_published(group, method, paper)])
+    return pages.table(headings, rows)
 
 
 def _cells(
     cases: Sequence[Case],
-    own: Sequence[Record[MethodRun]],
-    baseline: Sequence[Record[MethodRun]],
+    own: Records,
+    baseline: Records,
     scores: Sequence[str],
     machine: str,
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
     on_machine = [[r for r in records if processor(r) == machine] for records in by_scene]
     is_baseline = own[0].run.method is BASELINE
-    compared = None if is_baseline else difference(_psnr(own), _psnr(baseline))
 
-    def mean(number: Callable[[Record[MethodRun]], float | None], form: str) -> str:
+    def mean(number: Callable[[Record], float | None], form: str) -> str:
         return mean_over_scenes(by_scene, number, form)
 
-    psnr = mean(score_of("psnr"), ".2f")
     return [
         " + ".join(str(len(records)) for records in by_scene),
         *(spread([record.scores["psnr"] for record in records]) for records in by_scene),
-        psnr if all(by_scene) else NONE,
-        NONE if compared is None else compared.text(),
+        mean(score_of("psnr"), ".2f") if all(by_scene) else NONE,
+        NONE if is_baseline else gain(own, baseline),
         *(mean(score_of(name), ".3f") for name in scores),
         mean(lambda record: record.measured["gaussians"], ",.0f"),
         mean_over_scenes(on_machine, cpu_seconds, ",.0f"),
@@ -93,20 +144,12 @@ def _cells(
     ]
 
 
-def _devices(records: Sequence[Record[MethodRun]]) -> list[str]:
-    return list(dict.fromkeys(map(processor, records)))
-
-
-def _psnr(records: Sequence[Record[MethodRun]]) -> dict[tuple[str, int], float]:
-    return {(record.run.case.data, record.run.seed): record.scores["psnr"] for record in records}
-
-
 def _protocols(group: Group) -> list[str]:
     return list(dict.fromkeys(case.protocol for case in group.cases))
 
 
 def _papers_columns(group: Group, paper: PaperTables) -> list[str]:
-    """All of a paper's metrics by one protocol, of several protocols the first metric by each."""
+    """All of a paper's metrics for one protocol; for several protocols the first metric of each."""
     protocols = _protocols(group)
     if len(protocols) == 1:
         first, *others = [metric.upper() for metric in paper.metrics]
@@ -116,11 +159,14 @@ def _papers_columns(group: Group, paper: PaperTables) -> list[str]:
 
 def _published(group: Group, method: Method, paper: PaperTables) -> list[str]:
     protocols = _protocols(group)
-    metrics = paper.metrics if len(protocols) == 1 else paper.metrics[:1]
-    cells = []
-    for protocol in protocols:
-        numbers = paper.results[protocol].get(method.paper) if method.paper else None
-        for index, name in enumerate(metrics):
-            form = ".2f" if name == "psnr" else ".3f"
-            cells.append(NONE if numbers is None else format(numbers[index], form))
-    return cells
+    metrics = len(paper.metrics) if len(protocols) == 1 else 1
+    return [cell for name in protocols for cell in _numbers(paper, name, method, metrics)]
+
+
+def _numbers(paper: PaperTables, protocol: str, method: Method, metrics: int) -> list[str]:
+    """The paper's first metrics of a method by a protocol."""
+    numbers = paper.results[protocol].get(method.paper) if method.paper else None
+    return [
+        NONE if numbers is None else format(numbers[index], ".2f" if name == "psnr" else ".3f")
+        for index, name in enumerate(paper.metrics[:metrics])
+    ]

@@ -1,4 +1,4 @@
-"""What `benchmarks.methods` trains: every method from its own points and from the same ones."""
+"""Trainings of `make methods`: every method from its own points and from the same ones."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from registry.pipeline import checked_pipeline as build_pipeline
 from registry.plugins import Plugins
 
 Points = Literal["own", "same"]
-"""Whether a method starts from the points that it asks for, or from those that all are given."""
+"""First points: those of the method, or the same for all methods."""
 
 POINTS: tuple[Points, ...] = ("own", "same")
 SAME_POINTS = Path(__file__).with_name("same_points.yaml")
-"""The initializer that the methods get in the column *same*."""
+"""The initializer of the *same* points."""
 AUTHORS_SETTINGS = Path(__file__).with_name("authors_settings.yaml")
-"""What authors set differently on other data sets than their pipelines here are for."""
+"""Settings of the authors for data sets other than LLFF."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Cases that stand in one table.
+    """Cases that share a table.
 
     Args:
-        title: the table's word for them.
-        points: the columns, a table each.
+        title: Suffix of the table's title.
+        cases: Columns of the table.
+        points: First points, with a table for each.
+        seeds: Seeds of the trainings.
     """
 
     title: str
@@ -43,10 +45,10 @@ class Method:
     """A row of the table.
 
     Args:
-        title: the table's word for it.
-        file: its pipeline.
-        paper: the row of the StereoGS paper's tables, or None.
-        points: the columns it has.
+        title: Name in tables.
+        file: File of the pipeline.
+        paper: Row of the StereoGS paper's tables, or None.
+        points: First points it is trained from.
     """
 
     title: str
@@ -60,7 +62,7 @@ class MethodRun:
     """One training.
 
     Args:
-        digest: of the pipeline as it is written, the same wherever the data lie.
+        digest: Digest of the pipeline, independent of the location of the data.
     """
 
     method: Method
@@ -73,12 +75,12 @@ class MethodRun:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its record and of its folder of outputs."""
         return f"{self.method.file.stem}_{self.points}_{self.case.data}_{self.seed}"
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a record says of it."""
+        """Its description in a record."""
         return {
             "method": self.method.file.stem,
             "points": self.points,
@@ -97,7 +99,7 @@ NETWORKED = (
     STEREOGS,
     Method("StereoGS, dropout", PIPELINES / "stereogs_dropout_short.yaml", "stereogs_drop"),
 )
-"""Methods whose networks take most of the time."""
+"""Methods whose networks dominate the time."""
 METHODS = (
     BASELINE,
     _short("DropGaussian", "dropgaussian", "dropgaussian"),
@@ -118,7 +120,7 @@ METHODS = (
     _short("CoR-GS", "cor-gs", "cor_gs"),
     *NETWORKED,
 )
-"""In the order in which they train: what the others are compared with first, the dearest last."""
+"""Methods in the order of training: the baseline first, the slowest last."""
 
 
 GROUPS = (
@@ -132,7 +134,7 @@ GROUPS = (
 def planned_runs(
     methods: Sequence[Method], groups: Sequence[Group], plugins: Plugins
 ) -> list[MethodRun]:
-    """All runs, the first seed of everything before the second; of each group, `NETWORKED` last.
+    """Return all runs, sorted by seed; within a group `NETWORKED` come last.
 
     Raises:
         PipelineError: a pipeline cannot be read or contradicts the protocol.
@@ -154,7 +156,7 @@ def planned_runs(
 def planned_run(
     method: Method, points: Points, case: Case, seed: int, plugins: Plugins
 ) -> MethodRun:
-    """A method on a case, checked.
+    """Return the checked training of a method on a case.
 
     Raises:
         PipelineError: see `planned_runs`.
@@ -171,7 +173,7 @@ def planned_run(
 
 
 def as_authors_set_it(tree: Node, method: Method, case: Case) -> None:
-    """Put in what `AUTHORS_SETTINGS` has for the method on the case's data set."""
+    """Apply the `AUTHORS_SETTINGS` of the method for the case's data set."""
     of_method = _parts(read(AUTHORS_SETTINGS), case.protocol.partition("-")[0]).get(
         method.file.stem
     )
@@ -181,7 +183,7 @@ def as_authors_set_it(tree: Node, method: Method, case: Case) -> None:
 
 
 def _start_from_the_same(tree: Node) -> None:
-    """Put the initializer of `SAME_POINTS` in, asking the plane sweep that is there or one added."""
+    """Use the initializer of `SAME_POINTS`, with the pipeline's plane sweep or an added one."""
     place = Place(SAME_POINTS.name)
     initializer, own = _parts(read(SAME_POINTS), "initializer"), _parts(tree, "initializer")
     if "hand_on_depth" in own:  # a loss of the method needs it, the points do not change
@@ -191,11 +193,11 @@ def _start_from_the_same(tree: Node) -> None:
 
 
 def _plane_sweep(tree: Node, place: Place) -> str:
-    """The name of the pipeline's plane sweep; one is added where there is none."""
+    """The name of the pipeline's plane sweep, which is added if missing."""
     priors = list(_items(tree, "priors"))
     for prior in priors:
-        said = prior.as_written()
-        names = said if isinstance(said, dict) else {"use": said}
+        written = prior.as_written()
+        names = written if isinstance(written, dict) else {"use": written}
         if names["use"] == "plane_sweep":
             return str(names.get("name", "plane_sweep"))
     priors.append(Node("plane_sweep", place))
@@ -204,7 +206,7 @@ def _plane_sweep(tree: Node, place: Place) -> str:
 
 
 def _parts(tree: Node, section: str) -> dict[str, Node]:
-    """What a section holds by name; nothing, if it is missing or one text."""
+    """The entries of a section by name; empty if it is missing or a plain text."""
     node = tree.content.get(section) if isinstance(tree.content, dict) else None
     return node.content if node is not None and isinstance(node.content, dict) else {}
 

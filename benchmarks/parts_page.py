@@ -1,4 +1,4 @@
-"""The records of `benchmarks.parts` as tables, beside what the paper reports."""
+"""The records of `benchmarks.parts_plan` as tables, next to the paper's numbers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import statistics
 from collections.abc import Mapping, Sequence
 from itertools import product
 
+from benchmarks import pages
+from benchmarks.cells import HEADINGS, NONE, count, gain, mean_over_scenes, score_of, spread
 from benchmarks.parts_plan import (
     CLASSICAL,
     EIGHT,
@@ -16,58 +18,48 @@ from benchmarks.parts_plan import (
     Row,
     Table,
 )
-from benchmarks.scores import HEADINGS, mean_over_scenes, score_of
-from benchmarks.spread import NONE, spread
 from benchmarks.training_records import Record as AnyRecord
-from benchmarks.training_records import processor
 from stereogs_plugins.tools.experiments.comparing.paper_tables import Ablation, paper_tables
-from stereogs_plugins.tools.experiments.showing.paired import difference
 
 Record = AnyRecord[PartsRun]
 Records = Sequence[Record]
 
-BEGIN = "<!-- measured: `make parts` rewrites everything from here to the end mark -->"
-END = "<!-- measured: end; what stands outside the marks is kept -->"
 PAPER = "stereogs"
 PARTS = {
     "initializer": ("dense points", "initialization"),
     "stereo_depth": ("stereo depth", "stereo_depth"),
     "opacity": ("decay", "opacity_decay"),
 }
-"""What ablation files toggle, with its name here and in the paper's table."""
+"""Names of the toggles of ablation files, here and in the paper's table."""
 NOTES = """\
-PSNR is over a scene's test views, ± the sample standard deviation over seeds where there are several.
-*to ...* and what parts add are mean differences in PSNR over pairs of the same scene and seed, with their
-95 % interval (Student's t) from three pairs on. The other scores and Gaussians are means over scenes; LPIPS
-is by VGG unless it says Alex, AVGE by VGG. *asked* is how often the stereo network was asked, *of the time*
-what share of initialization and training it took. *paper* are averages over all scenes of a data set, with
-the paper's networks and 30,000 iterations, from
+Columns are defined in [results](../../docs/results.md#columns). *to ...* is the gain over that row; the
+columns after it are means over scenes. *inferences* is the number of inferences of the stereo network,
+*of the time* its share of initialization and training. *paper* are averages over all scenes of a data set,
+with the paper's networks and 30,000 iterations, from
 {source}.
 
-{done} of {planned} runs, on {devices}. Those that differ in the stereo term alone went on from one moment
-of one training, that before the term begins, to the bits of whole runs.
+{count} Runs that differ in the stereo term only share the iterations before the term starts; each ends
+in the bits of a whole run.
 """
 
 
-def page_text(records: Records, planned: int) -> str:
-    """The measured part of the page, in Markdown."""
+def summary(records: Records) -> str:
+    """Return the gain of each part, with and without networks, as a table."""
+    return _each_part(_rows(EIGHT, records), _rows(CLASSICAL, records))
+
+
+def tables(records: Records, planned: int) -> str:
+    """Return all tables, with notes, in Markdown."""
     parts = []
     eight, classical = _rows(EIGHT, records), _rows(CLASSICAL, records)
     if eight or classical:
-        parts += ["### What each part adds\n", _each_part(eight, classical)]
+        parts += ["## Gain of each part\n", _each_part(eight, classical)]
     for table in TABLES:
-        # One that has only rows of the tables before it says nothing yet.
+        # Skip a table whose rows are all in the tables before it.
         if any(record.run.rows[0].table == table.title for record in records):
-            parts += [f"### {table.title}\n", _table(table, _rows(table, records))]
-    devices = dict.fromkeys(processor(record) for record in records)
-    parts.append(
-        NOTES.format(
-            source=paper_tables(PAPER).source,
-            done=len(records),
-            planned=planned,
-            devices=" and ".join(devices) or "no device yet",
-        )
-    )
+            parts += [f"## {table.title}\n", _table(table, _rows(table, records))]
+    source = paper_tables(PAPER).source
+    parts.append(NOTES.format(source=source, count=count(records, planned)))
     return "\n".join(parts)
 
 
@@ -89,17 +81,17 @@ def _table(table: Table, rows: dict[str, list[Record]]) -> str:
         *scenes,
     ]
     headings += [f"to {table.baseline}", *HEADINGS.values(), "Gaussians"]
-    headings += ["asked", "of the time"] if table is TERM_TABLE else []
+    headings += ["inferences", "of the time"] if table is TERM_TABLE else []
     paper = _paper(table)
     headings += ["paper"] if paper else []
     left = len(PARTS) if table.toggles else 1
-    lines = [headings, ["---"] * left + ["---:"] * (len(headings) - left)]
+    lines = []
     for label, records in rows.items():
         first = _ticks(label) if table.toggles else [label]
         cells = _scores(table, records, rows.get(table.baseline, []), label)
-        cells += _questions(records) if table is TERM_TABLE else []
+        cells += _inferences(records) if table is TERM_TABLE else []
         lines.append([*first, *cells, *([_published(paper, label, table)] if paper else [])])
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return pages.table(headings, lines, left)
 
 
 def _scores(table: Table, records: Records, baseline: Records, label: str) -> list[str]:
@@ -107,53 +99,46 @@ def _scores(table: Table, records: Records, baseline: Records, label: str) -> li
     return [
         " + ".join(str(len(of_scene)) for of_scene in by_scene),
         *(spread([record.scores["psnr"] for record in of_scene]) for of_scene in by_scene),
-        NONE if label == table.baseline else _gain(records, baseline),
+        NONE if label == table.baseline else gain(records, baseline),
         *(mean_over_scenes(by_scene, score_of(name), ".3f") for name in HEADINGS),
         mean_over_scenes(by_scene, lambda record: record.measured["gaussians"], ",.0f"),
     ]
 
 
-def _questions(records: Records) -> list[str]:
-    """How often the stereo network was asked, and its share of the run's seconds."""
-    logged = [(record.measured["logged"], record.measured["seconds"]) for record in records]
-    asked = [
-        said["stereo_depth_inferences"] for said, _ in logged if "stereo_depth_baseline" in said
+def _inferences(records: Records) -> list[str]:
+    """Number of inferences of the stereo network, and its share of the run's seconds."""
+    runs = [(record.measured["logged"], record.measured["seconds"]) for record in records]
+    counts = [
+        logged["stereo_depth_inferences"] for logged, _ in runs if "stereo_depth_baseline" in logged
     ]
-    if not asked:
+    if not counts:
         return [NONE, NONE]
-    shares = [said["stereo_depth_seconds"] / seconds for said, seconds in logged]
-    return [f"{statistics.mean(asked):.0f}", f"{statistics.mean(shares):.0%}"]
+    shares = [logged["stereo_depth_seconds"] / seconds for logged, seconds in runs]
+    return [f"{statistics.mean(counts):.0f}", f"{statistics.mean(shares):.0%}"]
 
 
 def _each_part(*of_tables: Mapping[str, Records]) -> str:
-    """What a part gains beside each choice of the others, over pairs of the same scene and seed."""
+    """The gain of a part for each choice of the others, over pairs of the same scene and seed."""
     paper = _paper(EIGHT)
-    headings = ["part", "beside", "with networks", "without", "paper"]
-    lines = [headings, ["---", "---", "---:", "---:", "---:"]]
+    lines = []
     for part in PARTS:
         others = [other for other in PARTS if other != part]
         for on in product((False, True), repeat=len(others)):
-            beside = [other for other, is_on in zip(others, on, strict=True) if is_on]
-            without, with_it = _label(beside), _label([*beside, part])
+            present = [other for other, is_on in zip(others, on, strict=True) if is_on]
+            without, with_it = _label(present), _label([*present, part])
             lines.append(
                 [
                     PARTS[part][0],
-                    " and ".join(PARTS[other][0] for other in beside) or NOTHING,
-                    *(_gain(rows.get(with_it, []), rows.get(without, [])) for rows in of_tables),
+                    " and ".join(PARTS[other][0] for other in present) or NOTHING,
+                    *(gain(rows.get(with_it, []), rows.get(without, [])) for rows in of_tables),
                     _papers_gain(paper, with_it, without),
                 ]
             )
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _gain(records: Records, baseline: Records) -> str:
-    """The mean difference in PSNR over pairs of the same scene and seed, with its interval."""
-    found = difference(_psnr(records), _psnr(baseline))
-    return NONE if found is None else found.text()
+    return pages.table(["part", "added to", "with networks", "without", "paper"], lines, left=2)
 
 
 def _label(on: Sequence[str]) -> str:
-    """The row in which these parts are on."""
+    """The label of the row in which these parts are on."""
     return ", ".join(part for part in PARTS if part in on) or NOTHING
 
 
@@ -161,16 +146,12 @@ def _ticks(label: str) -> list[str]:
     return ["✓" if part in label.split(", ") else "✗" for part in PARTS]
 
 
-def _psnr(records: Records) -> dict[tuple[str, int], float]:
-    return {(record.run.case.data, record.run.seed): record.scores["psnr"] for record in records}
-
-
 def _paper(table: Table) -> Ablation | None:
     return paper_tables(PAPER).ablations[table.paper] if table.paper else None
 
 
 def _papers_psnr(paper: Ablation | None, label: str, protocol: str) -> float | None:
-    """The paper's first metric of the row that a label names."""
+    """The paper's first metric in the row of a label."""
     if paper is None:
         return None
     on = {name: part in label.split(", ") for part, (_, name) in PARTS.items()}

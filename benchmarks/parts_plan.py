@@ -1,4 +1,4 @@
-"""What `benchmarks.parts` trains: StereoGS in its short form, and what ablation files make of it."""
+"""Trainings of `make parts`: the short form of StereoGS and its variants by ablation files."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ MODELS = "STEREOGS_MODELS"
 TERM = "regularizers.stereo_depth"
 METRICS = "metrics=[psnr, ssim, lpips, {use: lpips, name: lpips_alex, network: alex}]"
 LATE = (TERM, "priors.stereo")
-"""What plays no part until the term is due."""
+"""Items without effect before the stereo term starts."""
 NOTHING = "nothing"
 """The row with every toggle off."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows that stand together.
+    """A table of ablations.
 
     Args:
-        title: its heading.
-        files: of the ablation files, with the rows that are taken from each; none: all.
-        cases: its columns.
-        baseline: the row that the others are compared with.
-        paper: the StereoGS paper's table of the same, or None.
-        method: whose pipeline is changed.
-        changes: made to it first, as for `--set`.
+        title: Heading.
+        files: Names of ablation files with the rows to take from each; empty rows take all.
+        cases: Columns.
+        baseline: Row that the others are compared with.
+        paper: Table of the StereoGS paper with the same rows, or None.
+        method: Method whose pipeline is changed.
+        changes: Overrides applied first, as for `--set`.
     """
 
     title: str
@@ -53,12 +53,12 @@ class Table:
 
     @property
     def toggles(self) -> bool:
-        """Whether its rows are parts that are on or off."""
+        """If True, rows are parts that are on or off."""
         return self.paper == "components"
 
 
-_LEAVES = cases("llff_fern-3", "llff_flower-3")
-EIGHT = Table("The eight rows", (("parts", ()),), _LEAVES, NOTHING, "components")
+_LLFF = cases("llff_fern-3", "llff_flower-3")
+EIGHT = Table("The eight rows", (("parts", ()),), _LLFF, NOTHING, "components")
 OBJECTS = Table(
     "Around objects",
     (
@@ -74,12 +74,12 @@ OBJECTS = Table(
 WEIGHT_FREE = Method("StereoGS without networks", PIPELINES / "stereogs_weightfree.yaml")
 SHORTER = ("training.iterations=600",)
 CLASSICAL = Table(
-    "Without networks", (("parts", ()),), _LEAVES, NOTHING, "components", WEIGHT_FREE, SHORTER
+    "Without networks", (("parts", ()),), _LLFF, NOTHING, "components", WEIGHT_FREE, SHORTER
 )
 TERM_TABLE = Table(
     "The stereo term",
     (("small_stereo_models", ("none", "sgm")), ("stereo_term", ())),
-    _LEAVES,
+    _LLFF,
     "none",
 )
 TABLES = (
@@ -88,17 +88,17 @@ TABLES = (
     Table(
         "The decay functions",
         (("decay_function", ()), ("decay_base", ("0.98",))),
-        _LEAVES,
+        _LLFF,
         "exp_beta",
         "decay_strategy",
     ),
-    Table("The first points", (("small_multi_view_models", ()),), _LEAVES, "itermvs"),
+    Table("The first points", (("small_multi_view_models", ()),), _LLFF, "itermvs"),
     OBJECTS,
     CLASSICAL,
     Table(
         "The decay functions without networks",
         (("decay_function", ()),),
-        _LEAVES,
+        _LLFF,
         "exp_beta",
         "decay_strategy",
         WEIGHT_FREE,
@@ -112,9 +112,9 @@ class Row:
     """A line of a table.
 
     Args:
-        table: its title.
-        place: the number of its file among the table's, and of the row in the file.
-        label: what is on, or which value something has.
+        table: Title of the table.
+        place: Index of the file in the table, and of the row in the file.
+        label: Parts that are on, or the value that is varied.
     """
 
     table: str
@@ -127,10 +127,10 @@ class PartsRun:
     """One training.
 
     Args:
-        rows: the lines that it stands in.
-        digest: of what the pipeline sets, the same wherever the data lie.
-        trunk: the same without what plays no part at first; runs that share it begin alike.
-        parts_at: the iteration in which the stereo term is first due; None: never.
+        rows: Lines that show it.
+        digest: Digest of the pipeline's settings, independent of the location of the data.
+        trunk: Digest without the `LATE` items; runs with the same trunk share their first iterations.
+        parts_at: First iteration of the stereo term, or None.
     """
 
     rows: tuple[Row, ...]
@@ -144,12 +144,12 @@ class PartsRun:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its record and of its folder of outputs."""
         return f"{self.case.data}_{self.seed}_{self.digest}"
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a record says of it."""
+        """Its description in a record."""
         first = self.rows[0]
         return {"row": f"{first.table}: {first.label}", "data": self.case.data, "seed": self.seed}
 
@@ -157,9 +157,9 @@ class PartsRun:
 def planned_runs(
     tables: Sequence[Table], plugins: Plugins, seeds: Sequence[int] = SEEDS
 ) -> list[PartsRun]:
-    """All runs of some tables; the first seed of everything before the second.
+    """Return all runs of some tables, sorted by seed.
 
-    A pipeline that stands in several rows is one run.
+    A pipeline of several rows is a single run.
 
     Raises:
         PipelineError: a file cannot be read or contradicts the protocol.
@@ -180,10 +180,10 @@ def planned_runs(
     return sorted(runs.values(), key=lambda run: run.seed)
 
 
-def together(waiting: Sequence[PartsRun]) -> list[list[PartsRun]]:
-    """Runs of one process: those that share a trunk until the stereo term is due.
+def shared_groups(waiting: Sequence[PartsRun]) -> list[list[PartsRun]]:
+    """Group runs that share a trunk until the stereo term starts, for one process each.
 
-    A run without the term goes with the first that have it.
+    A run without the term joins the first group that has it.
     """
     due = {_trunk(run): run.parts_at for run in reversed(waiting) if run.parts_at is not None}
     groups: dict[tuple[Any, ...], list[PartsRun]] = {}
@@ -200,7 +200,7 @@ def _trunk(run: PartsRun) -> tuple[str, int, str]:
 def _runs(
     table: Table, number: int, case: Case, seeds: int, plugins: Plugins
 ) -> Iterator[PartsRun]:
-    """Those of the rows of one of the table's files."""
+    """The runs of one of the table's files."""
     file, only = table.files[number]
     path = PIPELINES / "ablations" / f"{file}.yaml"
     description = replace(read_description(path, table.method.file), scenes=(), seeds=seeds)
@@ -226,22 +226,22 @@ def _runs(
 
 
 def label_of(plan: Plan, combination: Combination) -> str:
-    """What is on, or the value of what is varied."""
+    """Return the names of the parts that are on, or the value that is varied."""
     chosen = [choice.label for choice in combination.choices if choice is not None]
     on = [name for name, is_on in zip(plan.toggles, combination.on, strict=True) if is_on]
     return ", ".join([*on, *chosen]) or NOTHING
 
 
 def _digest(pipeline: Pipeline, without: Collection[str] = ()) -> str:
-    """Ten hexadecimal digits of all that a pipeline sets, wherever data and models lie."""
-    said: list[Any] = [_set(pipeline.training)]
-    said += [pipeline.protocol.written if pipeline.protocol else None]
-    said += [
+    """Ten hexadecimal digits of a pipeline's settings, independent of the location of data and models."""
+    content: list[Any] = [_set(pipeline.training)]
+    content += [pipeline.protocol.written if pipeline.protocol else None]
+    content += [
         [item.qualified_name, _set(item.host), _set(item.settings)]
         for item in pipeline
         if item.qualified_name not in without
     ]
-    text = json.dumps(said, sort_keys=True)
+    text = json.dumps(content, sort_keys=True)
     for variable in (DATA, MODELS):
         if place := os.environ.get(variable):
             text = text.replace(json.dumps(place)[1:-1], f"${{{variable}}}")

@@ -1,10 +1,9 @@
-"""The engine's projection beside gsplat's plain torch one: `make bench-peer`, which installs gsplat.
+"""Compare the engine's projection with gsplat's in plain torch: `make bench-peer`, which installs gsplat.
 
-gsplat (Ye et al. 2024) keeps, beside its CUDA kernels, each of them in plain torch. Of these the projection
-of Gaussians and their colours run without a CUDA card, its rasterization does not. So the two are compared on
-the same scene, in one run, forward and backward (our kernels also cull and find extents), and held to one
-another in double precision:
-`core_rasterizer.reference` to gsplat, which share no line.
+gsplat (Ye et al. 2024) has plain torch versions of its CUDA kernels. Projection and colours run without CUDA,
+rasterization does not. Times are compared on the same scene, in one run, forward and backward (the engine's
+kernels also cull and find extents). In double precision `core_rasterizer.reference`, an independent
+implementation, is compared with gsplat.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from core_rasterizer import Camera, Gaussians, open_device, reference
 
 COUNTS = (10_000, 126_000)
 Parts = dict[str, Tensor]
-"""What a projection makes of all Gaussians: places, ellipses and colours."""
+"""Results of a projection for all Gaussians: centres, ellipses and colours."""
 
 
 def gsplat_projection(peer: Any, parameters: Parts, camera: Camera) -> Parts:
-    """gsplat's plain torch path from parameters to what it rasterizes.
+    """Project by gsplat's plain torch functions.
 
     Args:
-        peer: the module `gsplat.cuda._torch_impl`.
-        parameters: as `Gaussians` has them.
-        camera: without rotation or translation.
+        peer: The module `gsplat.cuda._torch_impl`.
+        parameters: Parameters as in `Gaussians`.
+        camera: Camera without rotation or translation.
     """
     means = parameters["means"]
     covariances, _ = peer._quat_scale_to_covar_preci(
@@ -58,7 +57,7 @@ def gsplat_projection(peer: Any, parameters: Parts, camera: Camera) -> Parts:
 
 
 def reference_projection(parameters: Parts, camera: Camera) -> tuple[Parts, Tensor]:
-    """The engine's twin in double precision, and which Gaussians it found visible."""
+    """Project by the reference implementation; return also the indices of visible Gaussians."""
     seen = reference.project(
         parameters["means"],
         parameters["quaternions"],
@@ -73,13 +72,13 @@ def reference_projection(parameters: Parts, camera: Camera) -> tuple[Parts, Tens
 
 
 def leaves(gaussians: Gaussians, dtype: torch.dtype) -> Parts:
-    """The parameters, each a leaf of autograd."""
+    """Return the parameters as leaves of autograd."""
     names = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
     return {name: getattr(gaussians, name).to(dtype).requires_grad_() for name in names}
 
 
 def disagreement(peer: Any, count: int) -> dict[str, float]:
-    """Largest difference of values and gradients between gsplat and the reference, in double.
+    """Return the largest differences of values and gradients between gsplat and the reference, in double.
 
     Values over the largest of their kind; gradients of one fixed random weighting of all values, over the
     largest gradient of the parameter.
@@ -109,7 +108,7 @@ def _distance(mine: Tensor, other: Tensor) -> float:
 
 
 def peer_ms(peer: Any, count: int, repeats: int) -> tuple[float, float]:
-    """Median milliseconds of gsplat's projection forward and backward, torch on all cores."""
+    """Return median milliseconds of gsplat's projection, forward and backward, torch on all cores."""
     gaussians, camera = surfaces(count)
     parameters = leaves(gaussians, torch.float32)
     times = []
@@ -127,12 +126,12 @@ def peer_ms(peer: Any, count: int, repeats: int) -> tuple[float, float]:
 
 
 def compare(peer: Any, device: str | None, repeats: int) -> Table:
-    """Milliseconds of both and their ratio, by number of Gaussians."""
+    """Return milliseconds of both and their ratio, by number of Gaussians."""
     table = Table("", *(f"N = {count:,}" for count in COUNTS))
     rows: dict[str, list[str]] = {}
     opened = open_device(device)
     kernels = {}
-    for count in COUNTS:  # first, as torch's threads spin for a while after their work
+    for count in COUNTS:  # before gsplat: torch's threads spin for a while after their work
         workload = Workload(count, opened)
         workload.iteration()
         taken = stages(workload, repeats)
@@ -155,11 +154,11 @@ def main() -> None:
     parser.add_argument("--device", help="part of a device's name")
     parser.add_argument("--repeats", type=int, default=15)
     arguments = parser.parse_args()
-    torch.set_num_threads(1)  # as `stereogs` does, beside the OpenCL device's threads
+    torch.set_num_threads(1)  # as `stereogs` does, next to the OpenCL device's threads
     try:
         peer = import_module("gsplat.cuda._torch_impl")
     except ImportError as error:
-        sys.exit(f"peer: gsplat is not there ({error}); `make bench-peer` installs it")
+        sys.exit(f"peer: gsplat is missing ({error}); `make bench-peer` installs it")
     console = Console(soft_wrap=True)
     version = import_module("gsplat.version").__version__
     device = open_device(arguments.device).name

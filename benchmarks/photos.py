@@ -1,8 +1,8 @@
-"""Cameras found by `photos` against published ones: `python -m benchmarks.photos`, `make bench-photos`.
+"""Cameras estimated by `photos`, compared with published ones: `make bench-photos`.
 
-Evenly spaced pictures of real data sets, and all of each; nothing but the pictures is given away. Each
-case is kept in `benchmarks/out/photos` once it is done: the same command goes on where it was stopped.
-With `--write-docs` the table in docs/your_own_photographs.md is rewritten.
+Evenly spaced pictures of real data sets, and all pictures of each; the search sees nothing else. Finished
+cases are kept in `benchmarks/out/photos`: the same command continues where it stopped. With `--write-docs`
+rewrites the table in docs/your_own_photographs.md.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from stereogs_plugins.scenes.llff.poses import read_poses
+from stereogs_plugins.scenes.photos.image_names import image_index
 
+from benchmarks import pages
 from registry.toolkit.photos import Decoder, evenly_spaced, longest_side
 from registry.toolkit.photos import read_colmap_model as read_model
 from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
-from stereogs_plugins.scenes.llff import read_poses
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, image_index, read_folder
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 
-PAGE = Path(__file__).parent.parent / "docs" / "your_own_photographs.md"
+PAGE = pages.DOCS / "your_own_photographs.md"
 OUT = Path(__file__).parent / "out" / "photos"
 SCENES = ("llff_fern", "llff_flower", "dtu_scan65", "mip360_bonsai")
 CASES = (
@@ -34,18 +36,18 @@ CASES = (
     *((scene, None) for scene in SCENES),
 )
 """Data set and number of its pictures, None for all."""
-_MARKS = ("<!-- cameras: begin -->\n", "<!-- cameras: end -->\n")
+_MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
 _MATCHING_SIZE = 1200
 _Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Published:
-    """A camera as the data set gives it.
+    """A published camera.
 
     Args:
         rotation: `[3, 3]`, world to camera.
-        focal: focal length in units of the picture's longer side.
+        focal: Focal length in units of the picture's longer side.
     """
 
     rotation: _Array
@@ -54,14 +56,14 @@ class Published:
 
 @dataclass(frozen=True)
 class Record:
-    """What came of one case.
+    """Result of one case.
 
     Args:
-        placed: pictures whose cameras fit together.
-        rotation_median, rotation_largest: degrees, after the rotation that aligns all best; None
-            where no camera was placed.
-        focal_error: of the focal length, as a share of the published one.
-        cpu_seconds: of the whole search over all threads, without reading the folder.
+        placed: Number of pictures whose cameras fit together.
+        rotation_median, rotation_largest: Errors in degrees after the best common rotation; None if no camera
+            was placed.
+        focal_error: Relative error of the focal length; None if no camera was placed.
+        cpu_seconds: CPU seconds of the search over all threads, without reading the folder.
     """
 
     scene: str
@@ -74,7 +76,7 @@ class Record:
 
 
 def measure(scene: str, count: int | None) -> Record:
-    """Find the cameras of `count` evenly spaced pictures of a scene, or of all."""
+    """Estimate the cameras of `count` evenly spaced pictures of a scene, or of all."""
     photos, published = _pictures(scene, count)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as name:
@@ -118,11 +120,11 @@ def _dtu(folder: Path) -> Iterator[tuple[str, Published]]:
 def _errors(
     found: Reconstruction, photos: list[UnposedPhoto], published: dict[str, Published]
 ) -> tuple[float, float, float]:
-    """Median and largest rotation error in degrees, and the focal length's as a share."""
+    """Median and largest rotation error in degrees, and the relative error of the focal length."""
     model = read_model(found.pieces[0].folder, "")
     truth = [published[photos[image_index(image.name)].path.stem] for _, image in model.images]
     rotations = [image.world_to_camera[:3, :3] for _, image in model.images]
-    # The rotation between the two worlds that is nearest to all (orthogonal Procrustes).
+    # The best rotation between the two worlds (orthogonal Procrustes).
     u, _, v = np.linalg.svd(sum(t.rotation.T @ r for t, r in zip(truth, rotations, strict=True)))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
     cosines = [
@@ -135,19 +137,17 @@ def _errors(
 
 
 def table(records: list[Record]) -> str:
-    """The records as Markdown."""
-    lines = [
-        "| pictures of | given | placed | rotation, median | largest | focal length | CPU s |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    """Return the records as a table."""
+    rows = []
     for record in records:
         cells = ["-", "-", "-"]
         if record.focal_error is not None:
             angles = (record.rotation_median, record.rotation_largest)
             cells = [*(f"{angle:.2f}°" for angle in angles), f"{100 * record.focal_error:+.1f} %"]
         row = [record.scene, record.pictures, record.placed, *cells, f"{record.cpu_seconds:.0f}"]
-        lines.append(f"| {' | '.join(map(str, row))} |")
-    return "\n".join(lines) + "\n"
+        rows.append([str(cell) for cell in row])
+    headings = ["pictures of", "given", "placed", "rotation, median", "largest", "focal length"]
+    return pages.table([*headings, "CPU s"], rows, left=7)
 
 
 def main() -> None:
@@ -168,9 +168,7 @@ def main() -> None:
     records.sort(key=lambda record: (order[record.scene], record.pictures))
     print(table(records))
     if arguments.write_docs:
-        before, rest = PAGE.read_text("utf-8").split(_MARKS[0])
-        _, after = rest.split(_MARKS[1])
-        PAGE.write_text(f"{before}{_MARKS[0]}{table(records)}{_MARKS[1]}{after}", "utf-8")
+        pages.rewrite(PAGE, _MARKS, table(records))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a training that is measured must say of itself."""
+"""Interface of a planned training."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from registry.pipeline import Node, Pipeline
 
 
 class PlannedTraining(Protocol):
-    """A training of `benchmarks.methods` or `benchmarks.results`."""
+    """A training of a campaign (`benchmarks.campaigns`)."""
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its record and of its folder of outputs."""
         ...
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a record says of it, plain JSON values."""
+        """Its description in a record, plain JSON values."""
         ...
 
     @property
     def pipeline(self) -> Pipeline:
-        """What is trained."""
+        """The pipeline to train."""
         ...
 
     @property
     def without(self) -> tuple[str, ...]:
-        """Metrics of its protocol that are not measured."""
+        """Metrics of its protocol to leave out."""
         ...
 
     @property
     def digest(self) -> str:
-        """Of the pipeline as it is written, the same wherever the data lie."""
+        """Digest of the pipeline, independent of the location of the data."""
         ...
 
 
@@ -42,6 +42,6 @@ Planned = TypeVar("Planned", bound=PlannedTraining)
 
 
 def written_digest(tree: Node) -> str:
-    """Ten hexadecimal digits that change with anything that is written in a pipeline."""
+    """Return ten hexadecimal digits that depend on all that is written in a pipeline."""
     text = json.dumps(tree.as_written(), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:10]

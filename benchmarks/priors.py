@@ -1,7 +1,8 @@
-"""Prior models against the truth: `python -m benchmarks.priors`, which `make bench-priors` runs.
+"""Accuracy of prior models: `python -m benchmarks.priors`, which `make bench-priors` runs.
 
-Prints its tables; with `--write-docs` also writes them into the docs. Learned matching features and
-IterMVS take part where STEREOGS_MODELS holds `FEATURES` and `NETWORK`.
+Prints its tables; with `--write-docs` also writes `benchmarks/tables/priors.md` and the summary in
+`docs/results.md`. Learned matching features and IterMVS are measured if STEREOGS_MODELS holds `FEATURES` and
+`NETWORK`.
 """
 
 from __future__ import annotations
@@ -14,66 +15,58 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import priors_depth, priors_stereo
+from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
 from registry.toolkit.cache import FOLDER_VARIABLE
 
-PAGE = Path(__file__).parent.parent / "docs" / "prior_accuracy.md"
+TARGET = "bench-priors"
+PAGE = pages.DOCS / "results.md"
 FEATURES = Path("mc_cnn_fast", "mc_cnn_fast_mb.onnx")
 NETWORK = Path("itermvs", "itermvs_blendedmvs.onnx")
-_HEAD = """\
-# How exact the priors without weights are
-
-<!-- Written by benchmarks/priors.py (`make bench-priors`). Do not edit. -->
-
-`sgm`, `plane_sweep` and `patch_match` need no network; with `cost: features` the first two compare the
-learned features of a small one (MC-CNN fast, 0.6 MB), whose inference is then most of the time. Seconds
-are from a machine that others share.
-
+_STEREO = """\
 ## Stereo: `sgm` on rectified pairs with known disparity
 
-Pixels that the other image does not show are left out where the data set marks them. A pixel without an
-answer counts with the error of a disparity of 0. The range searched is a tenth more than the largest
-disparity of the pair. The default penalties were chosen on these four pairs. The seconds are medians of
-three, on {device}.
+Pixels hidden in the other image are excluded where the data set marks them. A pixel without an answer counts
+as disparity 0. The search range is 10 % more than the largest disparity of the pair. The default penalties
+were chosen on these four pairs. *features* are learned (MC-CNN fast, 0.6 MB); their inference takes most of
+the time. Seconds are medians of three, on {device}, shared with other processes.
 
 {stereo}
-
-For comparison, zero-mean normalized cross-correlation of 9x9 windows with plain semi-global matching, in
-another implementation on these pairs: 7.6, 8.5, 15.9 and 6.3 % off by more than 2 pixels (cones, tsukuba,
-motorcycle, playground); with MC-CNN features 4.8, 6.8, 13.4 and 5.5 %.
+Another implementation of semi-global matching, with zero-mean normalized cross-correlation of 9x9 windows:
+7.6, 8.5, 15.9 and 6.3 % off by more than 2 pixels (cones, tsukuba, motorcycle, playground); with MC-CNN
+features 4.8, 6.8, 13.4 and 5.5 %.
 
 """
 _DEPTH = """\
 ## Multi-view depth: `plane_sweep`, `patch_match` and a network
 
-Default settings, all training views together. The first number is the share of pixels whose depth
-another view confirms, as `consistency_dense` does it: at 2 pixels and 5 %, without patches of less than
-100 pixels. Then come the shares of these that are right to 1 % and to 3 %.
+Default settings, all training views together. The first number is the share of pixels whose depth another
+view confirms by the rule of `consistency_dense`: 2 pixels, 5 %, patches of at least 100 pixels. The others
+are the shares of these within 1 % and 3 % of the truth.
 
-- The room of the scene `procedural` (252x189) has exact depth. Neighbouring cameras stand 22, 11 and 4.4
-  degrees apart with 2, 3 and 6 views. *slanted* are surfaces seen at more than 60 degrees from
-  their normal, *even* those with next to no texture.
-- Of photographs the truth is the points of the reconstruction from *all* of them that at least three
-  see; of bonsai, which brings none, points triangulated from the twelve training views to within a pixel.
-- Of an object the silhouette is known. The first number counts its pixels alone, the second is the share of
-  all confirmed depths that lie on it: the more, the fewer were made up for the background.
+- The room of the scene `procedural` (252x189) has exact depth. Neighbouring cameras are 22, 11 and 4.4
+  degrees apart with 2, 3 and 6 views. *slanted*: surfaces seen at more than 60 degrees from their normal;
+  *even*: surfaces almost without texture.
+- For photographs the truth is the points that at least three photographs see in the reconstruction from
+  *all* photographs; for bonsai, which has no such file, points triangulated from the twelve training views.
+- For an object the first number counts the pixels of its silhouette; the second is the share of all confirmed
+  depths that lie on it.
 - IterMVS (BlendedMVS weights, 512x384) counts where its confidence is above 0.3.
 
 {depth}
-
 {seconds}
-
 CPU seconds of all threads, on {device}.
 """
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write-docs", action="store_true", help=f"also write docs/{PAGE.name}")
+    parser.add_argument(
+        "--write-docs", action="store_true", help=f"also write tables and docs/{PAGE.name}"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    os.environ[FOLDER_VARIABLE] = ""  # answers from the cache would take no time
+    os.environ[FOLDER_VARIABLE] = ""  # cached answers would take no time
     models = Path(os.environ.get("STEREOGS_MODELS", "."))
     features = models / FEATURES
     device = open_device()
@@ -91,14 +84,32 @@ def main() -> None:
         Console().print(table)
     if arguments.write_docs:
         where = f"{device.name} ({device.platform})"
-        text = _HEAD.format(device=where, stereo=_markdown(stereo))
-        text += _DEPTH.format(device=where, depth=_markdown(depth), seconds=_markdown(seconds))
-        PAGE.write_text(text, "utf-8")
+        text = _STEREO.format(device=where, stereo=pages.table(stereo[0], stereo[1:], left=2))
+        text += _DEPTH.format(
+            device=where,
+            depth=pages.table(depth[0], depth[1:], left=2),
+            seconds=pages.table(seconds[0], seconds[1:]),
+        )
+        pages.write_tables("priors", "Accuracy of prior models", TARGET, text)
+        pages.rewrite(PAGE, pages.marks(TARGET), summary(stereo, depth))
 
 
-def _markdown(lines: list[list[str]]) -> str:
-    rows = [lines[0], ["---"] * len(lines[0]), *lines[1:]]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+def summary(stereo: list[list[str]], depth: list[list[str]]) -> str:
+    """Return two tables: pixels off by more than 2 pixels by pair, and depths of whole scenes.
+
+    Args:
+        stereo: Header and rows of `priors_stereo.table`.
+        depth: Header and rows of `priors_depth.table`.
+    """
+    pairs = list(dict.fromkeys(row[0] for row in stereo[1:]))
+    bad = {(row[1], row[0]): row[4] for row in stereo[1:]}
+    costs = dict.fromkeys(row[1] for row in stereo[1:])
+    first = pages.table(
+        ["`sgm`, % off by more than 2 px", *pairs],
+        [[cost, *(bad[cost, pair] for pair in pairs)] for cost in costs],
+    )
+    whole = [[row[0], *row[2:]] for row in depth[1:] if row[1] in ("all", "object")]
+    return f"{first}\n{pages.table(['depth', *depth[0][2:]], whole)}"
 
 
 if __name__ == "__main__":

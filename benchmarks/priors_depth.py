@@ -1,14 +1,12 @@
-"""Multi-view depth priors against what is known of scenes, for `benchmarks.priors`.
+"""Accuracy of multi-view depth priors, for `benchmarks.priors`.
 
-Exact depth is known of the procedural room, whose cameras stand further apart the fewer there are. Of
-photographs in the folder that STEREOGS_DATA names it is the points of the reconstruction from *all* of
-them; where the data set brings none, points triangulated from the training views, or the silhouette of an
-object, on which all depths should lie.
+The procedural room has exact depth; its cameras are further apart the fewer they are. For photographs in the
+folder STEREOGS_DATA the truth is the points of the reconstruction from *all* of them; without such a file,
+points triangulated from the training views, or the silhouette of an object, on which all depths should lie.
 
-A training view is compared where it sees a point itself, and only with points that three photographs
-or more see: of the others, many are wrong. The filter is that of the initializer `consistency_dense`: a
-depth must come back from another view to within 2 pixels and 5 %, and belong to a patch of at least 100
-pixels.
+A training view is compared at the points that it sees and that at least three photographs see: many of the
+others are wrong. The filter is that of the initializer `consistency_dense`: a depth must return from another
+view within 2 pixels and 5 %, and belong to a patch of at least 100 pixels.
 """
 
 from __future__ import annotations
@@ -62,20 +60,21 @@ PHOTOGRAPHS = (
 TOLERANCES = (0.01, 0.03)
 """Relative depth errors."""
 SHORTEST_TRACK = 3
-"""Photographs that must see a point."""
+"""Fewest photographs that see a point."""
 SLANTED = 60.0
-"""Degrees between a surface's normal and the viewing ray from which on it counts as slanted."""
+"""Smallest angle, in degrees, between the normal and the viewing ray of a slanted surface."""
 EVEN = 0.02
-"""Standard deviation of grey values in 7x7 pixels up to which a surface counts as without texture."""
+"""Largest standard deviation of grey values in 7x7 pixels of an untextured surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A scene and what is known of its depths.
+    """A scene and its known depths.
 
     Args:
-        name: for the table.
-        seen: the points `[P, 3]` that each training view sees, or None.
+        name: Name in the table.
+        scene: The scene.
+        seen: Points `[P, 3]` that each training view sees, or None.
     """
 
     name: str
@@ -84,10 +83,11 @@ class Known:
 
 
 def reconstructed(file: Path, scene: Scene) -> list[Tensor]:
-    """The points that each training view sees, of the reconstruction that an LLFF scene brings.
+    """Return the points that each training view sees, from the reconstruction of an LLFF scene.
 
     Args:
-        file: its `points3d.npz`.
+        file: Its `points3d.npz`.
+        scene: The scene.
     """
     with np.load(file) as arrays:
         positions, lengths = arrays["xyz"].astype(np.float64), arrays["track_len"]
@@ -101,7 +101,7 @@ def reconstructed(file: Path, scene: Scene) -> list[Tensor]:
 
 
 def triangulated(scene: Scene) -> list[Tensor]:
-    """The points that each training view sees, from the training views."""
+    """Return the points that each training view sees, triangulated from the training views."""
     found = triangulate(
         scene.train, scene.bounds, max_reprojection_error=1.0, min_angle=1.5, seed=0
     )
@@ -110,7 +110,7 @@ def triangulated(scene: Scene) -> list[Tensor]:
 
 
 def point_errors(scene: Scene, seen: Sequence[Tensor], depths: Sequence[DepthImage]) -> Floats:
-    """Relative depth errors of all training views at the points they see; inf where depth is 0.
+    """Return relative depth errors of all training views at the points they see; inf where depth is 0.
 
     Args:
         seen: the points `[P, 3]` that each training view sees.
@@ -127,7 +127,7 @@ def point_errors(scene: Scene, seen: Sequence[Tensor], depths: Sequence[DepthIma
 
 
 def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
-    """The depths that another view confirms, without small patches; others are 0."""
+    """Keep the depths that another view confirms, without small patches; set others to 0."""
     kept = consistent_depths(
         [view.camera for view in scene.train],
         depths,
@@ -138,14 +138,16 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """What the views confirm of one prior's depths in one scene.
+    """Confirmed depths of one prior in one scene.
 
     Args:
-        part: of the scene whose pixels count: "all", "slanted", "even" or "object".
-        kept: share of these pixels whose depth is confirmed.
-        right: of what is confirmed, the share that is right to each of `TOLERANCES`; of an object the
-            share of all confirmed depths that lie on it.
-        cpu_seconds: that the prior took for a view.
+        scene: Name of the scene.
+        part: Pixels that count: "all", "slanted", "even" or "object".
+        prior: Name of the prior.
+        kept: Share of these pixels whose depth is confirmed.
+        right: Shares of the confirmed depths within each of `TOLERANCES`; for an object the share of all
+            confirmed depths that lie on it.
+        cpu_seconds: CPU seconds of the prior for a view.
     """
 
     scene: str
@@ -157,10 +159,11 @@ class Row:
 
 
 def measure(device: Device, network: Path) -> list[Row]:
-    """What each prior finds in each scene that is there.
+    """Measure each prior in each scene whose data are present.
 
     Args:
-        network: IterMVS as an ONNX file; left out where it is not there.
+        device: Device of the priors.
+        network: IterMVS as an ONNX file; skipped if missing.
     """
     rows = []
     for known in _scenes(device):
@@ -217,7 +220,7 @@ def _seen(folder: Path, scene: Scene) -> list[Tensor] | None:
 def _scores(
     known: Known, depths: Sequence[DepthImage]
 ) -> Iterator[tuple[str, float, tuple[float, ...]]]:
-    """Part, share confirmed, shares right: for all pixels, and of the room for two kinds of surface."""
+    """Part, share confirmed, shares right: for all pixels, and in the room for two kinds of surface."""
     views = known.scene.train
     if views[0].depth is not None:
         for part, mask in (("all", _whole), ("slanted", _slanted), ("even", _even)):
@@ -235,13 +238,13 @@ def _scores(
 
 
 def _share(masks: Sequence[Mask], depths: Sequence[DepthImage]) -> float:
-    """Of the pixels that count, those with a depth."""
+    """The share of the counted pixels that have a depth."""
     found = sum(int((depth > 0)[mask].sum()) for depth, mask in zip(depths, masks, strict=True))
     return found / sum(int(mask.sum()) for mask in masks)
 
 
 def _within(errors: Floats) -> tuple[float, ...]:
-    """Shares of the errors that are finite; the others belong to points without a depth."""
+    """Shares of the finite errors; infinite ones belong to points without a depth."""
     known = errors[np.isfinite(errors)]
     return tuple(float((known < limit).mean()) for limit in TOLERANCES)
 
@@ -268,14 +271,14 @@ def _truth(view: View) -> DepthImage:
 
 
 def _silhouette(view: View) -> Mask:
-    """Where the view shows its object, by its mask or by its alpha channel."""
+    """Pixels of the object, by the mask or by the alpha channel."""
     shown = view.mask if view.mask is not None else view.alpha
-    assert shown is not None  # else the truth is points, see `_seen`
+    assert shown is not None  # otherwise the truth is points, see `_seen`
     return shown.numpy() > 0.5
 
 
 def _slanted(view: View) -> Mask:
-    """Where the true surface is seen at a flat angle."""
+    """Pixels whose true surface is seen at a flat angle."""
     u, v = view.camera.pixel_centers()
     points = view.camera.unproject(u, v, torch.from_numpy(_truth(view))).numpy()
     normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
@@ -286,7 +289,7 @@ def _slanted(view: View) -> Mask:
 
 
 def _even(view: View) -> Mask:
-    """Where the image has next to no texture."""
+    """Pixels almost without texture."""
     image = grey(view.image).double().numpy()
     variance = uniform_filter(image**2, 7) - uniform_filter(image, 7) ** 2
     even: Mask = variance < EVEN**2
@@ -294,7 +297,7 @@ def _even(view: View) -> Mask:
 
 
 def table(rows: Sequence[Row]) -> list[list[str]]:
-    """What `measure` found: a header, and for each part of each scene a line with all priors side by side."""
+    """Return a header and, for each part of each scene, a row with a cell for each prior."""
     names = list(dict.fromkeys(row.prior for row in rows))
     lines = [["scene", "of", *names]]
     for scene, part in dict.fromkeys((row.scene, row.part) for row in rows):
@@ -304,7 +307,7 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def seconds_table(rows: Sequence[Row]) -> list[list[str]]:
-    """A header, and for each scene the CPU seconds that a view took."""
+    """Return a header and, for each scene, the CPU seconds of each prior for a view."""
     names = list(dict.fromkeys(row.prior for row in rows))
     lines = [["CPU seconds a view", *names]]
     for scene in dict.fromkeys(row.scene for row in rows):

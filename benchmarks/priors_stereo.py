@@ -44,13 +44,13 @@ class Pair:
 
     @property
     def largest(self) -> int:
-        """A bound on the disparity, with a margin of a tenth: what a user would know of a pair."""
+        """A bound on the disparity, with a margin of 10 %, as a user would set it."""
         return int(1.1 * float(self.disparity[self.known].max())) + 1
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors over the pixels of known disparity; one that is not answered has the error of 0.
+    """Errors over the pixels of known disparity; a pixel without an answer counts as disparity 0.
 
     Args:
         error: mean absolute error, pixels.
@@ -81,10 +81,10 @@ def score(answer: Disparity, pair: Pair) -> Score:
 
 
 def measure(device: Device, features: Path | None = None) -> list[dict[str, Any]]:
-    """Errors and times of each variant on each pair that is found.
+    """Measure errors and times of each variant on each pair found.
 
     Args:
-        features: an ONNX file for the cost `features`, or None: that variant is left out.
+        features: ONNX file for the cost `features`; None skips that variant.
 
     Returns:
         Rows with the keys `variant`, `pair`, `error` (pixels), `bad_1`, `bad_2` (per cent) and
@@ -122,7 +122,7 @@ def _image(path: Path) -> Tensor:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """What `measure` found, a header and a row each."""
+    """Return the rows of `measure` as cells, after a header."""
     lines = [["pair", "`sgm` with", "error, px", "> 1 px, %", "> 2 px, %", "seconds"]]
     for row in rows:
         numbers = (f"{row[key]:.2f}" for key in ("error", "bad_1", "bad_2", "seconds"))

@@ -1,4 +1,4 @@
-"""A contact sheet of runs: for each data set the first test view's truth beside every render of it."""
+"""A contact sheet: for each data set the first test view, next to the render of each method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from registry.toolkit.drawing import ViewPictures
 
 PICTURE = "results.jpg"
 THUMBNAIL = (160, 120)
-"""The box that each picture is made to fit into, pixels."""
+"""Largest size of a picture, pixels."""
 GROUPS_A_ROW = 3
 GAP, CAPTION = 10, 18
 QUALITY = 85
@@ -23,11 +23,11 @@ MAX_BYTES = 400_000
 
 
 def draw_first_views(records: Records, out: Path) -> None:
-    """Write a sheet of the first test view of each data set, of the first seed whose pictures are there.
+    """Write a sheet of the first test view of each data set, of the first seed with pictures.
 
     Args:
-        out: the folder of the runs' folders; the sheet, a JPEG of at most `MAX_BYTES`, comes beside them.
-            Records are in the repository and pictures are not: what was trained elsewhere is left out.
+        records: Records; runs whose pictures are on another machine are skipped.
+        out: Folder of the runs' folders; the sheet, a JPEG of at most `MAX_BYTES`, is written there.
     """
     groups = []
     for row in by_case(records):
@@ -65,7 +65,7 @@ def _draw(groups: Sequence[tuple[str, Sequence[Image.Image]]], path: Path) -> No
 
 
 def _thumbnails(records: Records, out: Path) -> list[Image.Image]:
-    """The truth, then each run's render."""
+    """The photograph, then the render of each run."""
     name = next(iter(records[0].measured["views"]))
     folders = [out / record.run.name / RENDERS for record in records]
     renders = []
@@ -73,7 +73,7 @@ def _thumbnails(records: Records, out: Path) -> list[Image.Image]:
         with Image.open(ViewPictures.of(name, folder).render) as picture:
             renders.append(picture.convert("RGB"))
     with Image.open(ViewPictures.of(name, folders[0]).comparison) as picture:
-        # The truth comes first in a comparison, in the size of the render.
+        # A comparison starts with the photograph, in the size of the render.
         truth = picture.convert("RGB").crop((0, 0, *renders[0].size))
     for image in (truth, *renders):
         image.thumbnail(THUMBNAIL, Image.Resampling.LANCZOS)

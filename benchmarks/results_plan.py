@@ -1,4 +1,4 @@
-"""What `benchmarks.results` trains: four pipelines on every data set, each by its protocol."""
+"""Trainings of `make results`: four pipelines on every data set, each by its protocol."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PIPELINES = Path(__file__).parent.parent / "pipelines"
 SEEDS = (0, 1, 2)
 LPIPS = "lpips"
 LPIPS_SEED = 0
-"""The seed whose runs have LPIPS: it takes longer than a short training."""
+"""The seed whose runs have LPIPS, which takes longer than a short training."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Case:
     """A data set with a number of training views.
 
     Args:
-        data: the data set's name, which is its folder's too.
-        views: how many photographs train.
-        protocol: its name, as in papers' tables; empty: the scene is in none of them.
-        overrides: what `--set` would say to both pipelines: the protocol and the scene.
-        baseline_overrides: the same for the baseline alone.
+        data: Name of the data set and of its folder.
+        views: Number of training photographs.
+        protocol: Name of the protocol; empty if published protocols do not cover the scene.
+        overrides: Overrides of all pipelines, as for `--set`: protocol and scene.
+        baseline_overrides: Overrides of the baseline only.
     """
 
     data: str
@@ -48,9 +48,9 @@ class Method:
     """A pipeline that is measured.
 
     Args:
-        title: the table's word for it.
-        file: the pipeline.
-        baseline: whether it takes `Case.baseline_overrides`, and the others are compared with it.
+        title: Name in tables.
+        file: File of the pipeline.
+        baseline: If True, it takes `Case.baseline_overrides` and the others are compared with it.
     """
 
     title: str
@@ -63,7 +63,7 @@ class Measurement:
     """One training: a method on a case.
 
     Args:
-        digest: of the pipeline as it is written, the same wherever the data lie.
+        digest: Digest of the pipeline, independent of the location of the data.
     """
 
     case: Case
@@ -74,17 +74,17 @@ class Measurement:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its record and of its folder of outputs."""
         return f"{self.case.data}-{self.case.views}_{self.method.file.stem}_{self.seed}"
 
     @property
     def without(self) -> tuple[str, ...]:
-        """Metrics of its protocol that are not measured."""
+        """Metrics of its protocol to leave out."""
         return () if self.seed == LPIPS_SEED else (LPIPS,)
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a record says of it."""
+        """Its description in a record."""
         return {
             "data": self.case.data,
             "train_views": self.case.views,
@@ -108,9 +108,9 @@ def _standard(protocol: str, loader: str, data: str, views: int) -> Case:
 
 
 def _bonsai(views: int) -> Case:
-    """This sample has no images_8, and the bounds of Mip-NeRF 360's files are placeholders.
+    """Return a case of bonsai, whose sample lacks images_8 and has placeholders as bounds.
 
-    Triangulating grows with the pairs of photographs, minutes here: the baseline starts at random.
+    Triangulation of all pairs of photographs would take minutes: the baseline starts at random.
     """
     data, protocol = "mip360_bonsai", f"mipnerf360-{views}"
     return Case(
@@ -126,12 +126,12 @@ def _bonsai(views: int) -> Case:
 
 
 def temple(views: int) -> Case:
-    """Middlebury's temple on a turntable before black."""
+    """Return a case of Middlebury's temple on a turntable, on black."""
     return _without_protocol("nerfstudio", "mview_temple", views)
 
 
 def _without_protocol(loader: str, data: str, views: int) -> Case:
-    """Every eighth photograph tests."""
+    """A case without a protocol; every eighth photograph tests."""
     scene = f"scene={{use: {loader}, path: '${{{DATA}}}/{data}', train_views: {views}}}"
     return Case(data, views, "", (scene, f"metrics=[psnr, ssim, {LPIPS}]"))
 
@@ -153,12 +153,12 @@ CASES = (
 
 
 def cases(*names: str) -> tuple[Case, ...]:
-    """Some of `CASES`, such as "llff_fern-3"."""
+    """Return some of `CASES` by names such as "llff_fern-3"."""
     return tuple(case for case in CASES if f"{case.data}-{case.views}" in names)
 
 
 def check_data(wanted: Iterable[str]) -> None:
-    """Refuse to begin without the data sets.
+    """Check that the data sets are present.
 
     Raises:
         RunError: STEREOGS_DATA is not set, or has no folder of that name for some.
@@ -179,7 +179,7 @@ def check_data(wanted: Iterable[str]) -> None:
 def make_measurements(
     cases: Sequence[Case], methods: Sequence[Method], seeds: Sequence[int], plugins: Plugins
 ) -> list[Measurement]:
-    """Every method on every case, the first seed of everything before the second; all are checked.
+    """Return the checked trainings of every method on every case, sorted by seed.
 
     Raises:
         PipelineError: a pipeline cannot be read or contradicts the protocol.

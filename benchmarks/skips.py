@@ -1,11 +1,10 @@
-"""Every switch of a pipeline that trades time for error, off and on: `make bench-skips`.
+"""Time and PSNR of each shortcut of a pipeline: `make bench-skips`.
 
-`weightfree_fast` and one variant of it for each switch, on scenes of three kinds, with several seeds,
-planned and trained as `stereogs bench` does. Variants take turns (seed by seed, scene by scene), so that a
-busy hour is nobody's alone; time is CPU seconds of the whole process, which the machine's other work changes
-little. What is finished is not trained again. With `--write-docs` the table in
-docs/what_shortcuts_cost.md and its picture are made anew. The page with curves and renders lies beside
-the runs.
+Trains `weightfree_fast` and one variant of it for each switch, on scenes of three kinds, with several seeds,
+as `stereogs bench` does. Variants take turns (seed by seed, scene by scene), so a busy hour affects all of
+them; time is CPU seconds of the whole process, which depend little on the machine's load. Finished runs are
+kept. With `--write-docs` rewrites `benchmarks/tables/skips.md` and the summary and picture in
+`docs/run_time.md`. A page with curves and renders is written to the folder of the runs.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from benchmarks.marked_page import rewrite
+from benchmarks import pages
 from benchmarks.skips_picture import draw
-from benchmarks.skips_table import Measured, table
+from benchmarks.skips_table import Measured, rows, summary, table
 from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
@@ -41,12 +40,10 @@ from stereogs_plugins.tools.experiments.running.runner import train_all
 from stereogs_plugins.tools.experiments.showing.page import as_page
 from stereogs_plugins.tools.quality.table import SHORT
 
-ROOT = Path(__file__).parent.parent
 OUT = Path(__file__).parent / "out" / "skips"
-PAGE = ROOT / "docs" / "what_shortcuts_cost.md"
-PICTURE = "what_shortcuts_cost.png"
-BEGIN = "<!-- measured: `make bench-skips` rewrites from here to the end mark -->"
-END = "<!-- measured: end; what stands outside the marks is kept -->"
+TARGET = "bench-skips"
+PAGE = pages.DOCS / "run_time.md"
+PICTURE = "shortcuts.png"
 CPU_SECONDS = "cpu_seconds.json"
 INTERRUPTED = 130
 SCENES = {
@@ -63,10 +60,10 @@ class Switch(NamedTuple):
     """One shortcut.
 
     Args:
-        label: in the table.
-        length: of the run, as a part of the pipeline's.
-        overrides: as for `--set`.
-        disabled: components that are switched off.
+        label: Label in the table.
+        length: Length of the run as a share of the pipeline's.
+        overrides: Overrides as for `--set`.
+        disabled: Components to switch off.
     """
 
     label: str
@@ -75,7 +72,7 @@ class Switch(NamedTuple):
     disabled: tuple[str, ...] = ()
 
 
-DEFAULT = "as it is"
+DEFAULT = "default"
 SWITCHES = (
     Switch(DEFAULT),
     Switch("half as many iterations", length=0.5),
@@ -94,10 +91,10 @@ SWITCHES = (
 
 
 def variant(switch: Switch, iterations: int | None, plugins: Plugins) -> Node:
-    """The pipeline with one switch, as a tree.
+    """Return the pipeline with one switch, as a tree.
 
     Args:
-        iterations: in place of the pipeline's own number; schedules go with it.
+        iterations: Number of iterations instead of the pipeline's; schedules are scaled to it.
     """
     overrides = ["scene=procedural", "metrics=[psnr, ssim]", "exporters=[]", "reports=[]"]
     pipeline = load_pipeline(
@@ -111,7 +108,7 @@ def variant(switch: Switch, iterations: int | None, plugins: Plugins) -> Node:
 
 
 def make_plan(scenes: Sequence[str], seeds: int, iterations: int | None) -> Plan:
-    """Every switch on every scene with every seed, checked."""
+    """Return the checked plan of every switch on every scene with every seed."""
     plugins = Plugins()
     pipelines = {switch.label: variant(switch, iterations, plugins) for switch in SWITCHES}
     written = tuple(parse(SCENES[name], name) for name in scenes)
@@ -119,18 +116,18 @@ def make_plan(scenes: Sequence[str], seeds: int, iterations: int | None) -> Plan
 
 
 def in_turns(plan: Plan) -> list[PlannedRun]:
-    """Seed by seed and scene by scene, each switch after the other."""
+    """Sort runs by seed, then by scene."""
     places = {scene: place for place, scene in enumerate(plan.scenes)}
     return sorted(plan.runs, key=lambda run: (run.seed, places[run.scene]))
 
 
 def measure(plan: Plan, folder: AblationFolder, device: str | None, console: Console) -> bool:
-    """Train what is missing, one run at a time; whether all is there.
+    """Train the missing runs, one at a time; return True if all are finished.
 
     Raises:
         RunError: a run failed.
     """
-    os.environ[FOLDER_VARIABLE] = ""  # answers from an earlier run would make this one look fast
+    os.environ[FOLDER_VARIABLE] = ""  # cached answers would make a run look fast
     with folder.locked() as lock:
         for run in in_turns(plan):
             if folder.results(run) and (folder.run(run).path / CPU_SECONDS).is_file():
@@ -141,8 +138,8 @@ def measure(plan: Plan, folder: AblationFolder, device: str | None, console: Con
             outcome = train_all([run], folder, runner, device=device, console=console)
             if outcome.stopped:
                 return False
-            for said in outcome.failures.values():
-                raise RunError(f"a run failed: {said}", where=run.name, fix="mend the cause")
+            for message in outcome.failures.values():
+                raise RunError(f"a run failed: {message}", where=run.name, fix="fix the cause")
             took = _cpu_seconds_of_children() - before
             write_json(folder.run(run).path / CPU_SECONDS, {"cpu_seconds": round(took, 2)})
     return True
@@ -154,7 +151,7 @@ def _cpu_seconds_of_children() -> float:
 
 
 def read(plan: Plan, folder: AblationFolder) -> list[Measured]:
-    """What the finished runs measured."""
+    """Return the measurements of the finished runs."""
     found = []
     for run in plan.runs:
         results, file = folder.results(run), folder.run(run).path / CPU_SECONDS
@@ -180,12 +177,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=[*SCENES])
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--iterations", type=int, help="in place of the pipeline's own number")
+    parser.add_argument("--iterations", type=int, help="instead of the pipeline's number")
     parser.add_argument("--device", help="part of a device's name")
     parser.add_argument(
-        "--out", type=Path, default=OUT, help="where runs lie (default: %(default)s)"
+        "--out", type=Path, default=OUT, help="folder of the runs (default: %(default)s)"
     )
-    parser.add_argument("--write-docs", action="store_true", help="rewrite the table in docs/")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="rewrite tables, summary and picture"
+    )
     arguments = parser.parse_args()
     console = Console(markup=False, highlight=False, soft_wrap=True)
     try:
@@ -195,15 +194,17 @@ def main() -> int:
         results = {run: folder.results(run) for run in plan.runs}
         write_text(folder.path / "index.html", as_page(plan, results, folder))
         measured = read(plan, folder)
-        text = table(measured, DEFAULT)
+        found = rows(measured, DEFAULT)
+        text = table(found)
         console.print(text)
         draw(measured, (PAGE.parent / "images" if arguments.write_docs else folder.path) / PICTURE)
         if arguments.write_docs:
-            rewrite(PAGE, BEGIN, END, text)
+            pages.write_tables("skips", "Shortcuts of weightfree_fast", TARGET, text)
+            pages.rewrite(PAGE, pages.marks(TARGET), summary(found, DEFAULT))
     except ExplainedError as error:
         sys.exit(f"skips: {error}")
     if not whole:
-        console.print("stopped; the same command goes on from here")
+        console.print("stopped; the same command continues")
     return 0 if whole else INTERRUPTED
 
 

@@ -1,4 +1,4 @@
-"""What each switch saves and costs, as a picture: PSNR against CPU seconds, a panel for each scene."""
+"""PSNR against CPU seconds of each switch as a picture, with a panel for each scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def draw(measured: Sequence[Measured], path: Path) -> None:
-    """A numbered point for each switch, the mean over its seeds; the Pareto front is a line."""
+    """Draw a numbered point for each switch, the mean over its seeds, and the Pareto front as a line."""
     from matplotlib.figure import Figure
 
     scenes = list(dict.fromkeys(m.scene for m in measured))

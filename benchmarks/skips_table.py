@@ -1,23 +1,26 @@
-"""What each switch saves and costs, as a table in Markdown."""
+"""Time and PSNR of each switch as tables in Markdown."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import NamedTuple
+
+from benchmarks import pages
+from benchmarks.cells import spread
 
 
 class Measured(NamedTuple):
     """One run.
 
     Args:
-        switch: which one was thrown.
-        scene, seed: what it was trained on and with.
-        cpu_seconds: of its whole process, all threads.
-        psnr: dB.
-        ssim: in [-1, 1].
-        gaussians: at the end.
+        switch: Label of the switch.
+        scene: Name of the scene.
+        seed: Seed of the training.
+        cpu_seconds: CPU seconds of the whole process, all threads.
+        psnr: PSNR of the test views, dB.
+        ssim: SSIM of the test views, in [-1, 1].
+        gaussians: Number of Gaussians at the end.
     """
 
     switch: str
@@ -29,17 +32,28 @@ class Measured(NamedTuple):
     gaussians: int
 
 
-def table(measured: Sequence[Measured], default: str) -> str:
-    """A row for each switch and scene: its numbers, and its difference from the default's, seed by seed.
+class Row(NamedTuple):
+    """Cells of a switch in a scene: means over seeds; *saved* and *gained* are relative to the default."""
+
+    switch: str
+    scene: str
+    cpu_seconds: str
+    saved: str
+    psnr: str
+    gained: str
+    ssim: str
+    gaussians: str
+    seeds: str
+
+
+def rows(measured: Sequence[Measured], default: str) -> list[Row]:
+    """Return a row for each switch and scene.
 
     Args:
-        default: the name of the row that others are compared with.
+        default: Label of the runs that the others are compared with, seed by seed.
     """
-    lines = [
-        "| switch | scene | CPU s | saved | PSNR | gained, dB | SSIM | Gaussians | seeds |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
-    ]
     by_run = {(m.switch, m.scene, m.seed): m for m in measured}
+    found = []
     for switch in dict.fromkeys(m.switch for m in measured):
         for scene in dict.fromkeys(m.scene for m in measured):
             runs = [m for m in measured if m.switch == switch and m.scene == scene]
@@ -48,32 +62,53 @@ def table(measured: Sequence[Measured], default: str) -> str:
                 for run in runs
                 if (default, scene, run.seed) in by_run
             ]
-            if runs and pairs:
-                lines.append(_row(switch, scene, pairs, is_default=switch == default))
-    return "\n".join(lines)
+            if pairs:
+                found.append(_row(switch, scene, pairs, is_default=switch == default))
+    return found
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return all cells as a table."""
+    headings = [
+        "switch",
+        "scene",
+        "CPU s",
+        "saved",
+        "PSNR",
+        "gained, dB",
+        "SSIM",
+        "Gaussians",
+        "seeds",
+    ]
+    return pages.table(headings, rows, left=2)
+
+
+def summary(rows: Sequence[Row], default: str) -> str:
+    """Return time saved and PSNR gained as a table with a row for each switch."""
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    by_place = {(row.switch, row.scene): row for row in rows}
+    lines = []
+    for switch in dict.fromkeys(row.switch for row in rows if row.switch != default):
+        shown = [by_place[switch, scene] for scene in scenes]
+        lines.append([switch, *(row.saved for row in shown), *(row.gained for row in shown)])
+    headings = [f"{name}, {scene}" for name in ("saved", "gained") for scene in scenes]
+    return pages.table(["switch", *headings], lines)
 
 
 def _row(
     switch: str, scene: str, pairs: Sequence[tuple[Measured, Measured]], *, is_default: bool
-) -> str:
+) -> Row:
     runs = [run for run, _ in pairs]
     saved = [1 - run.cpu_seconds / base.cpu_seconds for run, base in pairs]
     gained = [run.psnr - base.psnr for run, base in pairs]
-    cells = [
+    return Row(
         switch,
         scene,
         f"{fmean(run.cpu_seconds for run in runs):.1f}",
         "" if is_default else f"{fmean(saved):+.0%}",
-        f"{fmean(run.psnr for run in runs):.2f}{_spread([run.psnr for run in runs])}",
-        "" if is_default else f"{fmean(gained):+.2f}{_spread(gained)}",
+        spread([run.psnr for run in runs]),
+        "" if is_default else spread(gained, "+.2f").replace("± +", "± "),
         f"{fmean(run.ssim for run in runs):.3f}",
         f"{fmean(run.gaussians for run in runs):,.0f}",
         str(len(runs)),
-    ]
-    return f"| {' | '.join(cells)} |"
-
-
-def _spread(values: Sequence[float]) -> str:
-    """The standard deviation over seeds; nothing with one."""
-    spread = stdev(values) if len(values) > 1 else math.nan
-    return "" if math.isnan(spread) else f" ± {spread:.2f}"
+    )

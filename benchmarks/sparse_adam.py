@@ -1,4 +1,4 @@
-"""Adam that leaves the unseen alone, beside Adam that steps everything."""
+"""Adam on visible Gaussians only, compared with Adam on all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RATES = {
 
 
 class Training:
-    """Gaussians whose colours were disturbed, fitted to what they looked like before."""
+    """Gaussians with disturbed colours, fitted to their original renders."""
 
     def __init__(self, model: GaussianModel, cameras: list[Camera], visible_only: bool) -> None:
         gaussians = model.gaussians()
@@ -48,7 +48,7 @@ class Training:
             )
 
     def iterate(self, number: int, targets: list[Tensor]) -> tuple[float, float]:
-        """Seconds of the iteration, and of the optimizer in it."""
+        """Run an iteration; return its seconds and those of the optimizer."""
         view = number % len(targets)
         begin = time.perf_counter()
         self.model.zero_gradients()
@@ -65,17 +65,17 @@ class Training:
             return self.model.render(self.cameras[0]).rgb
 
     def movement(self) -> Tensor:
-        """How far every parameter has come, one number each."""
+        """Return the change of every parameter, flattened."""
         moved = [self.model.read(name) - self.start[name] for name in PARAMETERS]
         return torch.cat([parameter.flatten() for parameter in moved])
 
 
 def measure_sparse_adam(model: GaussianModel, cameras: list[Camera]) -> dict[str, Any]:
-    """Both optimizers take turns over the same views.
+    """Run both optimizers in turns over the same views.
 
     Returns:
         `steps`; `dense_ms`, `sparse_ms` of the optimizer; `time_ratio` of whole iterations;
-        `movement`, the difference between where the parameters went over how far they went (L2);
+        `movement`, the difference of the final parameters over their change (L2);
         `image_max`, `image_999` as in the other rows; `dense_psnr`, `sparse_psnr` of the fits, dB.
     """
     with torch.no_grad():

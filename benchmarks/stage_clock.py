@@ -1,9 +1,9 @@
-"""Where a process spends its time: a clock of stages within stages, and one training run under it.
+"""A clock of nested stages, and a training run measured by it.
 
     python -m benchmarks.stage_clock RECORD.json train pipelines/weightfree_fast.yaml ...
 
-runs `stereogs` with the arguments after the first and writes what each stage took. The functions that
-make a stage are wrapped from outside; what the project runs is what it always runs.
+runs `stereogs` with the arguments after the first and writes the time of each stage. Functions are wrapped
+from outside; the project's code is unchanged.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from pathlib import Path
 from typing import Any
 
 BORN = "STAGE_CLOCK_BORN"
-"""Environment variable with the reading of `time.monotonic` just before the process was started."""
+"""Environment variable with the value of `time.monotonic` just before the process started."""
 REST = "everything else"
 IMPORTS = "imports"
 INTERPRETER = "interpreter"
 
 
 class StageClock:
-    """Seconds of each stage by itself, what lies within another stage not counted twice.
+    """Seconds of each stage, without the stages inside it.
 
-    CPU seconds are those of all threads while the stage was at work.
+    CPU seconds are those of all threads while the stage runs.
     """
 
     def __init__(self, born: float) -> None:
@@ -47,7 +47,7 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """A block that belongs to a stage."""
+        """Count a block as a stage."""
         self._charge()
         self._open.append(name)
         try:
@@ -62,7 +62,7 @@ class StageClock:
         """Count every call of a function or method as a stage.
 
         Args:
-            settle: is given the call's first argument before the stage ends.
+            settle: Called with the first argument of the call before the stage ends.
         """
         inner: Callable[..., Any] = getattr(owner, attribute)
 
@@ -77,7 +77,7 @@ class StageClock:
         setattr(owner, attribute, timed)
 
     def wrap_imports(self) -> None:
-        """Count every import that is not within another one, those inside functions too."""
+        """Count every import that is not inside another one, also imports in functions."""
         inner = builtins.__import__
 
         def timed(name: str, *arguments: Any, **options: Any) -> Any:
@@ -89,13 +89,13 @@ class StageClock:
         builtins.__import__ = timed
 
     def finish(self) -> dict[str, list[float]]:
-        """Wall and CPU seconds by stage."""
+        """Return wall and CPU seconds by stage."""
         self._charge()
         return self.taken
 
 
 def wrap_stages(clock: StageClock) -> None:
-    """Have the stages of a training run counted."""
+    """Count the stages of a training run."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
     from registry.runs import Run, results, run, training_run
@@ -116,7 +116,7 @@ def wrap_stages(clock: StageClock) -> None:
         ("step_optimizer", "iteration: Adam"),
         ("perturb", "iteration: perturbations"),
     ):
-        # What a stage has only enqueued would be charged to the next one that waits.
+        # Without this, enqueued work would count for the next stage that waits.
         clock.wrap(Field, method, name, lambda field: field.model.device.finish())
     clock.wrap(Run, "keep_in", "run folder and checkpoints")
     clock.wrap(run, "save_checkpoint", "run folder and checkpoints")

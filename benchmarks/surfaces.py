@@ -1,4 +1,4 @@
-"""Surface-like Gaussians of any number: what a trained scene looks like to the rasterizer."""
+"""Generated Gaussians on surfaces, similar to a trained scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WIDTH, HEIGHT, FOCAL = 504, 378, 407.0
 
 
 def surfaces(count: int, width: int = WIDTH, height: int = HEIGHT) -> tuple[Gaussians, Camera]:
-    """Flat discs on wavy walls with some clutter behind, spread evenly over the image.
+    """Return flat discs on wavy walls with clutter behind, spread evenly over the image, and a camera.
 
     A disc's standard deviation is three quarters of the mean distance to its neighbours on the
     image, so that all counts cover it about equally; some 5 % of the light passes through.

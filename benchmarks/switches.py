@@ -1,4 +1,4 @@
-"""Every approximation and every skip of the engine, and the settings that `make bench-error` tries."""
+"""Approximations and skips of the engine, with the settings that `make bench-error` measures."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from core_rasterizer.raster import Renderer
 
 Overrides = Mapping[str, float]
 EXACT: Overrides = {"ALPHA_CUT_INVERSE": 1e6, "EARLY_STOP": 1e-12, "EXACT_TILE_TEST": 0}
-"""With these and in double, nothing is left out that could be seen."""
+"""With these and in double, no omission is visible."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One position of a switch: how to build the kernels, and what to ask of them."""
+    """One setting of a switch: options of the kernels and of the render."""
 
     label: str
     overrides: Overrides = field(default_factory=dict)
@@ -28,16 +28,16 @@ class Setting:
     variant: Variant | None = None
     sh_degree: int = 3
     depth_gradient: bool = False
-    """Hand the backward pass a gradient of the depth image, all zero: work that changes nothing."""
+    """Pass a zero gradient of the depth image to the backward pass: work without effect."""
 
 
 @dataclass(frozen=True)
 class Switch:
     """Settings that differ in one respect.
 
-    `baseline` is what their error is measured from: "double" for double-precision kernels with the
-    overrides `exact` and all else at its default, so that the error is that of this switch alone;
-    "default" for the engine as it is, where a switch should change nothing.
+    Errors are relative to `baseline`: "double" for double-precision kernels with the overrides `exact` and
+    all else at its default, which isolates the error of this switch; "default" for the default engine, if
+    the switch should not change results.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Switch:
 
 
 def switches(device: Device) -> list[Switch]:
-    """Those that the device's raster kernels have."""
+    """Return the switches of the device's raster kernels."""
     on_cpu = device.variant == "cpu"
     result = [
         Switch("alpha cut-off", tuple(_alpha_cuts()), exact={"ALPHA_CUT_INVERSE": 1e6}),
@@ -80,7 +80,7 @@ def switches(device: Device) -> list[Switch]:
 
 
 def build(model: GaussianModel, setting: Setting) -> GaussianModel:
-    """The same Gaussians, to be rendered with another setting."""
+    """Return the same Gaussians with another setting of the renderer."""
     device = model.device.as_variant(setting.variant) if setting.variant else model.device
     result = GaussianModel(model.gaussians(), device, dtype=setting.dtype)
     result.renderer = Renderer(device, setting.dtype, overrides=setting.overrides)

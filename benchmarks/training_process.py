@@ -1,6 +1,6 @@
-"""Trainings of one process, and what they scored and took; `benchmarks.trainings` starts it.
+"""Train in one process and measure scores, time and memory; `benchmarks.trainings` starts it.
 
-One training, or several that begin alike and share that beginning (`benchmarks.branches`).
+One training, or several that share their first iterations (`benchmarks.branches`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.both_networks import with_alexnet
+import yaml
+
 from benchmarks.branches import Trained, train_branches
-from benchmarks.scores import VGG
+from benchmarks.cells import ALEXNET, VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
+from registry.pipeline import Pipeline
 from registry.runs import evaluate
 from registry.runs.origin.provenance import circumstances
 from registry.session import build_pipeline
@@ -24,9 +26,9 @@ from registry.system.files import write_json
 from registry.training import one_torch_thread
 
 PIPELINE, RENDERS, ANSWER = "pipeline.yaml", "renders", "answer.json"
-"""In the folder of a training."""
+"""Names in the folder of a training."""
 FAILED = "training_process: "
-"""What stands before the error that ended a training."""
+"""Prefix of the error that ended a training."""
 
 
 def measure(
@@ -35,23 +37,36 @@ def measure(
     """Train the pipelines of some folders and score their test views once, at the end.
 
     Args:
-        folders: each with a pipeline; pictures of the test views are written there.
-        without: names of metrics that are left out; a protocol asks for all of its own. LPIPS is measured by
-            both networks or by none.
+        folders: Folders with a pipeline each; pictures of the test views are written there.
+        without: Names of metrics to leave out, although the protocol has them. LPIPS is measured by both
+            networks or by neither.
 
     Yields:
-        A folder and plain JSON values. Seconds are those of initialization and training, CPU seconds those of
-        the same and of loading the scene, memory the most until then: scoring is in none of them.
+        A folder and plain JSON values. Seconds cover initialization and training, CPU seconds also loading of
+        the scene; memory is the peak until then. None of them includes scoring.
 
     Raises:
-        RunError: a run did not reach its end, or a score is missing.
-        ExplainedError: whatever goes wrong.
+        RunError: a run did not finish, or a score is missing.
+        ExplainedError: any other failure of a training.
     """
     pipelines = [build_pipeline(folder / PIPELINE) for folder in folders]
     if VGG not in without:
         pipelines = [with_alexnet(pipeline) for pipeline in pipelines]
     for folder, trained in zip(folders, train_branches(pipelines, device), strict=True):
         yield folder, _measured(trained, folder, without)
+
+
+def with_alexnet(pipeline: Pipeline) -> Pipeline:
+    """Return the pipeline with LPIPS by AlexNet added where it has LPIPS.
+
+    Planned pipelines do not name it, so the digests of older records stay valid.
+    """
+    names = [item.name for item in pipeline.items["metrics"]]
+    if VGG not in names or ALEXNET in names:
+        return pipeline
+    written = yaml.safe_load(pipeline.to_yaml())
+    written["metrics"].append({"use": VGG, "name": ALEXNET, "network": "alex"})
+    return build_pipeline(written)
 
 
 def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[str, Any]:
@@ -68,7 +83,7 @@ def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[
             fix="set STEREOGS_MODELS to the folder with the networks for LPIPS (docs/prior_models.md)",
         )
     around = circumstances(run.pipeline, run.model.device)
-    # The moment is the end of the run; the command is this process's and says nothing of the pipeline.
+    # The time is the end of the run; the command is this process's, not the pipeline's.
     around["ended"], _ = around.pop("started"), around.pop("command")
     return {
         "scores": scores.mean,
@@ -88,7 +103,7 @@ def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[
 
 
 def _processor_model() -> str | None:
-    """Family and model of the processor, None where the system does not tell them as Linux does."""
+    """Family and model of the processor; None where the system has no /proc/cpuinfo with both."""
     file = Path("/proc/cpuinfo")
     if not file.is_file():
         return None
@@ -101,13 +116,16 @@ def _processor_model() -> str | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "folders", type=Path, nargs="+", help=f"each with a {PIPELINE}; takes {ANSWER} and pictures"
+        "folders",
+        type=Path,
+        nargs="+",
+        help=f"folders with {PIPELINE}; {ANSWER} and pictures go there",
     )
     parser.add_argument("--device", help="part of a device's name")
-    parser.add_argument("--without", nargs="*", default=[], help="metrics that are left out")
-    asked = parser.parse_args()
+    parser.add_argument("--without", nargs="*", default=[], help="metrics to leave out")
+    arguments = parser.parse_args()
     try:
-        for folder, measured in measure(asked.folders, asked.device, asked.without):
+        for folder, measured in measure(arguments.folders, arguments.device, arguments.without):
             write_json(folder / ANSWER, measured)
     except ExplainedError as error:
         sys.exit(f"{FAILED}{error}")

@@ -1,4 +1,4 @@
-"""Trainings that are measured, in processes of their own, several at a time where one asks for it."""
+"""Measured trainings in processes of their own, several at a time if requested."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from registry.toolkit.cache import FOLDER_VARIABLE
 
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 Group = Sequence[PlannedTraining]
-"""Trainings of one process: a single one, or some that begin alike (`benchmarks.branches`)."""
+"""Trainings of one process: one, or several that share their first iterations (`benchmarks.branches`)."""
 _SECONDS_BETWEEN_LOOKS = 0.2
 _TAIL = 1000
-"""Characters of a log that are shown of an error that nobody explained."""
+"""Characters of a log that are shown of an unexplained error."""
 
 
 class Training:
-    """A process at work.
+    """A running process.
 
     Args:
-        group: what it trains.
-        out: where pipelines, pictures and answers lie, a folder for each training; the log is in the first.
-        device: part of the device's name, or None.
-        threads: of an OpenCL device that is a processor; None: as many as there are cores.
+        group: Trainings of the process.
+        out: Folder of pipelines, pictures and answers, a subfolder for each; the log is in the first.
+        device: Part of the device's name, or None.
+        threads: Threads of an OpenCL device that is a processor; None: one for each core.
     """
 
     def __init__(self, group: Group, out: Path, device: str | None, threads: int | None) -> None:
@@ -49,7 +49,7 @@ class Training:
         command = [sys.executable, "-m", "benchmarks.training_process", *map(str, folders)]
         without = dict.fromkeys(name for run in group for name in run.without)
         command += ["--without", *without]
-        # Answers from an earlier run would make this one look fast.
+        # Cached answers of an earlier run would make this one look fast.
         environment = {**os.environ, FOLDER_VARIABLE: ""}
         if threads is not None:
             environment[THREADS] = str(threads)
@@ -65,7 +65,7 @@ class Training:
             )
 
     def answered(self) -> list[tuple[PlannedTraining, dict[str, object]]]:
-        """What has been measured since this was asked last; it no longer waits."""
+        """Return the measurements since the last call, and stop waiting for them."""
         found = []
         for run in list(self.waiting):
             answer = self._out / run.name / ANSWER
@@ -75,13 +75,13 @@ class Training:
         return found
 
     def failure(self) -> str:
-        """What an ended process said that owes an answer."""
+        """Return the error of a process that ended without an answer."""
         log = self._log.read_text("utf-8", errors="replace")
         return failure(log) or f"exit status {self.process.returncode}"
 
 
 def failure(log: str) -> str:
-    """The error that ended a training, or else the end of what it printed."""
+    """Return the error that ended a training, or else the end of its log."""
     _, explained, error = log.strip().rpartition(FAILED)
     return error if explained else log.strip()[-_TAIL:]
 
@@ -96,13 +96,17 @@ def train(
     kept: Path,
     console: Console,
 ) -> dict[str, str]:
-    """Train in order, `jobs` groups at a time, and save a record of each training as it ends.
+    """Train in order, `jobs` groups at a time, and save a record of each training when it ends.
 
-    After `seconds`, or the first Ctrl-C, no other group is begun and those at work are waited for; a second
-    Ctrl-C ends them.
+    This process alone writes records; the trainings write answers of their own. After `seconds`, or the first
+    Ctrl-C, no group is started and the running ones are awaited; a second Ctrl-C kills them.
+
+    Args:
+        out: Folder of pipelines, pictures and answers.
+        kept: File of records.
 
     Returns:
-        What each run that failed said, by name; a failure keeps no other group from being trained.
+        Errors of the failed runs by name; a failure does not stop the other groups.
     """
     queue, working = deque(waiting), list[Training]()
     failures: dict[str, str] = {}
@@ -116,7 +120,7 @@ def train(
                 while queue and len(working) < jobs:
                     working.append(Training(queue.popleft(), out, device, threads))
                 for one in list(working):
-                    ended = one.process.poll() is not None  # before its answers are looked for
+                    ended = one.process.poll() is not None  # before reading its answers
                     _save(one, kept, console)
                     if ended:
                         working.remove(one)
@@ -136,8 +140,8 @@ def _save(working: Training, kept: Path, console: Console) -> None:
 
 
 def _failures(ended: Training, console: Console) -> dict[str, str]:
-    """What the process said, by the name of each run that it left without an answer."""
+    """The error of the process, by the name of each run without an answer."""
     failures = {run.name: ended.failure() for run in ended.waiting}
-    for name, said in failures.items():
-        console.print(f"{name} failed: {said}")
+    for name, message in failures.items():
+        console.print(f"{name} failed: {message}")
     return failures

@@ -1,8 +1,8 @@
-"""A training run from the first byte read to the last score written: `make profile`.
+"""Time of each stage of a training run, from the start of the process to the last file: `make profile`.
 
-`pipelines/weightfree_fast.yaml` on three photographs of llff_fern, as the command line trains it, in a
-process of its own each time, nothing from the cache of prior answers: once with an empty cache of compiled
-kernels, then `--repeats` times with a filled one. With `--write-docs` the page and its picture are
+Trains `pipelines/weightfree_fast.yaml` on three photographs of llff_fern as the command line does, each time
+in a new process and without the cache of prior answers: once with an empty cache of compiled kernels, then
+`--repeats` times with a filled one. With `--write-docs` the table and picture in `docs/run_time.md` are
 rewritten.
 """
 
@@ -19,24 +19,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
+from benchmarks import pages
 from benchmarks.results_plan import DATA, PIPELINES
 from benchmarks.stage_clock import BORN
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "where_the_seconds_go.md"
-PICTURE = ROOT / "docs" / "images" / "where_the_seconds_go.png"
-MARKS = ("<!-- measured: `make profile` rewrites from here -->\n", "<!-- measured: end -->\n")
+TARGET = "profile"
+PAGE = pages.DOCS / "run_time.md"
+PICTURE = pages.DOCS / "images" / "stages.png"
 
 Taken = dict[str, list[float]]
 """Wall and CPU seconds by stage."""
 
 
 def measure(compiled: Path, out: Path) -> Taken:
-    """One run.
+    """Run one training.
 
     Args:
-        compiled: the folder of PoCL's cache of kernels.
-        out: an empty folder.
+        compiled: Folder of PoCL's cache of kernels.
+        out: An empty folder.
     """
     record = out / "stages.json"
     environment = {
@@ -53,31 +54,37 @@ def measure(compiled: Path, out: Path) -> Taken:
 
 
 def medians(runs: Sequence[Taken]) -> Taken:
-    """Stage by stage."""
+    """Return the medians of each stage."""
     return {name: [median(run[name][i] for run in runs) for i in range(2)] for name in runs[0]}
 
 
 def table(first: Taken, warm: Taken) -> str:
-    """Markdown; stages in the order in which they first come, iterations together at the end."""
-    lines = [
-        "| stage | wall s | CPU s | share of CPU | wall s, kernels not yet built | CPU s |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
+    """Return the stages as a table, in the order in which they first start.
+
+    Args:
+        first: A run with an empty cache of compiled kernels.
+        warm: Runs with a filled cache.
+    """
     whole = sum(cpu for _, cpu in warm.values())
-    for name, (wall, cpu) in warm.items():
-        cold_wall, cold_cpu = first[name]
-        row = f"| {name} | {wall:.2f} | {cpu:.2f} | {cpu / whole:.1%} "
-        lines.append(f"{row}| {cold_wall:.2f} | {cold_cpu:.2f} |")
+    rows = [
+        [
+            name,
+            f"{wall:.2f}",
+            f"{cpu:.2f}",
+            f"{cpu / whole:.1%}",
+            *(f"{s:.2f}" for s in first[name]),
+        ]
+        for name, (wall, cpu) in warm.items()
+    ]
     sums = [sum(row[i] for row in taken.values()) for taken in (warm, first) for i in range(2)]
-    wall, cpu, cold_wall, cold_cpu = sums
-    lines.append(
-        f"| **everything** | **{wall:.2f}** | **{cpu:.2f}** | 100% | {cold_wall:.2f} | {cold_cpu:.2f} |"
-    )
-    return "\n".join(lines) + "\n"
+    wall, cpu, *first_run = (f"**{seconds:.2f}**" for seconds in sums)
+    rows.append(["**total**", wall, cpu, "100%", *first_run])
+    headings = ["stage", "wall s", "CPU s", "share of CPU", "first run, wall s", "CPU s"]
+    return pages.table(headings, rows)
 
 
 def draw(warm: Taken, path: Path) -> None:
-    """A bar of CPU seconds for each stage; the wall clock would show the neighbours too."""
+    """Draw a bar of CPU seconds for each stage; wall time would depend on other processes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 0.32 * len(warm) + 0.9), dpi=110, layout="constrained")
@@ -89,18 +96,12 @@ def draw(warm: Taken, path: Path) -> None:
     figure.savefig(path)
 
 
-def write_page(text: str) -> None:
-    """Put the table between the page's marks; what people wrote around it is kept."""
-    page = PAGE.read_text("utf-8")
-    before, _, rest = page.partition(MARKS[0])
-    _, _, after = rest.partition(MARKS[1])
-    PAGE.write_text(before + MARKS[0] + text + MARKS[1] + after, "utf-8")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3, help="runs with kernels built")
-    parser.add_argument("--write-docs", action="store_true", help="rewrite the page in docs/")
+    parser.add_argument("--repeats", type=int, default=3, help="runs with compiled kernels")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="rewrite table and picture in docs"
+    )
     arguments = parser.parse_args()
     if not os.environ.get(DATA):
         parser.error(f"{DATA} is not set: name the folder that holds llff_fern")
@@ -114,7 +115,7 @@ def main() -> int:
     text = table(first, warm)
     print(text)
     if arguments.write_docs:
-        write_page(text)
+        pages.rewrite(PAGE, pages.marks(TARGET), text)
         draw(warm, PICTURE)
     return 0
 

@@ -1,4 +1,4 @@
-"""What a machine takes for plain work on as many bytes, so that times of different machines compare."""
+"""Times of plain work on the same number of bytes, to compare times of different machines."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ ROWS = 59
 
 @dataclass(frozen=True)
 class Yardsticks:
-    """Milliseconds with all cores at work, for the parameters of so many Gaussians.
+    """Milliseconds on all cores, for the parameters of a number of Gaussians.
 
     Args:
-        copy: reading them all and writing them elsewhere.
-        adam: one step of torch's fused Adam.
+        copy: A copy of the parameters.
+        adam: One step of torch's fused Adam.
     """
 
     copy: float
     adam: float
 
     def ratios(self, time_ms: float) -> tuple[str, str]:
-        """A time in copies and in steps of Adam, as a table's cells."""
+        """Return a time in copies and in steps of Adam, as cells of a table."""
         return f"{time_ms / self.copy:.1f}", f"{time_ms / self.adam:.2f}"
 
 
 def yardsticks(count: int) -> Yardsticks:
-    """Measured for `count` Gaussians."""
+    """Measure for `count` Gaussians."""
     parameters = torch.randn(ROWS, count, requires_grad=True)
     parameters.grad = torch.randn(ROWS, count)
     source, elsewhere = parameters.detach(), torch.empty(ROWS, count)
@@ -46,7 +46,7 @@ def yardsticks(count: int) -> Yardsticks:
 
 
 def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
-    """Median of several runs after two that are not counted."""
+    """Return the median of several runs after two warm-up runs."""
     times = []
     for _ in range(repeats + 2):
         begin = time.perf_counter()
@@ -57,7 +57,7 @@ def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
 
 @contextmanager
 def all_torch_threads() -> Iterator[None]:
-    """Give torch every core, as a baseline has it; beside the engine it runs with one."""
+    """Let torch use every core, for baselines; next to the engine it uses one."""
     before = torch.get_num_threads()
     torch.set_num_threads(os.cpu_count() or 1)
     yield

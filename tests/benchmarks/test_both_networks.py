@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.both_networks import with_alexnet
-from benchmarks.scores import ALEXNET, VGG
+from benchmarks.cells import ALEXNET, VGG
+from benchmarks.training_process import with_alexnet
 from registry.pipeline.pipeline import Pipeline
 from registry.session import build_pipeline
 
@@ -32,5 +32,5 @@ def test_a_pipeline_with_lpips_gets_alexnets_too() -> None:
     "metrics", ["[psnr]", f"[lpips, {{use: lpips, name: {ALEXNET}, network: alex}}]"]
 )
 def test_any_other_stays_as_it_is(metrics: str) -> None:
-    asked = pipeline(metrics)
-    assert with_alexnet(asked) is asked
+    planned = pipeline(metrics)
+    assert with_alexnet(planned) is planned

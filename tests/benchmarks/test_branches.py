@@ -52,12 +52,12 @@ def test_a_branch_ends_in_the_bits_of_the_whole_run() -> None:
     assert [one.run.hash for one in again] == whole[1:]
 
 
-def test_a_branch_tells_what_the_whole_run_logs() -> None:
+def test_a_branch_logs_the_values_of_the_whole_run() -> None:
     without, with_it, *_ = train_branches(pipelines(), None)
     (alone,) = train_branches([build_pipeline(TEXT)], None)
-    asked = "stereo_depth_inferences"
-    assert asked not in without.logged
-    assert with_it.logged[asked] == alone.logged[asked] > 0
+    inferences = "stereo_depth_inferences"
+    assert inferences not in without.logged
+    assert with_it.logged[inferences] == alone.logged[inferences] > 0
     assert with_it.logged["stereo_depth_seconds"] > 0
     assert with_it.run.finished
     assert with_it.run.seconds.training > 0
@@ -68,12 +68,12 @@ def test_a_branch_tells_what_the_whole_run_logs() -> None:
     "change",
     ["modifiers.dropout.rate=0.3", "training.seed=1", "regularizers.stereo_depth.start=1"],
 )
-def test_pipelines_that_begin_differently_are_refused(change: str) -> None:
-    with pytest.raises(RunError, match="do not begin alike"):
+def test_pipelines_without_shared_iterations_are_rejected(change: str) -> None:
+    with pytest.raises(RunError, match="do not share their first iterations"):
         shared_iterations([build_pipeline(TEXT), build_pipeline(TEXT, [change]), *pipelines()[:1]])
 
 
-def test_a_group_leaves_a_record_of_each_as_it_ends(tmp_path: Path) -> None:
+def test_a_group_records_each_training_when_it_ends(tmp_path: Path) -> None:
     runs = [
         PartsRun((Row("a table", (0, number), "a row"),), ROOM, 0, pipeline, str(number), "", None)
         for number, pipeline in enumerate(pipelines()[:2])
@@ -84,11 +84,11 @@ def test_a_group_leaves_a_record_of_each_as_it_ends(tmp_path: Path) -> None:
         seconds=None,
         device=None,
         out=tmp_path / "out",
-        kept=tmp_path / "records",
+        kept=tmp_path / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
     assert failures == {}
-    records = training_records.read(runs, tmp_path / "records")
+    records = training_records.read(runs, tmp_path / "records.jsonl")
     assert [record.run for record in records] == runs
     first, second = (record.measured for record in records)
     assert first["hash"] != second["hash"]

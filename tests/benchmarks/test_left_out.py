@@ -12,7 +12,7 @@ from registry import Scene, View
 
 
 def scene_of(count: int) -> Scene:
-    """Views 6 x 4 pixels; their numbers are their colours."""
+    """Views of 6 x 4 pixels; their numbers are their colours."""
     camera = Camera.centered(torch.eye(4), 50.0, 6, 4)
     views = [View(str(i), camera, torch.full((4, 6, 3), i / count)) for i in range(count)]
     return Scene("views", tuple(views), (View("test", camera, torch.ones(4, 6, 3)),), (1.0, 9.0))
@@ -21,7 +21,7 @@ def scene_of(count: int) -> Scene:
 @pytest.mark.parametrize(
     ("count", "left_out"), [(2, "1"), (3, "1"), (6, "1 4"), (8, "1 4 7"), (9, "1 4 7")]
 )
-def test_every_third_view_is_left_out_and_no_test_view_stays(count: int, left_out: str) -> None:
+def test_every_third_view_is_left_out_and_test_views_are_dropped(count: int, left_out: str) -> None:
     scene = thinned(scene_of(count))
     assert [view.name for view in scene.test] == left_out.split()
     assert sorted([v.name for v in (*scene.train, *scene.test)]) == [str(i) for i in range(count)]
@@ -41,7 +41,7 @@ def test_a_point_stays_where_it_is_in_a_half_sized_photograph() -> None:
         torch.testing.assert_close(halved, whole / 2)
 
 
-def test_cameras_are_turned_by_as_much_as_it_says_and_not_on_average() -> None:
+def test_cameras_are_turned_by_the_given_amount_and_not_on_average() -> None:
     scene = thinned(scene_of(9))
     off = []
     for before, after in zip(scene.train, turned(scene).train, strict=True):

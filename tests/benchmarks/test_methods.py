@@ -1,4 +1,4 @@
-"""The table of methods: what is planned, what one training records, and how records become a page."""
+"""The methods campaign: its plan, the record of a training, and the tables."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import yaml
 from rich.console import Console
 
 from benchmarks import methods_page, training_process, training_records, trainings
+from benchmarks.cells import NONE
 from benchmarks.methods_plan import (
     AUTHORS_SETTINGS,
     BASELINE,
@@ -26,7 +27,6 @@ from benchmarks.methods_plan import (
     planned_runs,
 )
 from benchmarks.results_plan import Case
-from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry import RunError
 from registry.pipeline.pipeline import Pipeline
@@ -76,7 +76,7 @@ def record(
     return Record(run, measured)
 
 
-def test_one_seed_of_everything_comes_before_the_next_and_networks_last_in_it() -> None:
+def test_runs_are_sorted_by_seed_and_networks_come_last() -> None:
     some = (*NETWORKED, BASELINE)
     runs = planned_runs(some, [replace(FACING, seeds=(0, 1))], PLUGINS)
     assert [run.seed for run in runs] == sorted(run.seed for run in runs)
@@ -89,7 +89,7 @@ def test_one_seed_of_everything_comes_before_the_next_and_networks_last_in_it() 
     }
 
 
-def test_objects_have_one_seed_and_come_before_the_second() -> None:
+def test_objects_have_one_seed_and_precede_the_second() -> None:
     runs = planned_runs((BASELINE,), GROUPS, PLUGINS)
     around = [run for run in runs if run.case in OBJECTS.cases]
     assert [run.case.data for run in around] == ["dtu_scan24", "dtu_scan65", "blender_lego"]
@@ -100,21 +100,21 @@ def test_objects_have_one_seed_and_come_before_the_second() -> None:
         assert run.pipeline.protocol.written == run.case.protocol
 
 
-def test_around_objects_a_method_has_what_its_authors_set_there() -> None:
+def test_objects_use_the_settings_of_the_authors() -> None:
     written = yaml.safe_load(AUTHORS_SETTINGS.read_text(encoding="utf-8"))
     by_name = {method.file.stem: method for method in METHODS}
     facing, around = FERN, {case.protocol.partition("-")[0]: case for case in OBJECTS.cases}
     assert set(written) <= set(around)
     for data, of_methods in written.items():
         for name, settings in of_methods.items():
-            there = planned_run(by_name[name], "same", around[data], 0, PLUGINS).pipeline
-            here = planned_run(by_name[name], "same", facing, 0, PLUGINS).pipeline
-            assert there.training.iterations == here.training.iterations
+            around_objects = planned_run(by_name[name], "same", around[data], 0, PLUGINS).pipeline
+            on_llff = planned_run(by_name[name], "same", facing, 0, PLUGINS).pipeline
+            assert around_objects.training.iterations == on_llff.training.iterations
             changed = {path.partition(".")[0] for path in settings}
             unlike = {
                 section
                 for section in changed
-                if section_of(there, section) != section_of(here, section)
+                if section_of(around_objects, section) != section_of(on_llff, section)
             }
             assert unlike == changed, (data, name)
 
@@ -136,7 +136,9 @@ def test_the_same_points_are_the_same_for_all() -> None:
     assert len(starts) == 1
 
 
-def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_digest_does_not_depend_on_the_location_of_the_data(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     here = planned_run(BASELINE, "own", FERN, 0, PLUGINS)
     monkeypatch.setenv("STEREOGS_DATA", "elsewhere")
     there = planned_run(BASELINE, "own", FERN, 0, PLUGINS)
@@ -152,7 +154,7 @@ def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str
         seconds=seconds,
         device=None,
         out=place / "out",
-        kept=place / "records",
+        kept=place / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
 
@@ -160,7 +162,7 @@ def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str
 def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
     assert trained(run, tmp_path, None) == {}
-    (record,) = training_records.read([run], tmp_path / "records")
+    (record,) = training_records.read([run], tmp_path / "records.jsonl")
     found = record.measured
     assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
@@ -174,44 +176,43 @@ def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> No
     assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
 
 
-def test_a_score_that_is_not_there_is_no_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_score_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STEREOGS_MODELS")
     monkeypatch.setattr(sys, "argv", ["", str(tiny(tmp_path, "[lpips]").parent)])
     with pytest.raises(SystemExit) as ended:
         training_process.main()
-    said = trainings.failure(f"0.01 it/s\n{ended.value}\n")
-    assert said.startswith("a score is missing")
-    assert "set STEREOGS_MODELS" in said
+    message = trainings.failure(f"0.01 it/s\n{ended.value}\n")
+    assert message.startswith("a score is missing")
+    assert "set STEREOGS_MODELS" in message
     assert not (tmp_path / training_process.ANSWER).exists()
 
 
-def test_an_error_that_nobody_explained_is_shown_too() -> None:
+def test_an_unexplained_error_is_shown() -> None:
     assert trainings.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
 
 
-def test_nothing_is_begun_after_the_time_given(tmp_path: Path) -> None:
+def test_no_training_starts_after_the_time_limit(tmp_path: Path) -> None:
     assert trained(run_of(tiny(tmp_path)), tmp_path, 0) == {}
     assert not (tmp_path / "out").exists()
 
 
-def test_a_record_of_another_pipeline_is_none(tmp_path: Path) -> None:
+def test_a_record_of_another_pipeline_is_skipped(tmp_path: Path) -> None:
     run = run_of(tiny(tmp_path))
-    training_records.save(run, {"scores": {"psnr": 20.0}}, tmp_path)
-    assert [one.scores["psnr"] for one in training_records.read([run], tmp_path)] == [20.0]
+    file = tmp_path / "records.jsonl"
+    training_records.save(run, {"scores": {"psnr": 20.0}}, file)
+    assert [one.scores["psnr"] for one in training_records.read([run], file)] == [20.0]
     changed = MethodRun(run.method, "own", ROOM, 0, run.pipeline, "another")
-    assert training_records.read([changed], tmp_path) == []
-    next(tmp_path.glob("*.json")).write_text("[]", "utf-8")
+    assert training_records.read([changed], file) == []
+    file.write_text("[]", "utf-8")
     with pytest.raises(RunError, match="cannot be read"):
-        training_records.read([run], tmp_path)
+        training_records.read([run], file)
 
 
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
     records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
     records += [record(dropgaussian, FERN, seed, 20.0 + seed) for seed in FACING.seeds]
-    text = methods_page.page_text(records, 279)
+    text = methods_page.tables(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (base,) = [row for row in rows if row and row[0] == "3DGS"]
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
@@ -221,17 +222,17 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
     assert ours[1:6] == ["3 + 0", "21.00 ± 1.00", NONE, NONE, "+4.00"]
     assert ours[6:13] == ["0.500", "0.250", "0.125", "12,345", "68", "1.0", "910"]
     assert ours[13:] == ["20.76", "0.713", "0.200"]
-    assert "### Own points" in text
-    assert "### Same points" not in text
+    assert "## Own points" in text
+    assert "## Same points" not in text
     assert "5 of 279" in text
 
 
-def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
+def test_objects_have_one_published_metric_of_each_protocol() -> None:
     dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
     records = [record(BASELINE, case, 0, 15.0, "same") for case in OBJECTS.cases]
     records += [record(dropgaussian, case, 0, 17.5, "same") for case in OBJECTS.cases]
-    text = methods_page.page_text(records, 279)
-    assert "### Same points around objects" in text
+    text = methods_page.tables(records, 279)
+    assert "## Same points around objects" in text
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
     assert heads[2:7] == ["dtu_scan24", "dtu_scan65", "blender_lego", "mean", "to 3DGS"]
@@ -239,9 +240,15 @@ def test_objects_stand_beside_one_metric_of_each_protocol() -> None:
     (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert ours[1:7] == ["1 + 1 + 1", "17.50", "17.50", "17.50", "17.50", "+2.50 ± 0.00"]
     assert ours[-2:] == [NONE, "24.42"]
+    heads, _, base, ours = methods_page.summary(records).splitlines()
+    assert heads.count("paper") == 3
+    assert base == (f"| 3DGS | {NONE} | {NONE} | 16.02 | 15.00 | 10.99 | 15.00 | 23.20 | {NONE} |")
+    assert ours == (
+        f"| DropGaussian | {NONE} | {NONE} | 20.76 | 17.50 | {NONE} | 17.50 | 24.42 | {NONE} |"
+    )
 
 
-def test_times_are_of_one_machine_and_compared_on_each() -> None:
+def test_seconds_are_of_one_machine_and_ratios_of_each() -> None:
     """Two machines, of which one is three times as fast and trained the flower."""
     fast = {"device": {"name": "pthread-a processor"}, "processor_model": "family 26"}
 
@@ -261,7 +268,7 @@ def test_times_are_of_one_machine_and_compared_on_each() -> None:
         timed(other, flower, 0, 160, **fast),
         timed(alone, flower, 1, 90),
     ]
-    text = methods_page.page_text(records, 279)
+    text = methods_page.tables(records, 279)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     (heads,) = [row for row in rows if row and row[0] == "method"]
     assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU / 3DGS", "MB"]

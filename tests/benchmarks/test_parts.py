@@ -1,4 +1,4 @@
-"""StereoGS's parts: which runs are planned, which share a process, and how records become tables."""
+"""The parts campaign: its plan, groups of runs that share a process, and the tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from benchmarks.branches import shared_iterations
-from benchmarks.parts_page import page_text
+from benchmarks.cells import NONE
+from benchmarks.parts_page import tables
 from benchmarks.parts_plan import (
     EIGHT,
     LATE,
@@ -18,9 +19,8 @@ from benchmarks.parts_plan import (
     TERM_TABLE,
     PartsRun,
     planned_runs,
-    together,
+    shared_groups,
 )
-from benchmarks.spread import NONE
 from benchmarks.training_records import Record
 from registry.plugins.discovery import Plugins
 
@@ -38,7 +38,7 @@ def labels(run: PartsRun) -> dict[str, str]:
     return {row.table: row.label for row in run.rows}
 
 
-def test_every_table_has_its_rows_on_its_scenes_and_shares_what_is_the_same() -> None:
+def test_every_table_has_its_rows_on_its_scenes_and_shares_runs() -> None:
     runs = planned_runs(TABLES, PLUGINS, seeds=(0,))
     assert len({run.name for run in runs}) == len(runs)
     for table in TABLES:
@@ -63,16 +63,16 @@ def test_every_table_has_its_rows_on_its_scenes_and_shares_what_is_the_same() ->
     }
 
 
-def test_the_first_seed_of_all_tables_comes_before_the_second() -> None:
+def test_runs_are_sorted_by_seed() -> None:
     runs = planned_runs([EIGHT, TERM_TABLE], PLUGINS, seeds=(0, 1))
     assert [run.seed for run in runs] == sorted(run.seed for run in runs)
     eight = [run.seed for run in runs if EIGHT.title in labels(run)]
     assert eight.count(0) == eight.count(1) == 8 * len(EIGHT.cases)
 
 
-def test_runs_of_one_process_begin_alike() -> None:
+def test_runs_of_one_process_share_their_first_iterations() -> None:
     runs = planned_runs(TABLES, PLUGINS, seeds=(0, 1))
-    groups = together(runs)
+    groups = shared_groups(runs)
     assert sorted(run.name for group in groups for run in group) == sorted(run.name for run in runs)
     for group in groups:
         assert len({(run.case.data, run.seed) for run in group}) == 1
@@ -88,8 +88,8 @@ def test_runs_of_one_process_begin_alike() -> None:
     assert all(len(group) == 1 for group in alone)
 
 
-def test_what_is_late_is_all_that_runs_of_a_group_differ_in() -> None:
-    for group in together(planned_runs([EIGHT, TERM_TABLE], PLUGINS, seeds=(0,))):
+def test_runs_of_a_group_differ_in_late_items_only() -> None:
+    for group in shared_groups(planned_runs([EIGHT, TERM_TABLE], PLUGINS, seeds=(0,))):
         first, *others = (
             {item.qualified_name: item for item in run.pipeline if item.qualified_name not in LATE}
             for run in group
@@ -97,7 +97,9 @@ def test_what_is_late_is_all_that_runs_of_a_group_differ_in() -> None:
         assert all(other == first for other in others)
 
 
-def test_a_pipeline_is_known_again_wherever_the_data_lie(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_digest_does_not_depend_on_the_location_of_the_data(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     (here, *_) = planned_runs([EIGHT], PLUGINS, seeds=(0,))
     monkeypatch.setenv("STEREOGS_DATA", str(Path("else", "where")))
     monkeypatch.setenv("STEREOGS_MODELS", "other-models")
@@ -114,7 +116,7 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
         "seconds": 100.0,
         "device": {"name": "a processor"},
     }
-    quiet, asked = (
+    without_stereo, with_stereo = (
         {},
         {
             "stereo_depth_inferences": 12.0,
@@ -133,33 +135,33 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
                 "lpips_alex": 0.125,
                 "avge": 0.0625,
             }
-            logged = asked if run.parts_at else quiet
+            logged = with_stereo if run.parts_at else without_stereo
             found.append(Record(run, measured | {"scores": scores, "logged": logged}))
     return found
 
 
 def rows_of(text: str, heading: str) -> list[list[str]]:
-    part = text.split(f"### {heading}\n")[1].split("###")[0]
+    part = text.split(f"## {heading}\n")[1].split("##")[0]
     lines = [line for line in part.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def test_tables_show_means_differences_and_the_papers_numbers() -> None:
-    text = page_text(records_of({NOTHING: 18.0, "initializer, opacity": 20.5, ALL: 20.75}), 99)
+    text = tables(records_of({NOTHING: 18.0, "initializer, opacity": 20.5, ALL: 20.75}), 99)
     nothing, both, whole = rows_of(text, EIGHT.title)
     assert nothing[:7] == ["✗", "✗", "✗", "3 + 3", "19.00 ± 1.00", "19.00 ± 1.00", NONE]
     assert both[:3] == ["✓", "✗", "✓"]
     assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.125", "0.062", "12,345", "21.91"]
-    parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "What each part adds")}
+    parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "Gain of each part")}
     assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", NONE, "+0.73"]
     assert parts["decay", NOTHING] == [NONE, NONE, "+2.16"]
     assert "18 of 99 runs, on a processor" in text
-    assert f"### {TERM_TABLE.title}" not in text  # there is nothing in it yet that is not above
-    assert "### Around objects" not in text
+    assert f"## {TERM_TABLE.title}" not in text  # all of its rows are in the tables above
+    assert "## Around objects" not in text
 
 
-def test_the_stereo_term_is_shown_with_what_it_asked() -> None:
-    text = page_text(records_of({"initializer, opacity": 20.5, ALL: 20.75, "sgm": 20.25}), 99)
+def test_the_stereo_term_is_shown_with_its_inferences() -> None:
+    text = tables(records_of({"initializer, opacity": 20.5, ALL: 20.75, "sgm": 20.25}), 99)
     none, sgm, paper = rows_of(text, TERM_TABLE.title)
     assert none[:5] == ["none", "3 + 3", "21.50 ± 1.00", "21.50 ± 1.00", NONE]
     assert none[-2:] == [NONE, NONE]

@@ -1,4 +1,4 @@
-"""What `benchmarks.priors_depth` says of priors whose error is known."""
+"""`benchmarks.priors_depth` on priors with known errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from core_rasterizer import open_device
 from tests.stereogs_plugins.initializers.depth_scenes import prior_of, true_depth
 
 
-def test_known_errors_are_found_and_stand_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_known_errors_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", "")
     monkeypatch.setattr(priors_depth, "ROOMS", (2,))
     monkeypatch.setattr(priors_depth, "PHOTOGRAPHS", ())

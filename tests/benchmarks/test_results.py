@@ -1,4 +1,4 @@
-"""The results tables: what is planned, and the page and picture that real trainings end in."""
+"""The results campaign: its plan, and the tables and picture of real trainings."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from benchmarks import results, trainings
+from benchmarks import campaigns, error_report, priors, skips, trainings, where_seconds_go
 from benchmarks.campaign import Campaign, one_by_one
-from benchmarks.marked_page import rewrite
-from benchmarks.results_page import BEGIN, END, Record, page_text
+from benchmarks.pages import DOCS, marks, rewrite
+from benchmarks.results_page import Record, summary, tables
 from benchmarks.results_picture import PICTURE, draw_first_views
 from benchmarks.results_plan import (
     CASES,
@@ -26,14 +26,16 @@ from benchmarks.results_plan import (
     Method,
     make_measurements,
 )
-from benchmarks.training_records import read
+from benchmarks.training_records import read, save
 from registry import RunError
 from registry.plugins.discovery import Plugins
+from registry.runs.guarding.lock import locked
 
 ROOM = Case(
     "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
 )
 SEED = LPIPS_SEED + 1
+MARKS = BEGIN, END = marks("results")
 TINY = """\
 name: {name}
 scene: procedural
@@ -74,19 +76,19 @@ def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("present", "said"),
+    ("present", "message"),
     [(None, "STEREOGS_DATA is not set"), ("llff_fern", "STEREOGS_DATA lacks llff_flower")],
 )
-def test_missing_data_is_said_before_anything_is_trained(
-    present: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_missing_data_is_reported_before_training(
+    present: str | None, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_DATA", raising=False)
     if present:
         (tmp_path / present).mkdir()
         monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["results"])
-    with pytest.raises(SystemExit, match=said):
-        results.RESULTS_CAMPAIGN.main(None)
+    with pytest.raises(SystemExit, match=message):
+        campaigns.RESULTS.main(None)
 
 
 def train(planned: list[Measurement], place: Path) -> dict[str, str]:
@@ -96,7 +98,7 @@ def train(planned: list[Measurement], place: Path) -> dict[str, str]:
         seconds=None,
         device=None,
         out=place / "out",
-        kept=place / "records",
+        kept=place / "records.jsonl",
         console=Console(file=io.StringIO()),
     )
 
@@ -112,7 +114,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Record], Pa
         methods.append(Method(name, file, baseline=name == "plain"))
     planned = make_measurements([ROOM], methods, [SEED], Plugins())
     assert train(planned, place) == {}
-    return read(planned, place / "records"), place / "out"
+    return read(planned, place / "records.jsonl"), place / "out"
 
 
 def row_of(text: str, first: str) -> list[str]:
@@ -123,8 +125,8 @@ def row_of(text: str, first: str) -> list[str]:
 def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Path]) -> None:
     records, _ = measured
     plain, better = records
-    text = page_text(records, 5)
-    colours, rest = text.split("### What people see")
+    text = tables(records, 5)
+    colours, rest = text.split("## Perceptual scores")
     psnr = [f"{record.scores['psnr']:.2f}" for record in records]
     gain = f"{better.scores['psnr'] - plain.scores['psnr']:+.2f}"
     ssim = [f"{record.scores['ssim']:.3f}" for record in records]
@@ -139,7 +141,7 @@ def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Pa
 _COSTS = ("gaussians", "cpu_seconds", "peak_memory_mb")
 
 
-def test_the_picture_shows_truth_and_renders_that_are_here(
+def test_the_picture_shows_photographs_and_present_renders(
     measured: tuple[list[Record], Path], tmp_path: Path
 ) -> None:
     records, out = measured
@@ -166,26 +168,27 @@ def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
     records = [moved(plain, room, seed, 10) for seed in SEEDS]
     records += [moved(better, room, seed, 12 + seed) for seed in SEEDS]
     records += [moved(better, den, 0, 21)]
-    text = page_text(records, 5)
+    text = tables(records, 5)
     # Differences 2, 3, 4: Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
     assert row_of(text, "room")[1:6] == ["3", "3", "10.00 ± 0.00", "13.00 ± 1.00", "+3.00 ± 2.48"]
     mean = row_of(text, "**mean of house-3**")
     assert mean[3:6] == ["**\u2013**", "**17.00**", "**+3.00 ± 2.48**"]
+    assert row_of(summary(records), "house-3")[1:3] == ["\u2013", "17.00"]
 
 
-def test_what_people_wrote_on_the_page_stays(tmp_path: Path) -> None:
+def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text(f"# Ours\n\nWhy.\n\n{BEGIN}\nold numbers\n{END}\n\nWhat we saw.\n", "utf-8")
-    rewrite(page, BEGIN, END, "new numbers")
+    rewrite(page, MARKS, "new numbers")
     text = page.read_text("utf-8")
     assert text == f"# Ours\n\nWhy.\n\n{BEGIN}\n\nnew numbers\n{END}\n\nWhat we saw.\n"
     page.write_text("# No marks\n", "utf-8")
-    with pytest.raises(RunError, match="lost the marks"):
-        rewrite(page, BEGIN, END, "new numbers")
+    with pytest.raises(RunError, match="lacks the marks"):
+        rewrite(page, MARKS, "new numbers")
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-def test_a_failed_run_is_told_and_no_other_is_lost(
+def test_a_failed_run_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "broken.yaml"
@@ -196,7 +199,50 @@ def test_a_failed_run_is_told_and_no_other_is_lost(
     monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path / "records")
     monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["tiny"])
-    campaign = Campaign("tiny", [], lambda _: planned, "x.md", (BEGIN, END), page_text)
+    campaign = Campaign("tiny", "Tiny", [], lambda _: planned, "x.md", summary, tables)
     with pytest.raises(SystemExit, match=r"1 runs failed(.|\n)*missing\.ply"):
         campaign.main(None)
     assert "1 runs, 1 to train" in capsys.readouterr().out
+
+
+PAGES = {one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
+PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, skips, where_seconds_go)}
+
+
+@pytest.mark.parametrize("target", PAGES)
+def test_a_page_has_its_marks(target: str) -> None:
+    text = PAGES[target].read_text("utf-8")
+    begin, end = marks(target)
+    assert text.count(begin) == text.count(end) == 1
+    assert text.index(begin) < text.index(end)
+
+
+def test_write_docs_writes_all_tables_and_the_summary(
+    measured: tuple[list[Record], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, _ = measured
+    kept, page = tmp_path / "results.jsonl", tmp_path / "x.md"
+    for record in found:
+        identity = record.run.identity
+        save(record.run, {k: v for k, v in record.measured.items() if k not in identity}, kept)
+    page.write_text(f"# Page\n\n{BEGIN}\n{END}\n", "utf-8")
+    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path / "out")
+    monkeypatch.setattr("benchmarks.campaign.DOCS", tmp_path)
+    monkeypatch.setattr("benchmarks.pages.TABLES", tmp_path / "tables")
+    monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path)
+    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["results", "--write-docs"])
+    runs = [record.run for record in found]
+    campaign = Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
+    assert campaign.main(None) == 0
+    assert page.read_text("utf-8") == f"# Page\n\n{BEGIN}\n\n{summary(found)}\n{END}\n"
+    assert (tmp_path / "tables" / "results.md").read_text("utf-8").endswith(tables(found, 2))
+
+
+def test_a_second_command_is_kept_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tiny"])
+    campaign = Campaign("tiny", "Tiny", [], lambda _: [], "x.md", summary, tables)
+    (tmp_path / "tiny").mkdir()
+    with locked(tmp_path / "tiny"), pytest.raises(SystemExit, match="in use by another process"):
+        campaign.main(None)

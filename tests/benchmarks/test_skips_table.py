@@ -1,17 +1,17 @@
-"""What `make bench-skips` says of its runs."""
+"""Tables of `make bench-skips`, and its switches."""
 
 from __future__ import annotations
 
 import pytest
 
 from benchmarks.skips import DEFAULT, SWITCHES, variant
-from benchmarks.skips_table import Measured, table
+from benchmarks.skips_table import Measured, rows, summary, table
 from registry.pipeline.pipeline import build_pipeline
 from registry.plugins.discovery import Plugins
 
 
 def test_a_switch_is_compared_with_the_default_of_its_own_scene_and_seed() -> None:
-    text = table(
+    found = rows(
         [
             Measured("as it is", "a", 0, 40.0, 20.0, 0.7, 1000),
             Measured("as it is", "a", 1, 60.0, 21.0, 0.7, 1000),
@@ -21,9 +21,12 @@ def test_a_switch_is_compared_with_the_default_of_its_own_scene_and_seed() -> No
         ],
         "as it is",
     )
-    assert text.splitlines()[2:] == [
+    assert table(found).splitlines()[2:] == [
         "| as it is | a | 50.0 |  | 20.50 ± 0.71 |  | 0.700 | 1,000 | 2 |",
         "| half | a | 32.5 | +38% | 20.10 ± 0.85 | -0.40 ± 0.14 | 0.650 | 600 | 2 |",
+    ]
+    assert summary([row for row in found if row.scene == "a"], "as it is").splitlines()[2:] == [
+        "| half | +38% | -0.40 ± 0.14 |"
     ]
 
 

@@ -48,8 +48,8 @@ def test_a_stage_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert settled == [device]
 
 
-def test_every_stage_of_a_run_is_there_to_be_wrapped() -> None:
-    """What a method is called may change; the page must not lose a stage without a word."""
+def test_every_stage_of_a_run_can_be_wrapped() -> None:
+    """If a method is renamed, the table must not lose its stage silently."""
     wrapped = []
 
     class Listing(StageClock):
