@@ -1,7 +1,8 @@
-"""What the documentation says works: its Python runs, its commands parse, its links lead somewhere."""
+"""The documentation is correct: its Python runs, its commands parse, its links lead somewhere."""
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shlex
@@ -14,6 +15,7 @@ import pytest
 import yaml
 
 from registry.cli import build_parser
+from tests.packages import install, run_python
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -63,6 +65,22 @@ def test_the_page_on_python_is_right(
     assert shapes.startswith("(48, 64, 3) (48, 64)")
     assert opened.startswith("True")
     assert stopped == "False 30 True"
+
+
+def test_the_plugin_of_the_readme_installs_and_trains(tmp_path: Path) -> None:
+    page, package = ROOT / "README.md", tmp_path / "package"
+    files = {"py": "opaque.py", "toml": "pyproject.toml", "yaml": "opaque.yaml"}
+    package.mkdir()
+    for language, name in files.items():
+        (text,) = blocks(page, language)
+        (package / name).write_text(text, "utf-8")
+        assert f"`{name}`" in page.read_text("utf-8")
+    small = ["scene.width=32", "scene.height=24", "training.iterations=4"]
+    options = [word for change in small for word in ("--set", change)]
+    command = ["-m", "stereogs", "train", "opaque.yaml", "--out", "run", *options]
+    run_python(*command, folder=package, site=install([package], tmp_path))
+    lines = (package / "run" / "metrics.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(lines[-1])["regularizers.opaque"] > 0
 
 
 def test_the_citation_is_of_this_version() -> None:
