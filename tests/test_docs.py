@@ -15,6 +15,8 @@ import pytest
 import yaml
 
 from registry.cli import build_parser
+from registry.pipeline.training_settings import TrainingSettings
+from registry.plugins.discovery import SELECTION, Plugins
 from tests.packages import install, run_python
 
 ROOT = Path(__file__).parent.parent
@@ -113,6 +115,19 @@ def test_fitting_one_picture_gets_better(tmp_path: Path) -> None:
     assert (tmp_path / "fitted.png").is_file()
 
 
-def test_the_list_of_components_is_up_to_date() -> None:
-    script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
-    assert script["PAGE"].read_text("utf-8") == script["page"](), "run `make docs`"
+def test_the_generated_page_lists_every_component_and_setting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(SELECTION, raising=False)
+    page = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))["page"]()
+    sections = dict(re.findall(r"^## `(\w+)`(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE))
+    offers = [offer for offer in Plugins().all() if offer.distribution == "stereogs-plugins"]
+    assert len(offers) > 80
+    for offer in offers:
+        _, _, text = sections[offer.point.section].partition(f"\n### {offer.name}\n")
+        text = text.partition("\n### ")[0]
+        assert text, offer.name
+        for setting in offer.settings_type.model_fields:
+            assert f"\n| `{setting}` |" in text, f"{offer.name}.{setting}"
+    for setting in TrainingSettings.model_fields:
+        assert f"\n| `{setting}` |" in sections["training"]
