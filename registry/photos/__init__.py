@@ -10,7 +10,7 @@
     photos.read_colmap_model(folder, fix)       COLMAP's models: cameras, poses, points and tracks
     photos.PosedPhoto, photos.LoadedPhotos      the way to a `Scene` that every built-in loader takes
 
-docs/plugin-authors.md writes a whole loader with it.
+docs/examples/stereogs-turntable-scene is a complete loader.
 """
 
 from typing import TYPE_CHECKING
