@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import importlib
 import inspect
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 import registry
+import stereogs
 from registry.contract import hooks
 from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.pipeline import parse_pipeline
@@ -99,6 +101,28 @@ def test_a_renamed_setting_accepts_its_former_name() -> None:
     for name in ("target", "goal"):
         settings = scope["Renamed"].model_validate_json(f'{{"{name}": 0.5}}', strict=True)
         assert settings.model_dump() == {"target": 0.5}
+
+
+def test_the_verb_of_the_page_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (source,) = re.findall(r"```py\n(\"\"\"`count`.*?)```", PAGE, re.DOTALL)
+    scope: dict[str, Any] = {"__name__": "example"}
+    exec(source, scope)
+    pipeline = {
+        "name": "small",
+        "scene": {"use": "procedural", "width": 32, "height": 24},
+        "initializer": {"use": "random", "count": 50},
+        "metrics": ["psnr"],
+    }
+    run = stereogs.train(
+        stereogs.build_pipeline(pipeline, ["training.iterations=1"]),
+        out=tmp_path / "run",
+        progress=False,
+    )
+    command, parser = scope["Count"](), argparse.ArgumentParser()
+    command.add_arguments(parser)
+    capsys.readouterr()
+    assert command.run(parser.parse_args([str(tmp_path / "run")])) == 0
+    assert int(capsys.readouterr().out) == run.model.count
 
 
 TYPES = PAGE.partition("## Types")[2].partition("Tensors are")[0]
