@@ -103,7 +103,10 @@ def test_a_renamed_setting_accepts_its_former_name() -> None:
         assert settings.model_dump() == {"target": 0.5}
 
 
-def test_the_verb_of_the_page_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_of_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv(SELECTION)
     (source,) = re.findall(r"```py\n(\"\"\"`count`.*?)```", PAGE, re.DOTALL)
     scope: dict[str, Any] = {"__name__": "example"}
     exec(source, scope)

@@ -17,6 +17,7 @@ from stereogs_plugins.priors.onnx_stereo import families as stereo_families
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
 NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow")
+HEAD = "name: example\nscene: {use: llff, path: fern, train_views: 3}\n"
 EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 
 
@@ -27,7 +28,8 @@ def plugins() -> Plugins:
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
-    pipeline = parse_pipeline(example, plugins, source=PAGE.name)
+    rest = HEAD if "initializer:" in example else f"{HEAD}initializer: sfm\n"
+    pipeline = parse_pipeline(rest + example, plugins, source=PAGE.name)
     networks = [prior for prior in pipeline.items["priors"] if prior.offer.name in NAMES]
     assert len(networks) == 1
 
