@@ -67,8 +67,7 @@ lint: $(VENV)/.dev ## ruff: rules and format
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy
 
-docs: $(VENV)/.dev ## docs/components.md and pipelines/pipeline.schema.json, written from the code
-	$(BIN)/python docs/make_reference.py
+docs: $(VENV)/.dev ## pipelines/pipeline.schema.json, generated from the code
 	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
 
 site: $(VENV)/.docs ## the documentation as a site in build/site; opens without a network

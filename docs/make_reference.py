@@ -1,10 +1,9 @@
-"""Writes docs/components.md from the settings themselves: `make docs`. A test holds it up to date."""
+"""The page of the site that lists all components and their settings, generated from the code."""
 
 from __future__ import annotations
 
 import inspect
 import json
-from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -15,21 +14,18 @@ from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import LearningRates, TrainingSettings
 from registry.plugins.discovery import Offer, Plugins
 
-PAGE = Path(__file__).parent / "components.md"
 PACKAGE = "stereogs-plugins"
 
 _HEAD = """\
 # Components and their settings
 
-<!-- Written by docs/make_reference.py from the code (`make docs`). Do not edit. -->
-
-What a pipeline can name, section by section, as installed with this project. `stereogs plugins` lists what
-*your* installation has, third parties' plugins included.
+The components of this project, by section of the pipeline. `stereogs plugins` also lists those of other
+installed packages.
 """
 
 
 def page() -> str:
-    """The whole page."""
+    """Return the page as Markdown."""
     offers = [offer for offer in Plugins().all() if offer.distribution == PACKAGE]
     parts = [_HEAD]
     for point in HOOK_POINTS:
@@ -37,12 +33,12 @@ def page() -> str:
         one = f"one {point.title}"
         number = {"list": "a list", "one": one, "one or list": f"{one} or a list"}[point.holds]
         parts.append(f"## `{point.section}`: {number}\n")
-        lent = [f"`{name}`" for name in point.host_settings]
-        parts.append(f"Settings of the host: {', '.join(lent)} (see below).\n")
+        names = ", ".join(f"`{name}`" for name in point.host_settings)
+        parts.append(f"[Host settings](#host-settings): {names}.\n")
         parts.extend(_component(offer) for offer in mine)
         if not mine:
-            parts.append("None is built in.\n")
-    parts.append("## Settings that the host lends to components\n")
+            parts.append("None.\n")
+    parts.append("## Host settings\n")
     parts.append(_table(HostSettings))
     parts.append("## `training`\n")
     parts.append(_table(TrainingSettings))
@@ -77,7 +73,3 @@ def _default(field: FieldInfo) -> str:
     if isinstance(value, Settings):
         return "see below"
     return f"`{json.dumps(value, default=str)}`"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")

@@ -1,8 +1,8 @@
-"""What the site shows that does not lie in docs/ (a hook of mkdocs, see mkdocs.yml).
+"""Pages of the site that are not files in docs/ (an mkdocs hook, see mkdocs.yml).
 
-The pages are written for the repository: they link to its files and folders by relative paths. On the
-site the README is the first page, and every file or folder that a page links to becomes a page with its
-text, so that the same links lead somewhere in both places.
+Pages link to files and folders of the repository by relative paths. On the site the README is the first
+page, and each linked file or folder becomes a page with its text, so that links work in both places. The
+list of components is generated from the code.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import posixpath
 import re
+import runpy
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -22,15 +23,18 @@ PAGES = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
 }
-"""Pages outside docs/ by their names on the site."""
+"""Pages outside docs/, and their names on the site."""
+COMPONENTS = "components.md"
 
-SHOWN_AS_THEY_ARE = (".md", ".png", ".webp")
+SHOWN_UNCHANGED = (".md", ".png", ".webp")
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(?=\))")
 _LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages outside docs/, and a page for each file or folder that a page links to."""
+    """Add the generated page, the pages outside docs/, and a page for each linked file or folder."""
+    reference = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
+    files.append(File.generated(config, COMPONENTS, content=reference["page"]()))
     for source, name in PAGES.items():
         text = (ROOT / source).read_text("utf-8")
         files.append(File.generated(config, name, content=text))
@@ -46,7 +50,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Let links lead to where the site has what they name in the repository."""
+    """Rewrite links to repository paths as links to pages of the site."""
     here = page.file.src_uri
     if here.startswith("source/") and not here.endswith(".ipynb.md"):
         return markdown  # code
@@ -62,23 +66,23 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def _origin(name: str) -> str:
-    """The path in the repository of a page of the site."""
+    """Return the repository path of a page of the site."""
     if name.startswith("source/"):
         return name.removeprefix("source/").removesuffix(".md")
     return next((source for source, there in PAGES.items() if there == name), f"docs/{name}")
 
 
 def _on_site(path: str) -> str:
-    """The name on the site of a path in the repository."""
+    """Return the name on the site of a repository path."""
     if path in PAGES:
         return PAGES[path]
-    if path.startswith("docs/") and path.endswith(SHOWN_AS_THEY_ARE):
+    if path.startswith("docs/") and path.endswith(SHOWN_UNCHANGED):
         return path.removeprefix("docs/")
     return f"source/{path}.md"
 
 
 def _resolved(target: str, origin: str) -> str | None:
-    """The path in the repository that a link of a page there names; None if it names none."""
+    """Return the repository path of a link target, or None if it is not a file there."""
     path = posixpath.normpath(posixpath.join(posixpath.dirname(origin), target))
     return path if "://" not in target and (ROOT / path).exists() else None
 
@@ -89,7 +93,7 @@ def _linked(markdown: str, origin: str) -> list[str]:
 
 
 def _page_of(path: str) -> str:
-    """A page with the text of a file, or of the files of a folder."""
+    """Return a page with the text of a file, or of all files of a folder."""
     place = ROOT / path
     inside = place.rglob("*") if place.is_dir() else [place]
     files = sorted(file for file in inside if file.is_file() and "__pycache__" not in file.parts)

@@ -1,7 +1,8 @@
-"""What the documentation says works: its Python runs, its commands parse, its links lead somewhere."""
+"""The documentation is correct: its Python runs, its commands parse, its links lead somewhere."""
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shlex
@@ -13,7 +14,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.cli import parse
+from registry.cli import build_parser
+from registry.pipeline.training_settings import TrainingSettings
+from registry.plugins.discovery import SELECTION, Plugins
+from tests.packages import install, run_python
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -40,7 +44,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_are_understood(page: Path) -> None:
     for command in commands(page):
-        parse(shlex.split(command, comments=True)[1:])
+        build_parser().parse_args(shlex.split(command, comments=True)[1:])
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])
@@ -63,6 +67,22 @@ def test_the_page_on_python_is_right(
     assert shapes.startswith("(48, 64, 3) (48, 64)")
     assert opened.startswith("True")
     assert stopped == "False 30 True"
+
+
+def test_the_plugin_of_the_readme_installs_and_trains(tmp_path: Path) -> None:
+    page, package = ROOT / "README.md", tmp_path / "package"
+    files = {"py": "opaque.py", "toml": "pyproject.toml", "yaml": "opaque.yaml"}
+    package.mkdir()
+    for language, name in files.items():
+        (text,) = blocks(page, language)
+        (package / name).write_text(text, "utf-8")
+        assert f"`{name}`" in page.read_text("utf-8")
+    small = ["scene.width=32", "scene.height=24", "training.iterations=4"]
+    options = [word for change in small for word in ("--set", change)]
+    command = ["-m", "stereogs", "train", "opaque.yaml", "--out", "run", *options]
+    run_python(*command, folder=package, site=install([package], tmp_path))
+    lines = (package / "run" / "metrics.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(lines[-1])["regularizers.opaque"] > 0
 
 
 def test_the_citation_is_of_this_version() -> None:
@@ -95,6 +115,19 @@ def test_fitting_one_picture_gets_better(tmp_path: Path) -> None:
     assert (tmp_path / "fitted.png").is_file()
 
 
-def test_the_list_of_components_is_up_to_date() -> None:
-    script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
-    assert script["PAGE"].read_text("utf-8") == script["page"](), "run `make docs`"
+def test_the_generated_page_lists_every_component_and_setting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(SELECTION, raising=False)
+    page = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))["page"]()
+    sections = dict(re.findall(r"^## `(\w+)`(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE))
+    offers = [offer for offer in Plugins().all() if offer.distribution == "stereogs-plugins"]
+    assert len(offers) > 80
+    for offer in offers:
+        _, _, text = sections[offer.point.section].partition(f"\n### {offer.name}\n")
+        text = text.partition("\n### ")[0]
+        assert text, offer.name
+        for setting in offer.settings_type.model_fields:
+            assert f"\n| `{setting}` |" in text, f"{offer.name}.{setting}"
+    for setting in TrainingSettings.model_fields:
+        assert f"\n| `{setting}` |" in sections["training"]

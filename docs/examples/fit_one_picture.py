@@ -1,4 +1,4 @@
-"""Fits Gaussians to a picture with the rasterizer alone: python fit_one_picture.py [PICTURE] [ITERATIONS]"""
+"""Fit Gaussians to a picture with only the rasterizer: python fit_one_picture.py [PICTURE] [ITERATIONS]"""
 
 import sys
 
@@ -14,10 +14,10 @@ picture.thumbnail((300, 300))
 target = torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)
 height, width, _ = target.shape
 
-# Seen from the origin along +z, a pixel at depth 1 is 1 / focal world units wide.
+# The camera is at the origin and looks along +z; a pixel at depth 1 is 1 / focal world units wide.
 focal, count = float(width), 3000
 camera = Camera(torch.eye(4), focal, focal, width / 2, height / 2, width, height)
-torch.set_num_threads(1)  # its own threads would wait in a spin beside the OpenCL device's
+torch.set_num_threads(1)  # more threads would compete with those of the OpenCL device
 torch.manual_seed(0)
 positions = (torch.rand(count, 2) - 0.5) * torch.tensor([width, height]) / focal
 means = torch.cat([positions, torch.ones(count, 1)], dim=1).requires_grad_()

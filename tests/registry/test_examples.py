@@ -31,8 +31,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return install(PACKAGES, tmp_path_factory.mktemp("examples"))
 
 
-def test_there_is_one_of_each_kind_that_the_page_promises() -> None:
-    page = (ROOT / "docs" / "plugin-authors.md").read_text("utf-8")
+def test_there_is_one_of_each_kind_that_the_tutorial_links_to() -> None:
+    page = (ROOT / "docs" / "write_a_plugin.md").read_text("utf-8")
     assert all(f"(examples/{package.name})" in page for package in PACKAGES)
 
 

@@ -1,6 +1,6 @@
-"""`flat`: points on one plane in front of each training camera, coloured like its photograph.
+"""`flat`: points on a plane in front of each training camera, coloured like its photograph.
 
-A floor for ablations: whatever an initializer knows about depth must beat this.
+A lower bound for ablations: an initializer that estimates depth must beat it.
 """
 
 from collections.abc import Mapping
@@ -13,18 +13,18 @@ from torch import Tensor
 import registry
 
 STEREOGS_API = 3
-"""The version of the plugin API that this module was written for."""
+"""Version of the plugin API that this module was written for."""
 
 
 class FlatSettings(registry.Settings):
     points_per_view: int = Field(2000, ge=1)
-    """How many points each training view contributes, drawn at random pixels."""
+    """Number of points per training view, at random pixels."""
     depth: float = Field(0.5, ge=0, le=1)
-    """Where the plane stands: 0 is the scene's near bound, 1 its far bound, linear in 1 / z."""
+    """Position of the plane: 0 is the scene's near bound, 1 its far bound, linear in 1 / z."""
 
 
 class FlatInitializer(registry.Initializer[FlatSettings]):
-    """Points at one depth; useful as an ablation floor."""
+    """Points at one depth, a lower bound for ablations."""
 
     def initialize(
         self, scene: registry.TrainingScene, priors: Mapping[str, registry.Prior[Any]]
@@ -37,9 +37,9 @@ class FlatInitializer(registry.Initializer[FlatSettings]):
         return registry.PointCloud(positions, colors)
 
     def _points(self, view: registry.View, z: float) -> tuple[Tensor, Tensor]:
-        """Positions `[P, 3]` in world units and colours `[P, 3]` of random pixels at depth z."""
+        """Return positions `[P, 3]` in world units and colours `[P, 3]` of random pixels at depth z."""
         camera, count = view.camera, self.settings.points_per_view
-        # `self.generator` belongs to this component: its draws depend on nothing else in the run.
+        # `self.generator` belongs to this component: other components do not affect its numbers.
         rows = torch.randint(camera.height, (count,), generator=self.generator)
         columns = torch.randint(camera.width, (count,), generator=self.generator)
         x = (columns + 0.5 - camera.cx) / camera.fx * z

@@ -1,7 +1,6 @@
-"""`idle_fade`: Gaussians that no training view has touched for long lose opacity, until they are pruned.
+"""`idle_fade`: Gaussians that reach no training view for long lose opacity, until they are pruned.
 
-What it keeps for each Gaussian, a count, is saved with checkpoints (`state`, `restore`) and follows every
-edit (`carry`).
+It keeps a count per Gaussian, which checkpoints save (`state`, `restore`) and edits rearrange (`carry`).
 """
 
 from collections.abc import Mapping
@@ -13,18 +12,18 @@ from torch import Tensor
 import registry
 
 STEREOGS_API = 3
-"""The version of the plugin API that this module was written for."""
+"""Version of the plugin API that this module was written for."""
 
 
 class IdleFadeSettings(registry.Settings):
     patience: int = Field(50, ge=0)
-    """How often in a row a Gaussian may be found untouched before it fades."""
+    """Number of consecutive updates without a touched pixel before a Gaussian fades."""
     factor: float = Field(0.95, gt=0, le=1)
-    """What its opacity is multiplied by then, each time that the policy is due."""
+    """Factor applied to its opacity at each update from then on."""
 
 
 class IdleFade(registry.OpacityPolicy[IdleFadeSettings]):
-    """Lets Gaussians fade that have touched no pixel for a while."""
+    """Decay of Gaussians that have not touched a pixel recently."""
 
     def __init__(self, settings: IdleFadeSettings, context: registry.Context) -> None:
         super().__init__(settings, context)
@@ -43,15 +42,15 @@ class IdleFade(registry.OpacityPolicy[IdleFadeSettings]):
         )
 
     def state(self) -> dict[str, Tensor]:
-        """How often in a row each Gaussian was found untouched, `[N]` int64; empty at first."""
+        """Return the consecutive updates without a touched pixel, `[N]` int64; empty at first."""
         return {"idle": self._idle}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore the counts that `state` returned."""
         self._idle = state["idle"].clone()
 
     def carry(self, source: Tensor, fresh: Tensor) -> None:
-        """Those that stay keep their count; new ones start at 0."""
+        """Keep the counts of remaining Gaussians; new ones start at 0."""
         if len(self._idle):
             self._idle = torch.where(fresh, 0, self._idle[source])
 

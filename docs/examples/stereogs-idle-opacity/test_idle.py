@@ -1,4 +1,4 @@
-"""What the author of a plugin tests: the contract, and what the component is for."""
+"""Tests by the author of a plugin: the contract, and the purpose of the component."""
 
 import torch
 from stereogs_idle_opacity import IdleFade, IdleFadeSettings

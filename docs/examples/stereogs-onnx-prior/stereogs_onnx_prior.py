@@ -1,10 +1,10 @@
-"""`plain_depth`: relative inverse depth from an ONNX file, named by its path and its hash.
+"""`plain_depth`: relative inverse depth from an ONNX file, identified by path and hash.
 
     priors:
       - {use: plain_depth, model: /models/depth.onnx, sha256: 0123...}
 
-Nothing is downloaded. `stereogs_plugins` brings `onnx_mono` for well-known networks; this shows how little a
-network of one's own needs.
+`stereogs_plugins` has `onnx_mono` for well-known networks; this example shows the minimum for a network of
+your own.
 """
 
 from pydantic import Field
@@ -12,34 +12,33 @@ from torch import Tensor
 
 import registry
 from registry.priors import MonocularDepthPrior
-from registry.toolkit.networks import OnnxModelSettings
-from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
+from registry.toolkit.networks import OnnxModelSettings, full_size_maps, in_range, padded
 
 STEREOGS_API = 3
-"""The version of the plugin API that this module was written for."""
+"""Version of the plugin API that this module was written for."""
 
 
 class PlainDepthSettings(OnnxModelSettings):
     multiple: int = Field(14, ge=1)
-    """The network takes images whose sides are multiples of this many pixels."""
+    """Multiple, in pixels, that both sides of the network's input must have."""
 
 
 class PlainDepth(MonocularDepthPrior[PlainDepthSettings]):
-    """A network that takes `[1, 3, H, W]` with ImageNet's mean and deviation and answers `[1, 1, H, W]`."""
+    """Network with input `[1, 3, H, W]`, normalized as for ImageNet, and output `[1, 1, H, W]`."""
 
     def __init__(self, settings: PlainDepthSettings, context: registry.Context) -> None:
         super().__init__(settings, context)
-        self._model = settings.open()  # checks the hash, and that it is a model at all
+        self._model = settings.open()  # checks hash and format
 
     def fingerprint(self) -> str:
-        """What answers depend on beside settings and code; they are kept on disk by it."""
+        """Return the hash of the file, so that cached answers of another file are not used."""
         return self._model.fingerprint
 
     def estimate(self, image: Tensor) -> Tensor:
         """Return inverse depth without a unit, `[H, W]`, larger = nearer, for `[H, W, 3]` in [0, 1].
 
         Raises:
-            PluginError: the graph answers another shape.
+            PluginError: the graph's output has another shape.
         """
         image_input, output = self._model.input(), self._model.output()
         fit = padded(

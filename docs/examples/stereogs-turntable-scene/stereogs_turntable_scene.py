@@ -1,6 +1,6 @@
-"""`turntable`: photographs on a turntable, one lens; a scene loader of what registry.toolkit.photos offers.
+"""`turntable`: photographs from a turntable with one lens; a scene loader built on registry.toolkit.photos.
 
-The folder holds the photographs and turntable.json:
+The folder contains the photographs and turntable.json:
 
     {"focal": 900.0, "size": [800, 600], "distortion": [0, 0, 0, 0],
      "shots": [{"file": "000.png", "camera_to_world": [[...], [...], [...], [...]]}, ...]}
@@ -18,7 +18,7 @@ import registry
 from registry.toolkit import photos
 
 STEREOGS_API = 3
-"""The version of the plugin API that this module was written for."""
+"""Version of the plugin API that this module was written for."""
 
 
 class Shot(pydantic.BaseModel):
@@ -35,13 +35,13 @@ class Turntable(pydantic.BaseModel):
 
 class TurntableSettings(photos.SplitSettings):
     path: Path
-    """The scene's folder; it holds turntable.json and the photographs."""
+    """Folder with turntable.json and the photographs."""
     max_size: int = pydantic.Field(800, ge=16)
-    """Photographs are reduced to this many pixels on the longer side."""
+    """Maximum length of the longer side in pixels; larger photographs are reduced."""
 
 
 class TurntableScene(registry.SceneLoader[TurntableSettings]):
-    """Reads turntable.json: one lens, OpenGL poses; split like LLFF."""
+    """Scene from turntable.json: one lens, OpenGL poses, split like LLFF."""
 
     recognized_by: ClassVar[str] = "turntable.json"
 
