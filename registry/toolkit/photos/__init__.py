@@ -10,7 +10,7 @@
     photos.read_colmap_model(folder, fix)       COLMAP models: cameras, poses, points and tracks
     photos.PosedPhoto, photos.LoadedPhotos      the steps to a `Scene` that all built-in loaders use
 
-docs/plugin-authors.md builds a whole loader with it.
+docs/plugin_reference.md builds a whole loader with it.
 """
 
 from typing import TYPE_CHECKING

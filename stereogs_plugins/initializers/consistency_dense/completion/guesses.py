@@ -27,7 +27,7 @@ LEAST_CONFIRMED = 0.25
 """Least confirmed share of the completed surface; below it guesses do more harm than good.
 
 Measured on held-out training views: with 14 % confirmed (a temple on a turntable) guesses cost 5.2 dB;
-with 33 % (a toy on white) they gain 0.4 dB (docs/engine_notes.md)."""
+with 33 % (a toy on white) they gain 0.4 dB (benchmarks/notes.md)."""
 SHOWN_COLOR_RANGE = 0.1
 """Largest difference of a channel between a point and the colours around its pixel; half of what
 contradicts a point, since a point behind the visible surface often has nearly its colour."""
