@@ -18,15 +18,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from stereogs_plugins.scenes.llff.poses import read_poses
-from stereogs_plugins.scenes.photos.image_names import image_index
 
 from benchmarks import pages
 from registry.toolkit.photos import Decoder, evenly_spaced, longest_side
 from registry.toolkit.photos import read_colmap_model as read_model
 from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
+from stereogs_plugins.scenes.llff import read_poses
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, image_index, read_folder
 
 PAGE = pages.DOCS / "your_own_photographs.md"
 OUT = Path(__file__).parent / "out" / "photos"

@@ -78,7 +78,6 @@ _MOVED = {
     "epipolar_distances": "registry.toolkit.views",
     "image_fitting": "registry.toolkit.networks",
     "optional_module": "registry.plugins",
-    "photos": "registry.toolkit",
     "read_results": "registry.runs",
     "trained_gaussians": "registry.training",
     "triangulation": "registry.toolkit.views",

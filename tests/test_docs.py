@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.cli import build_parser
+from registry.cli import parse
 from registry.pipeline.training_settings import TrainingSettings
 from registry.plugins.discovery import SELECTION, Plugins
 from tests.packages import install, run_python
@@ -44,7 +44,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_are_understood(page: Path) -> None:
     for command in commands(page):
-        build_parser().parse_args(shlex.split(command, comments=True)[1:])
+        parse(shlex.split(command, comments=True)[1:])
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
         open_given,
         positive_seconds,
     )
+    from .run_table import ABSENT
     from .train import conclude, tell_failures
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
+    "ABSENT",
     "TrainRequest",
     "add_accept_changed_inputs",
     "add_device",

@@ -32,7 +32,7 @@ class Eval(Command):
         output = console()
         run = open_given(arguments)
         from ..runs.results import RENDERS, renew
-        from ..runs.run_table import results_table
+        from .run_table import results_table
 
         results = renew(run)
         output.print(results_table(results), soft_wrap=False)

@@ -162,7 +162,7 @@ def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
 def conclude(run: Run, output: Console) -> int:
     """Tell how the run ended and where its files lie; returns the exit status."""
     from ..runs.results import RENDERS
-    from ..runs.run_table import results_table
+    from .run_table import results_table
 
     folder = run.folder_or_refuse()
     if not run.finished:

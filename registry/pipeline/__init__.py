@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .blame import blame
+    from .blame import blame as blamed
     from .edits import (
         SECTIONS,
         TOP_LEVEL,
@@ -38,7 +38,7 @@ __all__ = [
     "Pipeline",
     "Place",
     "apply_override",
-    "blame",
+    "blamed",
     "build_part",
     "checked_pipeline",
     "component_item",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from ..training.checkpoint import trained_gaussians
     from .beginning import Beginning, Fit
     from .evaluation import evaluate, quick
     from .folder import METRICS, RESULTS, RunFolder
@@ -17,13 +18,11 @@ if TYPE_CHECKING:
     from .results import report as write_reports
     from .results_file import read_results
     from .run import Run
-    from .run_table import ABSENT
     from .training_run import in_runs
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
-    "ABSENT",
     "METRICS",
     "RENDERS",
     "RESULTS",
@@ -40,5 +39,6 @@ __all__ = [
     "read_results",
     "repeat_failure",
     "stop_on_interrupt",
+    "trained_gaussians",
     "write_reports",
 ]

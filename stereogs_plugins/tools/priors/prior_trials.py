@@ -20,7 +20,7 @@ from registry.pipeline import (
     Item,
     Place,
     apply_override,
-    blame,
+    blamed,
     build_part,
     escape_variables,
     parse,
@@ -123,7 +123,7 @@ def attempt(guess: Guess, truth: Truth, device: Device) -> Trial:
     item = Item(name, settings, HostSettings(use=name), guess.offer, place)
     prior = build_part(item, 0, device).component
     begin = time.perf_counter()
-    with blame(item):
+    with blamed(item):
         score = judge(prior, truth)
     return Trial(guess, score, time.perf_counter() - begin)
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, GaussianModel, Rendering
+from registry.commands.run_table import results_table
 from registry.contract.component import Context
 from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.parts import Part
@@ -23,7 +24,6 @@ from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer
 from registry.runs.average_error import average_error
 from registry.runs.evaluation import Scores, averaged, evaluate
-from registry.runs.run_table import results_table
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 

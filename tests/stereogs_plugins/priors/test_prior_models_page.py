@@ -10,8 +10,7 @@ import pytest
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from stereogs_plugins.metrics.lpips.known_files import KNOWN
-from stereogs_plugins.priors import onnx_mono
-from stereogs_plugins.priors.onnx_mvs import families as mvs_families
+from stereogs_plugins.priors import onnx_mono, onnx_mvs
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
@@ -64,7 +63,7 @@ def test_stereo_families_are_described_as_they_are(name: stereo_families.FamilyN
 
 
 def test_other_families_are_described_as_they_are() -> None:
-    for name, mvs in mvs_families.FAMILIES.items():
+    for name, mvs in onnx_mvs.FAMILIES.items():
         assert f"`{mvs.images}`" in row(name)
         assert f"multiples of {mvs.multiple} " in row(name)
         assert f"| `{name}` | `{mvs.depth}` | `{mvs.confidence}` |" in TEXT

@@ -42,7 +42,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[Pipeline]:
     """The pipelines that would be trained."""
     pipelines: list[Pipeline] = []
 
-    def train(pipeline: Pipeline, **_: object) -> None:
+    def train(pipeline: Pipeline, *_: object, **__: object) -> None:
         pipelines.append(pipeline)
         raise Trained
 

@@ -9,8 +9,8 @@ from rich import box
 from rich.cells import cell_len
 from rich.table import Table
 
+from registry.commands import ABSENT
 from registry.pipeline import load_protocol
-from registry.runs import ABSENT
 
 from .comparison import FinishedRun, MethodMean, method_means, metric_names
 from .differences import labels
