@@ -12,7 +12,8 @@ from torch import Tensor
 
 import registry
 from registry.priors import MonocularDepthPrior
-from registry.toolkit.networks import OnnxModelSettings, full_size_maps, in_range, padded
+from registry.toolkit.networks import OnnxModelSettings
+from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
 
 STEREOGS_API = 3
 """Version of the plugin API that this module was written for."""

@@ -33,7 +33,7 @@ def write_photos(folder: Path) -> Path:
 FORMATS["photos"] = write_photos
 
 
-class Trained(Exception):
+class Trained(BaseException):
     """Replacement for training."""
 
 
