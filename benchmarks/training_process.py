@@ -18,7 +18,7 @@ from benchmarks.scores import VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.runs.evaluation import evaluate
-from registry.runs.origin.provenance import circumstances
+from registry.runs.origin import circumstances
 from registry.session import build_pipeline
 from registry.system.files import write_json
 from registry.training.threads import one_torch_thread

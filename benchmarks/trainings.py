@@ -16,7 +16,7 @@ from rich.console import Console
 from benchmarks import training_records as records
 from benchmarks.planned_training import PlannedTraining
 from benchmarks.training_process import ANSWER, FAILED, PIPELINE
-from registry.runs.guarding.interrupt import stop_on_interrupt
+from registry.runs.interrupt import stop_on_interrupt
 from registry.system.files import write_text
 from registry.toolkit.cache import FOLDER_VARIABLE
 

@@ -1,4 +1,31 @@
-"""One file a verb of the command line. Each has `add(verbs)`, which names its `run(arguments)`.
+"""Consoles, arguments and output that several verbs use."""
 
-At its top a verb imports what its options need; what its work needs, `run` imports.
-"""
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from ..contract.command import TrainRequest
+    from .output import (
+        add_accept_changed_inputs,
+        add_device,
+        add_run,
+        console,
+        open_given,
+        positive_seconds,
+    )
+    from .train import conclude, print_failures
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "TrainRequest",
+    "add_accept_changed_inputs",
+    "add_device",
+    "add_run",
+    "conclude",
+    "console",
+    "open_given",
+    "positive_seconds",
+    "print_failures",
+]

@@ -1,1 +1,14 @@
-"""What a plugin is and what it is given: component classes, scenes, steps, hooks, and checks."""
+"""What plugins implement, and the data they exchange. `registry` exports what most plugins need."""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .components import AverageErrorRole
+    from .hook_points import HOOK_POINTS, HookPoint
+    from .scene import SOLID, camera_extent
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = ["HOOK_POINTS", "SOLID", "AverageErrorRole", "HookPoint", "camera_extent"]

@@ -1,1 +1,18 @@
-"""What a scene or a machine is like, before anything is trained."""
+"""Scenes and pipelines, described for people."""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .scene_facts import facts, warnings
+    from .scene_source import find_loader, load
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "facts",
+    "find_loader",
+    "load",
+    "warnings",
+]

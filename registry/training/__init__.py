@@ -1,1 +1,23 @@
-"""The training loop and what it consists of."""
+"""The training loop and checkpoints."""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .checkpoint import CHECKPOINT, load_checkpoint, trained_gaussians
+    from .initial_model import new_model
+    from .threads import one_torch_thread
+    from .trainer import Iteration, Trainer
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = [
+    "CHECKPOINT",
+    "Iteration",
+    "Trainer",
+    "load_checkpoint",
+    "new_model",
+    "one_torch_thread",
+    "trained_gaussians",
+]

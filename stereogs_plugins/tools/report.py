@@ -6,17 +6,15 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
-from registry.commands.output import add_run, console, open_given
-from registry.commands.train import tell_failures
-from registry.errors import RunError
+from registry import Command, Register, RunError, hookimpl
+from registry.commands import add_run, console, open_given, print_failures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from registry.pipeline.parts import Part
-    from registry.plugins.discovery import Offer, Plugins
-    from registry.runs.run import Run
+    from registry.pipeline import Part
+    from registry.plugins import Offer, Plugins
+    from registry.runs import Run
 
 BESIDE = "beside"
 """The setting of a report that --inline and --beside set."""
@@ -53,8 +51,7 @@ class Report(Command):
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Write, and say where; 1 if a report failed."""
-        from registry.plugins.discovery import Plugins
-        from registry.runs.results import report
+        from registry.plugins import Plugins
 
         output = console()
         given = open_given(arguments)
@@ -64,10 +61,10 @@ class Report(Command):
                 where=str(arguments.run_folder),
                 fix=f"stereogs resume {arguments.run_folder}",
             )
-        files, failures = report(given, _reports(given, Plugins(), arguments.beside))
+        files, failures = given.report(_reports(given, Plugins(), arguments.beside))
         for file in files:
             output.print(f"page  {given.folder_or_refuse().path / file}")
-        return tell_failures({"failures": failures}, arguments.run_folder)
+        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
 
 
 def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
@@ -76,8 +73,7 @@ def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
     Raises:
         RunError: there is none, or none that knows of --inline and --beside.
     """
-    from registry.pipeline.parts import build_part
-    from registry.pipeline.pipeline import load_pipeline
+    from registry.pipeline import build_part, load_pipeline
 
     items = run.pipeline.items["reports"]
     offers = [o for o in plugins.all() if o.point.section == "reports"]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Edit, Gaussians, Relocation
+from registry.priors import DepthMap
 
 
 class TargetSettings(r.Settings):
@@ -194,7 +195,7 @@ class ToyGuided(r.Initializer[GuidedSettings]):
         for view in views:
             depth = torch.full(view.image.shape[:2], 3.0)
             valid = torch.ones_like(depth, dtype=torch.bool)
-            maps[view.name] = r.DepthMap(depth, valid, valid.float())
+            maps[view.name] = DepthMap(depth, valid, valid.float())
         odd = torch.arange(len(scene.points)) % 2 == 1
         return replace(scene.points, maps=maps, kinds={"even": ~odd, "odd": odd})
 

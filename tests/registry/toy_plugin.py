@@ -12,6 +12,7 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Edit, GaussianReader
+from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
 from registry.testing import tiny_scene
 
 
@@ -192,21 +193,21 @@ class ToyDiary(r.Observer[ToyDiarySettings]):
         if words[0] == self.settings.fault:
             raise ZeroDivisionError(f"boom in {words[0]}")
 
-    def started(self, run: r.RunStarted) -> None:
+    def started(self, run: RunStarted) -> None:
         self.folder = run.folder
         self._note("started", run.title, run.iteration, run.resumed, run.iterations)
 
-    def iterated(self, done: r.IterationDone) -> None:
+    def iterated(self, done: IterationDone) -> None:
         self._note("iterated", done.iteration, done.gaussians, *done.numbers)
         if self.settings.fault == "draws":
             torch.rand(())
         if self.settings.fault == "writes":
             done.rendering.rgb.zero_()
 
-    def evaluated(self, scored: r.ViewsScored) -> None:
+    def evaluated(self, scored: ViewsScored) -> None:
         self._note("evaluated", scored.iteration, *scored.mean)
 
-    def ended(self, run: r.RunEnded) -> None:
+    def ended(self, run: RunEnded) -> None:
         self._note("ended", run.iteration, run.finished, run.results is not None, run.error)
 
 

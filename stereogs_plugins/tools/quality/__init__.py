@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from registry.runs.beginning import Fit
+    from registry.runs import Fit
 
 
 def within(seconds: float) -> Fit:
@@ -22,4 +22,4 @@ def within(seconds: float) -> Fit:
     from .fitting import Budget, fit_length
 
     budget, log = Budget(seconds, time.monotonic()), logging.getLogger("stereogs.quality")
-    return lambda beginning: fit_length(beginning, budget, log.info)
+    return lambda initial: fit_length(initial, budget, log.info)

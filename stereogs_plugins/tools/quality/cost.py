@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from registry.errors import RunError
+from registry import RunError
 
 LEAST_ITERATIONS = 50
 """Fewer are no training worth the seconds before and after it."""

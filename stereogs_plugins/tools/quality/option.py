@@ -10,14 +10,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from registry import Register, RunError, TrainOption, hookimpl
-from registry.commands.output import console, positive_seconds
+from registry.commands import console, positive_seconds
 
 from .table import QUALITIES, SHORT
 
 if TYPE_CHECKING:
-    from registry.contract.command import TrainRequest
-    from registry.runs.beginning import Fit
-    from registry.runs.options import RunOptions
+    from registry.commands import TrainRequest
+    from registry.runs import Fit, RunOptions
 
 LENGTH = "training.iterations"
 

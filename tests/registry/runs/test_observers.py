@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 import registry as r
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.contract.hook_points import HOOK_POINTS
+from registry.events import IterationDone, ViewsScored
 from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer, Plugins
-from registry.runs.opened import open_run
+from registry.runs.opening import open_run
+from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from tests.registry.conftest import TOYS
@@ -37,11 +37,11 @@ WATCHED = TEXT + "observers: [{use: toy_diary, every: 3}]\n"
 
 def trained(text: str, toys: Plugins, device: Device, out: Path | None, **more: Any) -> Run:
     pipeline = parse_pipeline(text, toys, source="p.yaml")
-    return start(pipeline, device=device, out=out, console=Console(quiet=True), **more)
+    return start(pipeline, RunOptions(device=device, progress=False, **more), out)
 
 
 def resumed(out: Path, toys: Plugins, device: Device) -> Run:
-    return resume(out, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    return resume(out, RunOptions(device=device, progress=False), toys)
 
 
 def diary(out: Path) -> list[str]:
@@ -94,7 +94,7 @@ def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run,
         "recorder", r.Settings(), HostSettings(use="recorder", every=4), offer, Place("here")
     )
     pipeline.items["observers"] = (item,)
-    run = start(pipeline, device=device, out=out, console=Console(quiet=True))
+    run = start(pipeline, RunOptions(device=device, progress=False), out)
     return run, run.parts["observers"][0].component.told
 
 
@@ -133,7 +133,7 @@ def test_a_run_in_memory_leaves_no_file(toys: Plugins, device: Device, alone: Ru
 def test_of_several_fields_it_hears_of_the_first(toys: Plugins, device: Device) -> None:
     text = TEXT.replace("iterations: 6", "iterations: 6, fields: 2")
     run, told = recorded(parse_pipeline(text, toys), device, None)
-    (iteration,) = [event for event in told if isinstance(event, r.IterationDone)]
+    (iteration,) = [event for event in told if isinstance(event, IterationDone)]
     assert iteration.gaussians == run.model.count
     assert {"photometric", "field1/photometric"} <= iteration.numbers.keys()
 
@@ -213,7 +213,7 @@ def test_a_run_may_go_on_with_a_new_one(
 def test_what_one_changes_in_its_values_reaches_nobody(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def spoil(self: ToyDiary, scored: r.ViewsScored) -> None:
+    def spoil(self: ToyDiary, scored: ViewsScored) -> None:
         for split in scored.views.values():
             for row in split.values():
                 row.clear()  # type: ignore[attr-defined]

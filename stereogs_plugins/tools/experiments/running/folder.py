@@ -15,7 +15,7 @@ from typing import Any
 
 from registry.errors import RunError
 from registry.runs.folder import RESULTS, RunFolder
-from registry.runs.guarding.lock import locked
+from registry.runs.lock import locked
 from registry.runs.results_file import read_results
 
 from ..planning.plan import PlannedRun

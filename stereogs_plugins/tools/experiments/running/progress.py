@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from registry.runs.observing.progress import ShownBar
+from registry.runs.progress import ShownBar
 
 
 class AblationProgress(ShownBar):

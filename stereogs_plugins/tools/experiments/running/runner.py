@@ -12,7 +12,7 @@ from rich.console import Console
 
 from registry.pipeline.parts import Part
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.guarding.interrupt import stop_on_interrupt
+from registry.runs.interrupt import stop_on_interrupt
 
 from ..planning.plan import PlannedRun
 from .folder import AblationFolder

@@ -139,9 +139,8 @@ class _Task(RunningTask):
             return "seed 1 is not for me"
         start(
             pipeline,
-            device=self._runner.context.device,
-            out=self._task.folder,
-            console=Console(file=io.StringIO()),
+            RunOptions(device=self._runner.context.device, progress=False),
+            self._task.folder,
         )
         return ""
 

@@ -51,9 +51,9 @@ def test_a_run_with_seconds_says_what_it_expects_and_how_to_repeat_it(
         (["--seconds", "0.001"], "0.001 s are too few"),
         (
             ["--seconds", "9", "--set", "training.iterations=5"],
-            "said twice: by --seconds and in iterations",
+            "--seconds conflicts with training.iterations",
         ),
-        (["--quality", "best"], "has a quality of its own"),
+        (["--quality", "best"], "--quality conflicts with the pipeline"),
     ],
 )
 def test_what_cannot_be_is_refused_and_leaves_nothing(
