@@ -79,7 +79,7 @@ class Parts:
     def for_field(self, index: int) -> Parts:
         """The components of the pipeline for another field of Gaussians.
 
-        Those that train are constructed again, with random numbers of their own; the others are shared, except
+        Those that train are constructed again, with their own random numbers; the others are shared, except
         observers, which receive the first field only.
 
         Args:

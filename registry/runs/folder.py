@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from ..errors import RunError
 from ..system.files import jsonable, new_folder, remove_leftovers, write_json, write_text
@@ -46,12 +46,12 @@ _log = logging.getLogger(__name__)
 
 class _Provenance(Record):
     run: str = ""
-    resumed: list[dict[str, Any]] = []
+    resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
 class _Inputs(Record):
     digests: dict[str, str] | None = None
-    changed: list[str] = []
+    changed: list[str] = Field(default_factory=list)
 
 
 class _Facts(Record):

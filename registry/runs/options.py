@@ -51,8 +51,8 @@ class InitialState:
 
 
 Fit = Callable[[InitialState], "Pipeline"]
-"""Returns the pipeline that trains from an initial state. It must have the same scene, priors and initializer,
-so that training it alone gives the same bits."""
+"""Returns the pipeline that trains from an initial state. It must have the same scene, priors and
+initializer, so that training it alone gives the same bits."""
 
 
 @dataclass(frozen=True)

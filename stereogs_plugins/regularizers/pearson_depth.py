@@ -48,6 +48,8 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     half-transparent rim too near, and the term would fill both with fog.
     """
 
+    needs_priors = ("monocular_depth",)
+
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._known: dict[str, Tensor] = {}

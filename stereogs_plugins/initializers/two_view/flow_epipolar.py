@@ -39,6 +39,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
     """Points from optical flow and known cameras; hands its depths on (`PointCloud.maps`)."""
 
     ablation_baseline = "sfm"
+    needs_priors = ("optical_flow",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, and each view's depth.

@@ -35,6 +35,7 @@ class MatchedPoints(Initializer[MatchedPointsSettings]):
     """Points where the first photograph's ray meets the match, moved onto its epipolar line."""
 
     ablation_baseline = "sfm"
+    needs_priors = ("matches",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point.

@@ -22,6 +22,7 @@ from registry.cli import main
 from registry.pipeline.parts import Part
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.runners import TrainingTask
+from registry.runs.options import RunOptions
 from registry.runs.progress import MetricsLog
 from registry.runs.training_run import start
 from registry.session import open_run

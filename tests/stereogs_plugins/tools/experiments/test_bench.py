@@ -20,6 +20,7 @@ from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place, parse
 from registry.plugins.discovery import SELECTION, Offer, Plugins
 from registry.runners import Runner, RunningTask, TrainingTask
+from registry.runs.options import RunOptions
 from registry.runs.training_run import start
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
