@@ -147,8 +147,8 @@ class Plugins:
         self._loaded.add(key)
         self._offers.extend(offer for offer in offers if offer.name == offered_name(entry))
 
-    def _check_entries(self, entry: EntryPoint, offers: Iterable[Offer]) -> None:
-        """Refuse a module that registers what no entry of its package is named after."""
+    def _check_entries(self, entry: EntryPoint, offers: Sequence[Offer]) -> None:
+        """Refuse an entry point and a registered name that do not match each other."""
         beside = entry.dist.entry_points if entry.dist else self.entries
         mine = [e for e in beside if e.group == GROUP and e.value == entry.value]
         named = {offered_name(e) for e in mine}
@@ -160,6 +160,12 @@ class Plugins:
                     fix=f'add `{offer.name} = "{entry.value}"` to its entry points, and install it '
                     "again",
                 )
+        if offers and offered_name(entry) not in {offer.name for offer in offers}:
+            names = listing(dict.fromkeys(offer.name for offer in offers))
+            raise PluginError(
+                f"its entry point is named {entry.name!r}, but {entry.value} registers {names}",
+                fix=f"rename the entry point or register {offered_name(entry)!r}; then install it again",
+            )
 
     def _collect(self, entry: EntryPoint, module: object) -> Iterator[Offer]:
         distribution, version = _distribution(entry)

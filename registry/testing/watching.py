@@ -22,6 +22,7 @@ from ..calls.process_state import (
     no_global_random_numbers,
     own_random_numbers,
 )
+from ..calls.watchdog import WATCHDOG
 from ..contract.prior import Prior
 from ..contract.step import Step
 from ..errors import PluginError
@@ -58,7 +59,12 @@ def by_itself() -> Iterator[None]:
     """
     raised: BaseException | None = None
     try:
-        with own_random_numbers(_SEED), left_as_found("the component"), no_global_random_numbers():
+        with (
+            WATCHDOG.watching("the component"),  # starts the host's own thread before threads are counted
+            own_random_numbers(_SEED),
+            left_as_found("the component"),
+            no_global_random_numbers(),
+        ):
             try:
                 yield
             except BaseException as error:

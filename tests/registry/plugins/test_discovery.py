@@ -175,6 +175,17 @@ def test_an_entry_offers_nothing_but_what_it_is_named_after(install: Install, fi
     assert "offered twice" in refusal(Plugins(), "twin").what
 
 
+def test_an_entry_whose_name_is_not_registered_is_a_fault_of_its_package(install: Install) -> None:
+    source = metric("right")
+    install("late", "1", {"wrong": "late_a", "right": "late_a"}, late_a=source)
+    plugins = Plugins()
+    assert plugins.find(METRICS, "right").distribution == "late"
+    plugins.all()
+    (fault,) = plugins.broken.values()
+    assert "its entry point is named 'wrong', but late_a registers right" in fault.what
+    assert "register 'wrong'" in fault.fix
+
+
 def test_a_module_of_several_components_is_imported_for_each_alone(install: Install) -> None:
     source = metric("one") + '    register("two", Score)\n'
     install("duo", "1", {"one": "duo_a", "two": "duo_a", "far": "duo_b"}, duo_a=source, duo_b="1/0")

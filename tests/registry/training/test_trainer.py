@@ -231,7 +231,7 @@ def test_a_component_is_looked_at_in_its_first_call_and_now_and_then(
         return step.rendering.alpha.mean()
 
     monkeypatch.setattr(ToyTerm, "loss", draw)
-    text = "regularizers: [{use: toy_term, start: 3, every: 2}]\n"
+    text = "regularizers: [{use: toy_term, start: 3, every: 2, phase: 0}]\n"
     for late in (4, 10):
         with pytest.raises(PluginError, match="global generator") as caught:
             train(make(text))
