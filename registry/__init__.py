@@ -41,8 +41,7 @@ if TYPE_CHECKING:
         ViewMetric,
     )
     from .contract.fact import Fact
-    from .contract.hook_points import API_VERSION
-    from .contract.hooks import Register, hookimpl
+    from .contract.hook_points import API_VERSION, Register, hookimpl
     from .contract.prior import Prior
     from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View
     from .contract.step import OtherField, Render, Sample, Step

@@ -67,7 +67,9 @@ def find_pipeline(given: Path) -> Path:
     name, where = given.as_posix(), "the command line"
     ready = ready_pipelines()
     if name in ready:
-        return only_file(f"the pipeline {name!r}", ready[name], where, "give the path of one of them")
+        return only_file(
+            f"the pipeline {name!r}", ready[name], where, "give the path of one of them"
+        )
     folders = {found.partition("/")[0]: None for found in ready if "/" in found}
     more = f"; more are in {listing(folders)}" if folders else ""
     raise PipelineError(

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from ..contract.command import Command, TrainOption
-from ..contract.hooks import PROJECT
+from ..contract.hook_points import PROJECT
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
 

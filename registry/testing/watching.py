@@ -60,7 +60,9 @@ def by_itself() -> Iterator[None]:
     raised: BaseException | None = None
     try:
         with (
-            WATCHDOG.watching("the component"),  # starts the host's own thread before threads are counted
+            WATCHDOG.watching(
+                "the component"
+            ),  # starts the host's own thread before threads are counted
             own_random_numbers(_SEED),
             left_as_found("the component"),
             no_global_random_numbers(),

@@ -65,7 +65,11 @@ def test_a_component_may_refuse_what_it_cannot_do_in_words() -> None:
 
 
 def test_an_entry_point_of_another_name_is_found(install: Install) -> None:
-    source = Path(toys.__file__).read_text("utf-8").replace("from . import", "from tests.registry import")
+    source = (
+        Path(toys.__file__)
+        .read_text("utf-8")
+        .replace("from . import", "from tests.registry import")
+    )
     install("misnamed", "1", {"toy_therm": "misnamed_a"}, misnamed_a=source)
     component = importlib.import_module("misnamed_a").ToyTerm
     with pytest.raises(r.PluginError, match="no entry point of misnamed"):
