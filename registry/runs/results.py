@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from core_rasterizer import ExplainedError
 
-from ..calls.loan import Loan, Overwritten, of_scene
+from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
 from ..contract.scene import Scene
 from ..errors import PluginError, RunError
 from ..pipeline.parts import Part
@@ -121,7 +121,7 @@ def _write_with_outputs(run: Run, results: dict[str, Any]) -> None:
     folder = run.folder_or_refuse()
     results |= {"exports": [], "reports": []}
     folder.write_results(results)
-    lent = of_scene(run.scene) + Loan(models=(run.model,))
+    lent = of_scene(run.scene) + ReadOnlyGuard(models=(run.model,))
     for part in run.parts["exporters"]:
         place = folder.folder(EXPORTS)
         export = partial(part.component.export, run.model.reader(), run.scene, place)
@@ -161,7 +161,7 @@ def _report(run: Run, reports: Sequence[Part], failures: list[dict[str, str]]) -
 
 def _written(
     part: Part,
-    lent: Loan,
+    lent: ReadOnlyGuard,
     folder: RunFolder,
     failures: list[dict[str, str]],
     write: Callable[[], Any],

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from core_rasterizer import Device, ExplainedError
 
-from ..calls.loan import of_scene
+from ..calls.read_only_guard import of_scene
 from ..contract.scene import Scene
 from ..inspection.scene_facts import summary, warnings
 from ..pipeline.parts import Parts

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..calls.loan import checked_plugins
+from ..calls.read_only_guard import checked_plugins
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.in_memory import IN_MEMORY

@@ -106,6 +106,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, str]]:
         if not field.name.startswith("_"):
             yield from _parts(f"{name}.{field.name}", getattr(value, field.name))
     if isinstance(value, Step):
+        yield from _parts(f"{name}.others", value.others)
         with suppress(PluginError):  # before the render there is none to be changed
             yield from _parts(f"{name}.rendering", value.rendering)
 

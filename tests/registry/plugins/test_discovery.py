@@ -8,7 +8,7 @@ import pytest
 from registry import API_VERSION, PluginError
 from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
 from registry.plugins.discovery import GROUP, SELECTION, Plugins
-from tests.registry.conftest import DOORS, TOYS, Install
+from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
 METRICS = POINTS["metrics"]
@@ -35,7 +35,7 @@ def refusal(plugins: Plugins, name: str, point: HookPoint = METRICS) -> PluginEr
 
 
 def test_every_hook_point_collects() -> None:
-    toys = Plugins([*TOYS, *DOORS])
+    toys = Plugins([*TOYS, *EXTENSION_POINTS])
     offers = toys.all()
     assert {offer.point.section for offer in offers} == set(POINTS)
     assert not toys.broken

@@ -21,10 +21,9 @@ from core_rasterizer import ExplainedError
 from registry.events import IterationDone, RunEnded, RunStarted
 from registry.priors import StereoPrior
 from registry.testing import check
-
 from tests.registry.conftest import Install
 
-from .. import toy_doors as doors
+from .. import toy_extension_points as extension_points
 from .. import toy_plugin as toys
 
 
@@ -39,7 +38,7 @@ from .. import toy_plugin as toys
         toys.ToyReport,
         toys.ToyPsnr,
         toys.ToyDiary,
-        doors.ToyExposure,
+        extension_points.ToyExposure,
     ],
 )
 def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
@@ -296,7 +295,7 @@ class Constant(toys.ToyTerm):
         return step.model.scales().mean()
 
 
-class Cut(doors.ToyExposure):
+class Cut(extension_points.ToyExposure):
     def colors(self, step: r.Step, rgb: torch.Tensor) -> torch.Tensor:
         return super().colors(step, rgb).detach()
 

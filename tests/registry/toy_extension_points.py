@@ -1,4 +1,4 @@
-"""Small components that go through one door of the host each, for tests of the doors."""
+"""Small components that use one extension point of the host each."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Edit, Gaussians, Relocation
+from registry.priors import DepthMap
 
 
 class TargetSettings(r.Settings):
@@ -194,7 +195,7 @@ class ToyGuided(r.Initializer[GuidedSettings]):
         for view in views:
             depth = torch.full(view.image.shape[:2], 3.0)
             valid = torch.ones_like(depth, dtype=torch.bool)
-            maps[view.name] = r.DepthMap(depth, valid, valid.float())
+            maps[view.name] = DepthMap(depth, valid, valid.float())
         odd = torch.arange(len(scene.points)) % 2 == 1
         return replace(scene.points, maps=maps, kinds={"even": ~odd, "odd": odd})
 
