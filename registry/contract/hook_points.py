@@ -8,6 +8,7 @@ after `use:` in a pipeline; it is unique within its hook point.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
 
 import pluggy
@@ -111,9 +112,7 @@ class HookPoint:
         return names
 
 
-def _in_loop(*fields: Any, **more: Any) -> HookPoint:
-    return HookPoint(*fields, scheduled=True, **more)
-
+_in_loop = partial(HookPoint, scheduled=True)
 
 # fmt: off
 HOOK_POINTS: tuple[HookPoint, ...] = (
