@@ -318,7 +318,7 @@ class Field:
             last = iteration == self._settings.iterations
             edit = self._within_limit(without_growth(wanted) if last else wanted)
             if edit.empty:
-                self.model.reset_statistics()
+                self.model.statistics.reset()
                 continue
             count = self.model.count
             with blame(part.item, iteration):
@@ -330,7 +330,9 @@ class Field:
     def _within_limit(self, edit: Edit) -> Edit:
         if self._settings.max_gaussians is None:
             return edit
-        edit, dropped = limited(edit, self._settings.max_gaussians, self.model.screen_gradient())
+        edit, dropped = limited(
+            edit, self._settings.max_gaussians, self.model.statistics.screen_gradient()
+        )
         if dropped and not self._told_of_limit:
             self._told_of_limit = True
             _log.warning(
@@ -364,7 +366,7 @@ class Field:
         return {
             "model": dict(vars(gaussians)),
             "optimizer": self.optimizer.state(),
-            "statistics": {"screen": self.model.statistics()},
+            "statistics": {"screen": self.model.statistics.sums()},
             "topology": {"generator": self._topology.get_state()},
             "components": self.parts.state(iteration),
             "parameters": self.parameters.state(),
@@ -383,7 +385,7 @@ class Field:
             raise RunError(
                 f"the statistics of {self.model.count} Gaussians are {tuple(screen.shape)}"
             )
-        self.model.restore_statistics(screen)
+        self.model.statistics.restore(screen)
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))

@@ -26,13 +26,13 @@ def test_others_get_the_same_bits_and_detached_ones_nothing(
 ) -> None:
     model = GaussianModel(parameters(), device)
     lossy(model, 0).backward()
-    whole, statistics = gradients(model), model.statistics()
+    whole, statistics = gradients(model), model.statistics.sums()
     model.zero_gradients()
-    model.reset_statistics()
+    model.statistics.reset()
     lossy(model, 0, *detached).backward()
     for name, gradient in gradients(model).items():
         assert torch.equal(gradient, 0 * gradient if name in detached else whole[name]), name
-    assert torch.equal(model.statistics(), statistics)
+    assert torch.equal(model.statistics.sums(), statistics)
 
 
 @pytest.mark.parametrize("detached_first", [False, True])
@@ -59,5 +59,5 @@ def test_other_renders_of_the_iteration_still_contribute(
 
 def test_an_unknown_name_is_refused(device: Device) -> None:
     model = GaussianModel(parameters(5), device)
-    with pytest.raises(GaussianError, match="no parameter 'scales'"):
+    with pytest.raises(GaussianError, match="unknown parameter 'scales'"):
         model.render(view(), detach={"scales"})

@@ -185,7 +185,7 @@ def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
             ).rgb
             rgb.sum().backward()
             optimizer.step(RATES, active_sh_degree=active)
-        statistics = model.statistics()
+        statistics = model.statistics.sums()
         optimizer.reset_moments("opacity_logits")
         model.write("opacity_logits", model.opacities() - 1)
         masks = torch.rand(3, count, generator=generator) < torch.tensor([[0.5], [0.5], [0.3]])

@@ -264,7 +264,7 @@ def test_the_model_and_a_step_of_training(
     assert not refusal or "overflow" in refusal
     loss.backward()
     assert_finite(
-        screen_gradient=model.screen_gradient(),
+        screen_gradient=model.statistics.screen_gradient(),
         **{f"gradient of {name}": model.gradient(name) for name in PARAMETERS},
     )
     optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 1e-2), active_sh_degree=3)

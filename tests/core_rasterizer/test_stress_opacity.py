@@ -107,7 +107,7 @@ def test_support_collapse(device: Device) -> None:
     rendering.rgb.sum().backward()
     assert not rendering.alpha.any()
     assert not model.gradient("opacity_logits").any()
-    assert not model.statistics().any()
+    assert not model.statistics.sums().any()
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,8 @@ def assert_of_one_length(model: GaussianModel, optimizer: Adam) -> None:
         assert len(model.read(name)) == model.count, name
         assert len(model.gradient(name)) == model.count, name
     assert len(model.opacities()) == len(model.scales()) == model.count
-    assert len(model.screen_gradient()) == model.count
-    assert model.statistics().shape == (2, model.count)
+    assert len(model.statistics.screen_gradient()) == model.count
+    assert model.statistics.sums().shape == (2, model.count)
     state = optimizer.state()
     shape = (model.rows, model.count)
     assert tuple(state["first_moments"].shape) == tuple(state["second_moments"].shape) == shape
@@ -54,7 +54,7 @@ def test_a_refused_edit_changes_nothing(device: Device) -> None:
         apply_edit(model, optimizer, Edit(clone=everything(50), prune=everything(50)), seeded())
     assert error.value.field == "prune"
     assert model.digest() == digest
-    assert model.screen_gradient().any()
+    assert model.statistics.screen_gradient().any()
     assert all(torch.equal(values, state[name]) for name, values in optimizer.state().items())
     assert_of_one_length(model, optimizer)
 
@@ -67,13 +67,13 @@ def test_a_gradient_that_is_no_number_moves_nothing(device: Device, value: float
     gradients = torch.ones(model.rows, model.capacity)
     gradients[10, 3] = value
     before = model.read("opacity_logits").clone()
-    model.gradients.write(gradients)
+    model.gradients.rows.write(gradients)
     optimizer.step(RATES, active_sh_degree=3)
     moved = model.read("opacity_logits") != before
     assert moved.tolist() == [index != 3 for index in range(20)]
     for moments in ("first_moments", "second_moments"):
         assert torch.isfinite(optimizer.state()[moments]).all()
-    model.gradients.write(torch.ones(model.rows, model.capacity))
+    model.gradients.rows.write(torch.ones(model.rows, model.capacity))
     optimizer.step(RATES, active_sh_degree=3)
     assert (model.read("opacity_logits") != before).all()
     assert all(torch.isfinite(model.read(name)).all() for name in PARAMETERS)

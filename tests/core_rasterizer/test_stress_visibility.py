@@ -42,7 +42,7 @@ def test_a_model_without_gaussians_renders_and_steps(device: Device) -> None:
     optimizer.step(RATES, active_sh_degree=3)
     assert not rendering.rgb.any()
     assert model.gradient("sh").shape == (0, 16, 3)
-    assert model.screen_gradient().shape == (0,)
+    assert model.statistics.screen_gradient().shape == (0,)
     assert len(model.gaussians()) == 0
 
 
@@ -55,7 +55,7 @@ def test_a_model_whose_gaussians_are_all_culled(device: Device) -> None:
     model.render(plain_camera(), collect_statistics=True).rgb.sum().backward()
     Adam(model).step(RATES, active_sh_degree=3)
     assert model.digest() == before
-    assert not model.screen_gradient().any()
+    assert not model.statistics.screen_gradient().any()
 
 
 def test_fewer_pairs_than_tiles(device: Device) -> None:

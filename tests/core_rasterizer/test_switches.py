@@ -179,7 +179,7 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
     sparse.program = device.program("optimization/adam", dtype=torch.float32, VISIBLE_ONLY=1)
     gradients = torch.ones(model.rows, model.capacity)
     for each in (model, other):
-        each.gradients.write(gradients)
+        each.gradients.rows.write(gradients)
     dense.step(RATES, 3)
     sparse.step(RATES, 3)
     assert model.digest() == other.digest()
@@ -187,7 +187,7 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
 
     gradients[:, : model.count // 2] = 0
     for each in (model, other):
-        each.gradients.write(gradients)
+        each.gradients.rows.write(gradients)
     dense.step(RATES, 3)
     sparse.step(RATES, 3)
     unseen = slice(0, model.count // 2)

@@ -67,7 +67,7 @@ def test_order_parameters_and_moments_after_an_edit(device: Device) -> None:
     moved = optimizer.first_moments.read()
     assert torch.equal(moved[:, : len(stays)], moments[:, stays])
     assert not moved[:, len(stays) :].any()
-    assert not model.screen_gradient().any()
+    assert not model.statistics.screen_gradient().any()
 
 
 def test_children_are_drawn_from_their_parent(device: Device) -> None:
@@ -234,7 +234,7 @@ def test_an_edit_that_cannot_be_is_named_and_changes_nothing(device: Device, cas
         apply_edit(model, optimizer, Edit(**fields), generator())
     assert error.value.field == field
     assert model.digest() == digest
-    assert model.screen_gradient().any()
+    assert model.statistics.screen_gradient().any()
     assert all(torch.equal(values, state[name]) for name, values in optimizer.state().items())
 
 

@@ -20,7 +20,7 @@ from core_rasterizer.device.unknown_cpu import (
     better_name,
     correct_cpu_name,
     names_reachable_from,
-    told_cpu_name,
+    written_cpu_name,
 )
 
 MEMORY = Path("/proc/self/mem")
@@ -130,7 +130,7 @@ def test_a_name_that_says_too_little_is_replaced_only_when_asked(
     device = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
     assert better_cpu_name(device) == "skx"
     assert not correct_cpu_name(device, only_unknown=True)
-    assert (name.value, told_cpu_name(device)) == (b"znver3", None)
+    assert (name.value, written_cpu_name(device)) == (b"znver3", None)
     assert correct_cpu_name(device)
-    assert (name.value, told_cpu_name(device)) == (b"skx", "skx")
+    assert (name.value, written_cpu_name(device)) == (b"skx", "skx")
     assert better_cpu_name(device) is None

@@ -60,7 +60,7 @@ def short_training(
         if pose.grad is not None:
             losses += pose.grad.flatten().tolist()
         if step % 5 == 4:
-            busy = model.screen_gradient() > model.screen_gradient().median()
+            busy = model.statistics.screen_gradient() > model.statistics.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
             faint = model.opacities() < 0.1
             apply_edit(model, optimizer, Edit(busy & ~large, busy & large, faint), generator)
