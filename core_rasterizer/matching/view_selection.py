@@ -70,8 +70,7 @@ def matching_scores(
     towards = torch.nn.functional.normalize(points - reference.center, dim=-1)
     scores = torch.zeros(len(others), dtype=torch.float64)
     for index, other in enumerate(others):
-        u, v, z = other.project(points)
-        seen = (z > 0) & (u >= 0) & (v >= 0) & (u <= other.width) & (v <= other.height)
+        seen = other.contains(*other.project(points), border=True)
         away = torch.nn.functional.normalize(points - other.center, dim=-1)
         angle = torch.rad2deg(torch.acos((towards * away).sum(dim=-1).clamp(-1, 1)))
         off = angle - BEST_ANGLE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
+
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,6 @@
-"""The rendering pipeline on a device: project, sort, bin, blend; and back again.
+"""The rendering pipeline on a device: project, sort, bin, blend, and the backward pass.
 
-This module knows buffers and kernels. Autograd lives in `optimization/render_function.py` (device-resident
-Gaussians) and `rasterize.py` (plain torch tensors).
+Autograd is in `optimization/autograd.py` (Gaussians on the device) and `functional.py` (torch tensors).
 """
 
 from __future__ import annotations
@@ -18,32 +17,30 @@ from ..finite import undefined_places
 from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
-from .footprint import Footprint
 from .frame import Frame, Lease
 from .images import Images
 from .pose import PoseSums
 from .programs import RasterPrograms
-from .request import RenderRequest
+from .request import Footprint, RenderRequest
 from .tile_lists import BUCKETS, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
-"""Room for (tile, Gaussian) pairs before a render has shown how many there are."""
+"""Initial capacity of the list of (tile, Gaussian) pairs."""
 
 
 class Renderer:
-    """Kernels and scratch memory for one device and one number type; threads take turns.
+    """Kernels and scratch memory for one device and number type; threads take turns.
 
     Args:
-        device: where to run; `device.variant` decides which raster kernels and tile size.
+        device: where to run; `device.variant` selects raster kernels and tile size.
         dtype: torch.float32, or torch.float64 where the device supports it.
-        memory_budget: bytes that one render and its backward pass may take; None is half of the device's
-            memory.
-        footprint: what is added to a Gaussian's ellipse on the image; None is a dilation of 0.3.
-        overrides: values of macros in `programs.OVERRIDES`, for benchmarks and tests that measure what the
-            kernels' approximations cost and save.
+        memory_budget: bytes for one render and its backward pass; None is half of the device's memory.
+        footprint: the filter on the image; None is a dilation of 0.3.
+        overrides: values of macros in `programs.OVERRIDES`, for benchmarks and tests of the kernels'
+            approximations.
 
     Raises:
-        ExplainedError: an override that no kernel knows.
+        ExplainedError: an unknown override.
     """
 
     def __init__(
@@ -78,13 +75,11 @@ class Renderer:
         """Render. The device may still be blending when this returns.
 
         Returns:
-            The images on the device, and the frame that `backward` wants.
+            The images on the device, and the frame for `backward`.
 
         Raises:
-            MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
-            CameraError: the image is larger than a device index can address, or the near plane is not
-                in front of the camera.
-            GaussianError: a background, an SH degree or a smoothing that `RenderRequest.check` refuses.
+            MemoryBudgetError: the image, the Gaussians or the pairs exceed the budget.
+            CameraError, GaussianError: see `RenderRequest.check`.
         """
         with self.device.lock:
             lease = Lease(self._frames, self.device)
@@ -95,8 +90,8 @@ class Renderer:
             images = frame.new_images(self.dtype)
             while True:
                 self._lists.build(self.programs.base, frame, block.count, self._capacity_of(frame))
-                # Blending is enqueued before its input's size is known, so that the device need not wait
-                # for the host. Without room for all pairs it does nothing, and is run again.
+                # Blending is enqueued before the number of pairs is known, so that the device does not
+                # wait for the host. If they do not fit, it does nothing and runs again.
                 counters = frame.arrays["counters"].begin_reading()
                 self._blend(frame, images)
                 frame.visible, frame.pairs = counters()[:2].tolist()
@@ -119,17 +114,17 @@ class Renderer:
         """Turn gradients of the images into gradients of the parameters.
 
         Args:
-            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero. One that
-                is on the device already must be finite.
+            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero. Those on
+                the device must be finite.
             gradients: `[rows, capacity]`; the rows of active SH bands are written.
-            accumulate: add to what `gradients` holds instead of replacing it.
-            statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
-                screen-space mean gradient, row 1 gains one for it. With a third row, that one gains what
-                row 0 would if pixels that pull in opposite directions did not cancel.
-            detach: parameters to whose gradient nothing is added.
+            accumulate: If True, add to `gradients`, else overwrite.
+            statistics: `[2, capacity]` or `[3, capacity]`. For each visible Gaussian, adds the NDC norm
+                of its screen-space gradient to row 0, 1 to row 1, and the norm without cancellation
+                between pixels to row 2.
+            detach: parameters whose gradient stays unchanged.
 
         Returns:
-            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it requires none.
+            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it does not require one.
 
         Raises:
             ExplainedError: a gradient of an image is not finite.
@@ -173,7 +168,7 @@ class Renderer:
         with_depth: bool,
         with_absolute: bool,
     ) -> DeviceArray:
-        """The sums that each pair of a tile and a Gaussian hands back."""
+        """Run the blending kernels backward; return the sums of each (tile, Gaussian) pair."""
         arrays = frame.arrays
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         self.programs.run_on_tiles(
@@ -230,7 +225,7 @@ class Renderer:
         )
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
-        """Make room, and send the camera, the opacity factors and the smoothing."""
+        """Allocate arrays, and send the camera, the opacity factors and the smoothing."""
         camera = request.camera
         request.check(block.count)
         width, height = self.programs.tile
@@ -251,7 +246,7 @@ class Renderer:
             self._send(frame, "modifiers", request.modifier_rows(capacity, self.dtype).flatten())
 
     def _send(self, frame: Frame, name: str, values: Tensor) -> None:
-        """Hand new memory to the kernels, without waiting for those that still read the last render's."""
+        """Send values in new memory, without waiting for kernels that read the last render's."""
         arrays = frame.arrays
         if self.device.shares_memory:
             shape = tuple(values.shape)
@@ -319,12 +314,12 @@ class Renderer:
 
 
 def _modifiers(frame: Frame, block: Block) -> DeviceArray:
-    """Opacity factors and smoothing, or where there are none an array that is not read."""
+    """Opacity factors and smoothing; if unused, any array."""
     return frame.arrays["modifiers"] if frame.request.is_modified else block.parameters
 
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:
-    """Refuse the gradient of an image that holds a NaN or an infinity."""
+    """Raise if an image's gradient is not finite."""
     undefined = undefined_places(gradient)
     if len(undefined):
         place = ", ".join(str(index) for index in undefined[0].tolist())

@@ -1,4 +1,4 @@
-"""Lists, for each tile of an image, the Gaussians that can touch it, nearest first."""
+"""Lists of the Gaussians that can touch each tile of an image, nearest first."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from .frame import Frame
 _ON_CPU = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
 _ON_GPU = ("raster/scan", "raster/sort_gpu", "raster/bin_gpu")
 _GPU_CHUNK_GROUP = 64
-"""Work-items that share a chunk on a GPU: each looks at all those before it to find its place among them."""
+"""Work-items per chunk on a GPU; each counts the elements of all items before it."""
 
 _DIGIT_BITS = 11
 BUCKETS = 1 << _DIGIT_BITS
-"""Entries of the sort's tables of counts; a row a chunk, like those of the tiles."""
+"""Row length of the sort's table of counts, which has one row per chunk."""
 FEW = 1 << 14
-"""Up to so many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
-fourteen. Beyond twice as many, work shared by two cores outweighs what the launches cost."""
+"""Up to this many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
+fourteen. From twice as many on, two cores in parallel are faster despite the launches."""
 
 
 def chunks_of(device: Device) -> int:
-    """How many runs of neighbouring Gaussians are sorted and binned side by side.
+    """Number of chunks of Gaussians that are sorted and binned in parallel.
 
-    Each belongs to a work-item of a CPU, or to a work-group of a GPU. There are enough of them for every
-    unit, and few enough for the sums over them; on a GPU that is an estimate, not a measurement.
+    One per work-item of a CPU or work-group of a GPU: enough for every unit, few enough for the sums
+    over them. The number for a GPU is an estimate, not a measurement.
     """
     if device.variant == "cpu":
         return min(16, 2 * device.compute_units)
@@ -38,18 +38,18 @@ class TileLists:
     """Sorts the visible Gaussians by depth, and bins them by tile in that order.
 
     Args:
-        device: where to run; its variant decides how work is shared out.
+        device: where to run.
 
     Attributes:
-        sources: the kernels' files; they build on "raster/scene" and "raster/cover".
-        macros: what the kernels must be built with.
+        sources: the kernels' files; they need "raster/scene" and "raster/cover".
+        macros: of the kernels.
     """
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._chunks = chunks_of(device)
         on_cpu = device.variant == "cpu"
-        self._few = FEW if on_cpu else -1  # not even none
+        self._few = FEW if on_cpu else -1  # also for no Gaussians
         self._chunk_group = 1 if on_cpu else _GPU_CHUNK_GROUP
         self.sources = _ON_CPU if on_cpu else _ON_GPU
         self._group, self._items = (16, 1) if on_cpu else (64, 256)
@@ -62,7 +62,7 @@ class TileLists:
         self._scratch = Scratch(device)
 
     def reserve(self, capacity: int, tiles: int) -> None:
-        """Make room for a render's Gaussians and tiles."""
+        """Allocate scratch memory for a render's Gaussians and tiles."""
         sizes = {
             **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
             "covers": 4 * capacity,
@@ -75,18 +75,18 @@ class TileLists:
 
     @property
     def keys(self) -> DeviceArray:
-        """Sort keys, which the projection writes: `[capacity]`, 32 bits."""
+        """Sort keys, written by the projection: `[capacity]`, 32 bits."""
         return self._scratch["keys"]
 
     @property
     def covers(self) -> DeviceArray:
-        """Tiles that each Gaussian can touch, which the projection writes: `[4 * capacity]`, 32 bits."""
+        """Tiles that each Gaussian can touch, written by the projection: `[4 * capacity]`, 32 bits."""
         return self._scratch["covers"]
 
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
-        """Fill `frame.arrays["pairs"]`, unless there are more pairs than it has room for.
+        """Fill `frame.arrays["pairs"]`, unless it is too small for all pairs.
 
-        The numbers of visible Gaussians and of pairs are left in `frame.arrays["counters"]`.
+        Writes the numbers of visible Gaussians and of pairs to `frame.arrays["counters"]`.
         """
         if count <= self._few:
             self._build_alone(program, frame, count, pair_capacity)
@@ -118,7 +118,7 @@ class TileLists:
         )
 
     def _sort(self, program: Program, frame: Frame, count: int) -> None:
-        """Leave the visible Gaussians, nearest first, in the scratch array `order_a`."""
+        """Write the visible Gaussians, nearest first, to the scratch array `order_a`."""
         scratch, counters = self._scratch, frame.arrays["counters"]
         counts, totals = scratch["counts"], scratch["totals"]
         passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))

@@ -83,8 +83,7 @@ def relative_errors(
 def _project(positions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
     """Row, column and depth of the points in front of the camera that fall into its image."""
     u, v, depth = camera.project(positions)
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    seen = inside & (depth > 0)
+    seen = camera.contains(u, v, depth)
     return v[seen].long(), u[seen].long(), depth[seen]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import FrozenInstanceError
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,29 @@ def test_points_appear_where_the_calibration_says() -> None:
     assert torch.allclose(u, torch.tensor(view.cx).double())
     assert torch.allclose(v, torch.tensor(view.cy).double())
     assert torch.allclose(z, torch.tensor(3.0).double())
+
+
+def test_contains_follows_the_pixel_grid_and_the_depth() -> None:
+    view = camera()
+    u = torch.tensor([0.0, 39.99, 40.0, -0.01, 20.0, 20.0, math.nan])
+    v = torch.tensor([0.0, 29.99, 15.0, 15.0, 30.0, -0.01, 15.0])
+    assert view.contains(u, v).tolist() == [True, True, *[False] * 5]
+    with_border = [True, True, True, False, True, False, False]
+    assert view.contains(u, v, border=True).tolist() == with_border
+    z = torch.tensor([1.0, 0.0, -1.0, 1.0, math.nan, 1.0, 1.0])
+    assert view.contains(u, v, z, border=True).tolist() == [True, *[False] * 6]
+
+
+def test_contains_keeps_the_shape_of_projected_points() -> None:
+    points = torch.tensor(
+        [[[0.2, -0.1, 2.0], [0.0, 0.0, -1.0]], [[9.0, 0.0, 1.0], [0.0, 0.0, 1.0]]]
+    )
+    assert camera().contains(*camera().project(points)).tolist() == [[True, False], [False, True]]
+
+
+def test_a_camera_is_immutable() -> None:
+    with pytest.raises(FrozenInstanceError):
+        camera().fx = 1.0  # type: ignore[misc]
 
 
 def test_what_is_unprojected_appears_where_it_came_from() -> None:

@@ -210,7 +210,7 @@ def undefined() -> Any:
 
 PARENTS = torch.tensor([0, 1])
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
-    "one child": ({"split_into": 1}, "split_into", "split into 1"),
+    "one child": ({"split_into": 1}, "split_into", "split_into is 1"),
     "half a child": ({"split_into": 2.5}, "split_into", "2.5"),
     "no size": ({"shrink": 0.0}, "shrink", "0.0"),
     "undefined size": ({"shrink": math.nan}, "shrink", "nan"),

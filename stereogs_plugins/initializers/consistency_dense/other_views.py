@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .projection import DepthImage, Floats, Mask, look_up, project
+from .projection import DepthImage, Floats, Mask, inside, look_up, project
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,8 +50,7 @@ def in_sight(points: Floats, cameras: Sequence[Camera], depths: Sequence[DepthIm
     def looked_at(camera: Camera, depth: DepthImage) -> Mask:
         u, v, z = project(camera, points)
         seen = look_up(depth, u, v)
-        inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        sees: Mask = inside & ((seen == 0) | (seen >= z))
+        sees: Mask = inside(camera, u, v) & ((seen == 0) | (seen >= z))
         return sees
 
     return _any(points, map(looked_at, cameras, depths))

@@ -44,7 +44,8 @@ def project(camera: Camera, points: Floats) -> tuple[Floats, Floats, Floats]:
 
 def inside(camera: Camera, u: Floats, v: Floats) -> Mask:
     """Which pixel positions lie in the image."""
-    return (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    mask: Mask = camera.contains(torch.from_numpy(u), torch.from_numpy(v)).numpy()
+    return mask
 
 
 def look_up(depth: DepthImage, u: Floats, v: Floats) -> Floats:

@@ -44,8 +44,7 @@ def forward_splat(
         for down in (0, 1):
             column, row = u.floor() + right, v.floor() + down
             share = (1 - (u - column).abs()) * (1 - (v - row).abs())
-            inside = (column >= 0) & (column < target.width) & (row >= 0) & (row < target.height)
-            used = inside & (share > 1e-3)
+            used = target.contains(column, row) & (share > 1e-3)
             place = (row * target.width + column)[used].long()
             nearest.scatter_reduce_(0, place, z[used], "amin")
             shares.append((place, share[used], z[used], colors[used]))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..projection import Floats, Mask, project
+from ..projection import Floats, Mask, inside, project
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,9 +41,8 @@ def outside_votes(
     """How many views show safe plain background where each world point `[P, 3]` would be seen."""
     votes = np.zeros(len(points), dtype=np.intp)
     for camera, background in zip(cameras, backgrounds, strict=True):
-        height, width = background.shape
-        u, v, z = project(camera, points)
-        within = (z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        u, v, _ = project(camera, points)
+        within = inside(camera, u, v)
         column, row = np.where(within, u, 0).astype(np.intp), np.where(within, v, 0).astype(np.intp)
         votes += within & background[row, column]
     return votes
