@@ -185,6 +185,10 @@ class Scratch:
     def __getitem__(self, name: str) -> DeviceArray:
         return self._arrays[name]
 
+    def all(self, *names: str) -> list[DeviceArray]:
+        """The arrays of these names."""
+        return [self._arrays[name] for name in names]
+
     def __setitem__(self, name: str, array: DeviceArray) -> None:
         self._arrays[name] = array
 

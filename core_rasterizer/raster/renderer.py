@@ -5,6 +5,7 @@ Autograd is in `optimization/autograd.py` (Gaussians on the device) and `functio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
 from .frame import Frame, Lease
-from .images import Images
+from .images import CHANNELS, Images
 from .pose import PoseSums
 from .programs import RasterPrograms
 from .request import Footprint, RenderRequest
@@ -130,7 +131,13 @@ class Renderer:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
-            images = self._image_gradients(frame, image_gradients)
+            camera = frame.request.camera
+            images = [
+                self._image_gradient(
+                    gradient, math.prod((camera.height, camera.width, *rest)), name
+                )
+                for gradient, (name, rest) in zip(image_gradients, CHANNELS.items(), strict=True)
+            ]
             wants_pose = frame.request.wants_pose_gradient
             if not frame.pairs:
                 if not accumulate:
@@ -143,23 +150,8 @@ class Renderer:
             pose_gradient = None
             if wants_pose:
                 program = self.programs.projection(frame.request)
-                pose_gradient = self._poses.gradient(program, block, frame.request.camera)
+                pose_gradient = self._poses.gradient(program, block, camera)
             return pose_gradient
-
-    def _image_gradients(
-        self,
-        frame: Frame,
-        gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
-    ) -> list[DeviceArray]:
-        """The gradients of `rgb`, `depth` and `alpha` on the device."""
-        camera = frame.request.camera
-        pixels = camera.width * camera.height
-        return [
-            self._image_gradient(gradient, size, name)
-            for gradient, size, name in zip(
-                gradients, (3 * pixels, pixels, pixels), ("rgb", "depth", "alpha"), strict=True
-            )
-        ]
 
     def _raster_backward(
         self,
@@ -175,13 +167,9 @@ class Renderer:
             self.programs.raster(absolute=with_absolute),
             "raster_backward",
             frame.tiles,
-            arrays["records"],
-            arrays["pairs"],
-            arrays["tile_starts"],
-            arrays["camera"],
-            arrays["rgb"],
-            arrays["depth"],
-            arrays["transmittance"],
+            *arrays.all(
+                "records", "pairs", "tile_starts", "camera", "rgb", "depth", "transmittance"
+            ),
             *image_gradients,
             sums,
             np.int32(frame.tiles[0]),
@@ -206,11 +194,9 @@ class Renderer:
             block.capacity,
             block.parameters,
             _modifiers(frame, block),
-            arrays["camera"],
-            arrays["clamped"],
+            *arrays.all("camera", "clamped"),
             sums,
-            arrays["slot_start"],
-            arrays["slot_count"],
+            *arrays.all("slot_start", "slot_count"),
             gradients,
             statistics if statistics is not None else gradients,
             np.uint32(block.count),
@@ -232,14 +218,15 @@ class Renderer:
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
-        frame.arrays.reserve("records", self.dtype, capacity * RECORD)
-        frame.arrays.reserve("slot_start", torch.int32, capacity)
-        frame.arrays.reserve("slot_count", torch.int32, capacity)
-        frame.arrays.reserve("clamped", torch.uint8, capacity)
-        frame.arrays.reserve("tile_starts", torch.int32, tiles + 1)
-        frame.arrays.reserve("counters", torch.int64, 4)
-        frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
-        frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+        reserve = frame.arrays.reserve
+        reserve("records", self.dtype, capacity * RECORD)
+        reserve("slot_start", torch.int32, capacity)
+        reserve("slot_count", torch.int32, capacity)
+        reserve("clamped", torch.uint8, capacity)
+        reserve("tile_starts", torch.int32, tiles + 1)
+        reserve("counters", torch.int64, 4)
+        reserve("transmittance", self.dtype, camera.width * camera.height)
+        reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
         self._send(frame, "camera", request.camera_block().to(self._wide))
         if request.is_modified:
@@ -262,11 +249,9 @@ class Renderer:
             block.capacity,
             block.parameters,
             _modifiers(frame, block),
-            arrays["camera"],
-            arrays["records"],
+            *arrays.all("camera", "records"),
             self._lists.keys,
-            arrays["slot_count"],
-            arrays["clamped"],
+            *arrays.all("slot_count", "clamped"),
             self._lists.covers,
             np.uint32(block.count),
             np.uint32(block.capacity),
@@ -281,14 +266,8 @@ class Renderer:
             self.programs.raster(),
             "raster",
             frame.tiles,
-            arrays["records"],
-            arrays["pairs"],
-            arrays["tile_starts"],
-            arrays["counters"],
-            arrays["camera"],
-            images["rgb"],
-            images["depth"],
-            images["alpha"],
+            *arrays.all("records", "pairs", "tile_starts", "counters", "camera"),
+            *(images[name] for name in CHANNELS),
             arrays["transmittance"],
             np.int32(frame.tiles[0]),
             np.uint32(self._capacity_of(frame)),

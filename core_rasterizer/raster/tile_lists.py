@@ -101,15 +101,8 @@ class TileLists:
             (1,),
             (1,),
             arrays["records"],
-            *(
-                scratch[name]
-                for name in ("covers", "keys", "keys_a", "order_a", "keys_b", "order_b")
-            ),
-            scratch["counts"],
-            *(
-                arrays[name]
-                for name in ("tile_starts", "pairs", "slot_start", "slot_count", "counters")
-            ),
+            *scratch.all("covers", "keys", "keys_a", "order_a", "keys_b", "order_b", "counts"),
+            *arrays.all("tile_starts", "pairs", "slot_start", "slot_count", "counters"),
             np.uint32(count),
             np.uint32(frame.tiles[0] * frame.tiles[1]),
             np.int32(frame.tiles[0]),
@@ -123,24 +116,15 @@ class TileLists:
         counts, totals = scratch["counts"], scratch["totals"]
         passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
         for number, (keys, order, out) in enumerate(passes):
-            settings = (
-                np.uint32(count),
-                np.uint32(number * _DIGIT_BITS),
-                np.uint32(number == 0),
-            )
+            numbers = (count, number * _DIGIT_BITS, number == 0)
+            settings = [np.uint32(value) for value in numbers]
             self._run_chunks(program, "count_digits", scratch[keys], counts, counters, *settings)
             self._scan(program, counts, totals, BUCKETS, counters, counter=0)
             self._run_chunks(
                 program,
                 "scatter_digits",
-                scratch[keys],
-                scratch[order],
-                scratch[f"keys_{out}"],
-                scratch[f"order_{out}"],
-                counts,
-                totals,
-                counters,
-                *settings,
+                *scratch.all(keys, order, f"keys_{out}", f"order_{out}"),
+                *(counts, totals, counters, *settings),
             )
 
     def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
@@ -152,32 +136,18 @@ class TileLists:
         self._run_chunks(
             program,
             "count_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            chunk_pairs,
-            counters,
-            *size,
-            np.uint32(frame.pair_limit),
+            *(arrays["records"], scratch["covers"], order, counts, chunk_pairs, counters),
+            *(*size, np.uint32(frame.pair_limit)),
         )
         self._scan(program, counts, arrays["tile_starts"], tiles, counters, counter=2)
         self._scan_buckets(program, chunk_pairs, self._chunks, counters, counter=1)
         self._run_chunks(
             program,
             "fill_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            arrays["tile_starts"],
-            chunk_pairs,
-            arrays["pairs"],
-            arrays["slot_start"],
-            arrays["slot_count"],
-            counters,
-            *size,
-            np.uint32(pair_capacity),
+            *(arrays["records"], scratch["covers"], order, counts),
+            *(arrays["tile_starts"], chunk_pairs),
+            *arrays.all("pairs", "slot_start", "slot_count", "counters"),
+            *(*size, np.uint32(pair_capacity)),
         )
 
     def _scan(

@@ -113,13 +113,13 @@ def test_penalties_out_of_order_are_refused(wrong: tuple[int, int]) -> None:
 def test_what_is_no_volume_is_refused() -> None:
     device = open_device()
     costs = np.zeros((4, 5, 16), dtype=np.int64)
-    with pytest.raises(ValueError, match="do not make a volume"):
+    with pytest.raises(ValueError, match="do not match the image"):
         aggregate(device, volume(device, costs), torch.zeros(5, 4), Penalties(1, 2))
-    with pytest.raises(ValueError, match="do not make a volume"):
+    with pytest.raises(ValueError, match="do not match the image"):
         aggregate(device, volume(device, costs[..., :9]), torch.zeros(4, 5), Penalties(1, 2))
     sums = DeviceArray(device, (4, 5, 16), torch.uint16)
     for planes in (0, 17):
-        with pytest.raises(ValueError, match="cannot be picked"):
+        with pytest.raises(ValueError, match="it must lie in 1"):
             pick(device, sums, planes)
 
 

@@ -205,9 +205,9 @@ def test_wrong_arguments_are_refused(device: Device) -> None:
         ZnccSweep(device, images, cameras, INVERSE_DEPTHS, radius=9)
     with pytest.raises(ValueError, match="noise is 0"):
         ZnccSweep(device, images, cameras, INVERSE_DEPTHS, noise=0)
-    with pytest.raises(ValueError, match="needs a plane"):
+    with pytest.raises(ValueError, match="needs at least one plane"):
         ZnccSweep(device, images, cameras, INVERSE_DEPTHS[:0])
-    with pytest.raises(ValueError, match="needs a source"):
+    with pytest.raises(ValueError, match="needs at least one source"):
         ZnccSweep(device, images, cameras, INVERSE_DEPTHS).costs(0, [])
     features = [image.expand(3, -1, -1) for image in images]
     with pytest.raises(ValueError, match="has 3 channels"):
