@@ -139,7 +139,7 @@ def test_an_image_that_was_written_to_is_noticed(device: Device) -> None:
     rendering.rgb.detach().mul_(2)
     if not device.shares_memory:
         pytest.skip("the device has a copy of its own")
-    with pytest.raises(ExplainedError, match="'rgb' of a render was written to"):
+    with pytest.raises(ExplainedError, match="'rgb' of a render was modified"):
         rendering.alpha.sum().backward()
 
 

@@ -112,6 +112,6 @@ def test_nothing_is_read_before_it_is_asked_for(device: Device) -> None:
 def test_a_rendering_made_by_hand_says_that_it_does_not_know() -> None:
     image = torch.zeros(2, 2)
     rendering = Rendering(torch.zeros(2, 2, 3), image, image)
-    with pytest.raises(ExplainedError, match="not known") as error:
+    with pytest.raises(ExplainedError, match="are unknown") as error:
         _ = rendering.visible
     assert error.value.fix
