@@ -1,4 +1,4 @@
-"""Screen gradients whose pixels do not cancel: against the reference, and free for who does not ask."""
+"""Absolute screen gradients against the reference; no effect if not collected."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def differentiate(model: GaussianModel, *, absolute: bool = True) -> None:
     rendering.rgb.square().sum().backward()
 
 
-def test_is_the_sum_of_every_pixels_pull(device: Device) -> None:
+def test_is_the_sum_of_absolute_pixel_gradients(device: Device) -> None:
     if not device.supports_double:
         pytest.skip("the device has no double precision")
     gaussians = parameters(COUNT)
@@ -58,7 +58,7 @@ def test_is_the_sum_of_every_pixels_pull(device: Device) -> None:
     assert (signed < 0.5 * found).any()
 
 
-def test_who_does_not_ask_gets_the_same_bits(device: Device) -> None:
+def test_results_without_it_are_bit_identical(device: Device) -> None:
     plain, asked = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(plain, absolute=False)
     differentiate(asked)
@@ -73,7 +73,7 @@ def test_who_does_not_ask_gets_the_same_bits(device: Device) -> None:
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-5 * float(wanted.max()))
 
 
-def test_it_is_kept_for_checkpoints_and_forgotten_on_demand(device: Device) -> None:
+def test_it_is_restored_and_reset(device: Device) -> None:
     model, other = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(model)
     other.statistics.restore(model.statistics.sums())

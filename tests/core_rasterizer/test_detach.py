@@ -1,4 +1,4 @@
-"""Renders that leave some parameters alone."""
+"""Renders that detach parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def lossy(model: GaussianModel, seed: int, *detach: str) -> Tensor:
 
 
 @pytest.mark.parametrize("detached", [*((name,) for name in PARAMETERS), PARAMETERS, ()], ids=str)
-def test_others_get_the_same_bits_and_detached_ones_nothing(
+def test_detach_zeroes_only_the_detached_gradients(
     device: Device, detached: tuple[str, ...]
 ) -> None:
     model = GaussianModel(parameters(), device)
@@ -57,7 +57,7 @@ def test_other_renders_of_the_iteration_still_contribute(
             assert torch.allclose(gradient, total, rtol=1e-4, atol=1e-4 * total.abs().max()), name
 
 
-def test_an_unknown_name_is_refused(device: Device) -> None:
+def test_an_unknown_name_raises(device: Device) -> None:
     model = GaussianModel(parameters(5), device)
     with pytest.raises(GaussianError, match="unknown parameter 'scales'"):
         model.render(view(), detach={"scales"})

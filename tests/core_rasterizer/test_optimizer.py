@@ -160,7 +160,7 @@ def test_a_restored_optimizer_continues_with_the_same_bits(device: Device) -> No
     assert torch.equal(run(interrupted=True), run(interrupted=False))
 
 
-def test_wrong_names_and_states_are_refused(device: Device) -> None:
+def test_invalid_names_and_states_raise(device: Device) -> None:
     model = make_model(device, torch.float32)
     optimizer = Adam(model)
     with pytest.raises(ExplainedError, match="sh_rest"):

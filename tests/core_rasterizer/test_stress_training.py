@@ -1,4 +1,4 @@
-"""Optimizer and topology in unusual hours: no moments yet, everything pruned, gradients that overflow."""
+"""Optimizer and topology at their limits: no moments, everything pruned, overflowing gradients."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def seeded() -> torch.Generator:
 
 
 def assert_of_one_length(model: GaussianModel, optimizer: Adam) -> None:
-    """Every array that has a row or column for each Gaussian has as many as there are."""
+    """Check that every per-Gaussian array has the right length."""
     for name in PARAMETERS:
         assert len(model.read(name)) == model.count, name
         assert len(model.gradient(name)) == model.count, name
@@ -43,7 +43,7 @@ def assert_of_one_length(model: GaussianModel, optimizer: Adam) -> None:
     assert tuple(state["first_moments"].shape) == tuple(state["second_moments"].shape) == shape
 
 
-def test_a_refused_edit_changes_nothing(device: Device) -> None:
+def test_an_edit_that_removes_all_changes_nothing(device: Device) -> None:
     """Case 13: a decay has made everything prunable. The error is clear, model and moments stay whole."""
     model = GaussianModel(parameters(50), device)
     optimizer = Adam(model)
@@ -60,8 +60,8 @@ def test_a_refused_edit_changes_nothing(device: Device) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30, -3e38])
-def test_a_gradient_that_is_no_number_moves_nothing(device: Device, value: float) -> None:
-    """Case 15: one sick gradient. Its parameter stays, the others move, and later steps recover."""
+def test_an_undefined_gradient_changes_nothing(device: Device, value: float) -> None:
+    """Case 15: one undefined gradient. Its parameter stays, others change, later steps recover."""
     model = GaussianModel(parameters(20), device)
     optimizer = Adam(model)
     gradients = torch.ones(model.rows, model.capacity)
@@ -182,7 +182,7 @@ def test_an_undefined_learning_rate_is_named(device: Device, rate: float) -> Non
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_an_undefined_value_is_not_written(device: Device, name: str, value: float) -> None:
-    """Case 3: a policy that computes a NaN hears of it at once, with field and index."""
+    """Case 3: writing NaN raises an error with field and index."""
     model = GaussianModel(parameters(30), device)
     digest, values = model.digest(), model.read(name).clone()
     values[17] = value
@@ -194,7 +194,7 @@ def test_an_undefined_value_is_not_written(device: Device, name: str, value: flo
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_a_parameter_that_a_step_finds_undefined_is_named(device: Device, name: str) -> None:
-    """Whatever put it there: the step looks at every number as it moves it."""
+    """The step checks every value that it changes."""
     model = GaussianModel(parameters(30), device)
     optimizer = Adam(model)
     optimizer.step(RATES, active_sh_degree=3)

@@ -1,4 +1,4 @@
-"""Clone, split and prune: what stays, what comes, and what belongs to it."""
+"""Clone, split and prune, with moments and statistics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RATES = dict.fromkeys(
 
 
 def trained(device: Device, count: int = 50) -> tuple[GaussianModel, Adam]:
-    """A model with one optimizer step behind it, so that moments are not zero."""
+    """A model after one optimizer step, with non-zero moments."""
     model = GaussianModel(parameters(count), device)
     optimizer = Adam(model)
     model.render(view(), collect_statistics=True).rgb.square().sum().backward()
@@ -51,7 +51,7 @@ def test_order_parameters_and_moments_after_an_edit(device: Device) -> None:
     assert moments.abs().sum() > 0
     edit = Edit(clone=mask(50, 3, 7), split=mask(50, 7, 20), prune=mask(50, 7, 49))
     carried = apply_edit(model, optimizer, edit, generator())
-    # 7 is pruned, whatever else was asked; 20 gives way to its children.
+    # 7 is pruned despite the other masks; 20 is replaced by its children.
     stays = [i for i in range(50) if i not in (7, 20, 49)]
     assert carried.source.tolist() == [*stays, 3, 20, 20]
     assert carried.fresh.tolist() == [False] * len(stays) + [True] * 3
@@ -166,7 +166,7 @@ def test_added_ones_come_last_and_take_over_from_their_parents(device: Device, n
 
 
 def test_everything_in_one_edit(device: Device) -> None:
-    """Clones and children of relocated Gaussians are those of what they have become."""
+    """Clones and children of relocated Gaussians use their new parameters."""
     model, optimizer = trained(device)
     optimizer.second_moments.fill(1)
     reference, other = trained(device)
@@ -226,7 +226,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_an_edit_that_cannot_be_is_named_and_changes_nothing(device: Device, case: str) -> None:
+def test_an_invalid_edit_raises_and_changes_nothing(device: Device, case: str) -> None:
     fields, field, what = WRONG[case]
     model, optimizer = trained(device)
     digest, state = model.digest(), optimizer.state()

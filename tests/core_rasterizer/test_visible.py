@@ -1,4 +1,4 @@
-"""Which Gaussians a rendering shows: those in the list of a tile, and for as long as it lives."""
+"""`Rendering.visible`, also after later renders."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAMERA = Camera(torch.eye(4), 40, 40, 16, 16, 32, 32)
 
 
 def five() -> Gaussians:
-    """In view, behind the camera, beside the image, fainter than 1/255, and hidden by the first."""
+    """In view, behind the camera, outside the image, fainter than 1/255, and hidden by the first."""
     return Gaussians.from_points(
         torch.tensor([[0.0, 0, 2], [0, 0, -2], [9, 0, 2], [0, 0, 2.5], [0, 0, 3]]),
         torch.full((5, 3), 0.5),

@@ -1,4 +1,4 @@
-"""A short optimization with everything in it, for tests of what must not change its result."""
+"""A short optimization with all features, for tests of repeatability."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
 def short_training(
     device: Device, count: int = 300, width: int = 120, height: int = 90, steps: int = 12
 ) -> str:
-    """Fit Gaussians to two pictures, with topology edits and resets; a digest of all that came of it.
+    """Fit Gaussians to two images, with topology edits and resets; return a digest of the results.
 
-    Every other step asks for the gradient of a pose and half a band, every fourth for smoothing.
+    Every other step uses a pose gradient and half a band, every fourth smoothing.
     """
     generator = torch.Generator().manual_seed(0)
     cameras = [random_camera(generator, width, height) for _ in range(2)]
