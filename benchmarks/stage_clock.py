@@ -98,12 +98,12 @@ def wrap_stages(clock: StageClock) -> None:
     """Count the stages of a training run."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
-    from registry.runs import Run, results, run, training_run
+    from registry.runs import Run, run, training_run
     from registry.training.field import Field
     from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
 
     clock.wrap(Program, "__init__", "kernels built or loaded")
-    clock.wrap(training_run, "load_scene", "photographs")
+    clock.wrap(training_run, "load", "photographs")
     clock.wrap(MultiViewDepthPrior, "depths", "depth prior")
     clock.wrap(ConsistencyDense, "initialize", "points")
     clock.wrap(training_run, "initial_gaussians", "points")
@@ -120,7 +120,7 @@ def wrap_stages(clock: StageClock) -> None:
         clock.wrap(Field, method, name, lambda field: field.model.device.finish())
     clock.wrap(Run, "keep_in", "run folder and checkpoints")
     clock.wrap(run, "save_checkpoint", "run folder and checkpoints")
-    clock.wrap(results, "_write_with_outputs", "results and export")
+    clock.wrap(Run, "_write_with_outputs", "results and export")
     clock.wrap(Run, "evaluate", "evaluation")
 
 

@@ -20,7 +20,7 @@ from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.pipeline import Pipeline
 from registry.runs import evaluate
-from registry.runs.origin.provenance import circumstances
+from registry.runs.origin import circumstances
 from registry.session import build_pipeline
 from registry.system.files import write_json
 from registry.training import one_torch_thread

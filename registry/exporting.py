@@ -1,4 +1,4 @@
-"""A finished run in other programs' formats, by any exporter."""
+"""Export of a run with a single exporter."""
 
 from __future__ import annotations
 
@@ -20,17 +20,14 @@ from .training.initial_model import new_model
 
 
 def export(run: Run, exporter: Item, folder: Path, without: Sequence[str] = ()) -> list[Path]:
-    """Have one exporter write a run's Gaussians.
+    """Write the Gaussians of a run with an exporter, and return the files.
 
     Args:
-        folder: created if need be.
+        folder: created if missing.
         without: kinds of initial points whose descendants are left out (`Run.kinds`).
 
-    Returns:
-        The files that were written.
-
     Raises:
-        ExplainedError: a kind that the run does not know, nothing would be left, or what the exporter says.
+        ExplainedError: an unknown kind, no Gaussian remains, or the exporter failed.
     """
     model = _without(run, without)
     folder.mkdir(parents=True, exist_ok=True)
@@ -41,23 +38,23 @@ def export(run: Run, exporter: Item, folder: Path, without: Sequence[str] = ()) 
 
 
 def _without(run: Run, kinds: Sequence[str]) -> GaussianModel:
-    """The run's Gaussians but for those of some kinds."""
+    """Return the Gaussians except those of some kinds."""
     if not kinds:
         return run.model
     known = run.kinds
     unknown = [kind for kind in kinds if kind not in known]
     if unknown:
         raise RunError(
-            f"the run's Gaussians are of no kind {unknown[0]!r}{did_you_mean(unknown[0], known)}",
+            f"the run's Gaussians have no kind {unknown[0]!r}{did_you_mean(unknown[0], known)}",
             where="--without",
             fix=f"kinds: {listing(known)}"
             if known
-            else "its initializer tells no kinds of points apart, or it was trained by an older version",
+            else "its initializer does not distinguish kinds, or an older version trained it",
         )
     left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
     if left_out.all():
         raise RunError(
-            "no Gaussian would be left",
+            "no Gaussian would remain",
             where=f"--without {','.join(kinds)}",
             fix="name fewer kinds",
         )

@@ -13,7 +13,8 @@ MOST_ROOMS = 12
 """Modules that one folder may hold before a newcomer loses the way."""
 
 FLOORS = (
-    ("errors", "system", "messages"),
+    ("errors", "messages"),
+    ("system",),
     ("contract", "calls"),
     ("toolkit", "plugins"),
     ("priors", "pipeline"),

@@ -1,4 +1,4 @@
-"""Parts that verbs share: consoles, arguments, and the end of a training."""
+"""Consoles, arguments and output that several verbs use."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
         positive_seconds,
     )
     from .run_table import ABSENT
-    from .train import conclude, tell_failures
+    from .train import conclude, print_failures
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -29,5 +29,5 @@ __all__ = [
     "console",
     "open_given",
     "positive_seconds",
-    "tell_failures",
+    "print_failures",
 ]

@@ -6,15 +6,15 @@ import argparse
 
 from ..contract.command import Command
 from .output import add_run, console, open_given
-from .train import tell_failures
+from .train import print_failures
 
 _EPILOG = """\
 examples:
   stereogs eval runs/3dgs-fern
 
 Renders the training and test views from the newest checkpoint, renews the scores in results.json and
-the pictures, and prints the table. Of a finished run the exports and reports are renewed too; one that was
-stopped is scored where it stands.
+the pictures, and prints the table. For a finished run it also renews exports and reports. A run that was
+stopped is scored at its checkpoint.
 """
 
 
@@ -31,11 +31,11 @@ class Eval(Command):
         """Evaluate and print."""
         output = console()
         run = open_given(arguments)
-        from ..runs.results import RENDERS, renew
+        from ..runs.results import RENDERS
         from .run_table import results_table
 
-        results = renew(run)
+        results = run.renew()
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
             output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
-        return tell_failures(results, arguments.run_folder)
+        return print_failures(results["failures"], arguments.run_folder)

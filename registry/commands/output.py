@@ -1,4 +1,4 @@
-"""Consoles and arguments that verbs share."""
+"""Consoles and arguments that several verbs use."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 
 
 def console() -> PlainConsole:
-    """Standard output, as it is now."""
+    """Return a console for the current standard output."""
     from ..messages.terminal import PlainConsole
 
     return PlainConsole(markup=False, highlight=False, soft_wrap=True)
 
 
 def error_console() -> PlainConsole:
-    """Standard error, as it is now."""
+    """Return a console for the current standard error."""
     from ..messages.terminal import PlainConsole
 
     return PlainConsole(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def add_verb(verbs: Any, name: str, summary: str, epilog: str) -> argparse.ArgumentParser:
-    """Add a verb's parser; the summary is also the first line of its own help.
+    """Add the parser of a verb; its help begins with the summary.
 
     Args:
         verbs: from `add_subparsers`, whose type is private.
@@ -44,7 +44,7 @@ def add_verb(verbs: Any, name: str, summary: str, epilog: str) -> argparse.Argum
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
-    """The option --device."""
+    """Add the option --device."""
     parser.add_argument(
         "--device",
         metavar="NAME",
@@ -53,7 +53,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def positive_seconds(text: str) -> float:
-    """A number of seconds, as an option takes it."""
+    """Parse a positive number of seconds."""
     try:
         value = float(text)
     except ValueError:
@@ -64,14 +64,14 @@ def positive_seconds(text: str) -> float:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """A run folder to be looked at, and what goes with it; `open_given` opens it."""
+    """Add the argument RUN and the options with which `open_given` opens it."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
     add_accept_changed_inputs(parser)
     add_device(parser)
 
 
 def open_given(arguments: argparse.Namespace) -> Run:
-    """The run that the options of `add_run` name."""
+    """Open the run given by the arguments of `add_run`."""
     from ..session import open_run
 
     return open_run(
@@ -82,9 +82,9 @@ def open_given(arguments: argparse.Namespace) -> Run:
 
 
 def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
-    """The option --accept-changed-inputs."""
+    """Add the option --accept-changed-inputs."""
     parser.add_argument(
         "--accept-changed-inputs",
         action="store_true",
-        help="go on although photographs, cameras or model files are not those that the run began with",
+        help="continue even if photographs, cameras or model files have changed since the run began",
     )

@@ -36,9 +36,13 @@ class Resume(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Train to the end; exit status as for `train`."""
         begin = monotonic()
+        from ..calls.watchdog import WATCHDOG
         from ..session import resume
 
         output = console()
         request = TrainRequest(arguments, begin)
-        with running(train_options("resume"), request, given_options(arguments, output)) as options:
+        with (
+            WATCHDOG.ending(arguments.hang_after),
+            running(train_options("resume"), request, given_options(arguments, output)) as options,
+        ):
             return conclude(resume(arguments.run_folder, options), output)

@@ -1,4 +1,4 @@
-"""Options that `train` and `resume` share, their own and those of plugins."""
+"""Options of both `train` and `resume`, including those of plugins."""
 
 from __future__ import annotations
 
@@ -35,14 +35,13 @@ def add_run_options(parser: argparse.ArgumentParser, verb: str) -> None:
 
 
 def given_options(arguments: argparse.Namespace, output: Console) -> RunOptions:
-    """The options of the host that the command line gives."""
+    """Return the options of the command line, except --hang-after, which the verbs apply."""
     from ..runs.options import RunOptions
 
     return RunOptions(
         progress=output,
         device=arguments.device,
         check_plugins=arguments.check_plugins,
-        hang_after=arguments.hang_after,
         accept_changed_inputs=getattr(arguments, "accept_changed_inputs", False),
     )
 
@@ -51,7 +50,7 @@ def given_options(arguments: argparse.Namespace, output: Console) -> RunOptions:
 def running(
     extra: Sequence[TrainOption], request: TrainRequest, options: RunOptions
 ) -> Iterator[RunOptions]:
-    """Enter the contexts of all train options, by name, and give the final options."""
+    """Enter the contexts of all train options, by name, and yield the final options."""
     with ExitStack() as stack:
         for option in extra:
             options = stack.enter_context(option.running(request, options))

@@ -1,4 +1,4 @@
-"""The scores of a results.json as a table."""
+"""Table of the scores in a results.json."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 from rich.table import Table
 
 ABSENT = "\u2013"
-"""What tables show, a dash, where a score is not available."""
+"""Shown in tables if a score is not available: a dash."""
 
 
 def results_table(results: dict[str, Any]) -> Table:
-    """The scores of a results.json as a table: a row a test view, then the means."""
+    """Return the scores of a results.json as a table: one row per test view, then the means."""
     metrics = list(results["train"] | results["test"])
     missing: dict[str, str] = results["unavailable"]
     table = Table(
@@ -42,5 +42,5 @@ def _cell(row: dict[str, float | None], name: str, missing: dict[str, str]) -> s
 
 
 def _score(value: float | None) -> str:
-    """A score to four digits; None is infinite, for which JSON has no number."""
+    """Format a score to four digits; None is infinite."""
     return "inf" if value is None else f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"

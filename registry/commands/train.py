@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from ..runs.run import Run
 
 FAILED = 1
-"""Exit status of a run that is finished, but a metric, an exporter or a report failed."""
+"""Exit status if a metric, an exporter or a report failed after training."""
 INTERRUPTED = 130
 
 _EPILOG = """\
 examples:
   stereogs train my-photos                           a folder of pictures or data
-  stereogs train my-photos --quality best            the best there is without networks
-  stereogs train my-photos --seconds 30              as good as thirty seconds allow
+  stereogs train my-photos --quality best            the best pipeline without networks
+  stereogs train my-photos --seconds 30              finish within thirty seconds
   stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
-  stereogs train my-photos --view                    and look while it trains (extra `viewer`)
+  stereogs train my-photos --view                    show the scene meanwhile (extra `viewer`)
 
 A folder is read by the loader that recognizes its content (see `stereogs check`), with that loader's
 defaults and --set scene.SETTING=VALUE. The run reports which pipeline was chosen and why.
-Ctrl-C or SIGTERM stops after the current iteration and leaves a checkpoint; `stereogs resume` goes on
+Ctrl-C or SIGTERM stops after the current iteration and saves a checkpoint; `stereogs resume` continues
 from it to the same result.
 """
 
@@ -83,7 +83,7 @@ class Train(Command):
         add_run_options(parser, "train")
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Train; 0 at the end, 1 if something failed after training, 130 after Ctrl-C."""
+        """Train; return 0, or 1 if something failed after training, or 130 after Ctrl-C."""
         begin = monotonic()
         from ..calls.watchdog import WATCHDOG
         from ..plugins.discovery import Plugins
@@ -97,18 +97,18 @@ class Train(Command):
             load = _loader(arguments, Plugins())
             is_folder = arguments.pipeline.is_dir()
             pipeline = load(_folder_pipeline(extra) if is_folder else arguments.pipeline.as_posix())
-        request = TrainRequest(arguments, begin, load, pipeline_named=not is_folder)
-        with collector_at_rest():
-            from ..runs.training_run import in_runs
+            request = TrainRequest(arguments, begin, load, pipeline_named=not is_folder)
+            with collector_at_rest():
+                from ..runs.training_run import in_runs
 
-        with running(extra, request, given_options(arguments, output)) as options:
-            run = train(pipeline, options, out=arguments.out or in_runs)
-            status = conclude(run, output)
-            if run.finished and options.fit is not None:
-                output.print(
-                    f"repeat    stereogs train {run.folder_or_refuse().pipeline}; "
-                    f"it took {monotonic() - begin:.1f} s"
-                )
+            with running(extra, request, given_options(arguments, output)) as options:
+                run = train(pipeline, options=options, out=arguments.out or in_runs)
+                status = conclude(run, output)
+                if run.finished and options.fit is not None:
+                    output.print(
+                        f"repeat    stereogs train {run.folder_or_refuse().pipeline}; "
+                        f"it took {monotonic() - begin:.1f} s"
+                    )
         return status
 
 
@@ -125,7 +125,7 @@ def _folder_pipeline(options: Sequence[TrainOption]) -> str:
 
 
 def _loader(arguments: argparse.Namespace, plugins: Plugins) -> Callable[[str], Pipeline]:
-    """A function that loads a pipeline by name or path, with the scene and changes of the command line."""
+    """Return a function that loads a pipeline by name or path, with the changes of the command line."""
     from ..pipeline.pipeline import load_pipeline
 
     overrides, folder = arguments.set, arguments.pipeline
@@ -145,10 +145,10 @@ def _loader(arguments: argparse.Namespace, plugins: Plugins) -> Callable[[str], 
 
 
 def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
-    """The override that makes a folder the scene, read by the loader that knows it or is asked for.
+    """Return the override that makes a folder the scene; its loader recognizes it or is given with --set.
 
     Raises:
-        SceneError: none or several know it.
+        SceneError: no loader or several recognize the folder.
     """
     from ..pipeline.settings_check import escape_variables
     from ..plugins.recognition import recognize
@@ -160,14 +160,14 @@ def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
 
 
 def conclude(run: Run, output: Console) -> int:
-    """Tell how the run ended and where its files lie; returns the exit status."""
+    """Print how the run ended and the paths of its files; return the exit status."""
     from ..runs.results import RENDERS
     from .run_table import results_table
 
     folder = run.folder_or_refuse()
     if not run.finished:
         output.print(
-            f"stopped; the checkpoint is complete. Go on with\n  stereogs resume {folder.path}"
+            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.path}"
         )
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
@@ -185,19 +185,18 @@ def conclude(run: Run, output: Console) -> int:
     for file in results["reports"]:
         output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")
-    return tell_failures(results, folder.path)
+    return print_failures(results["failures"], folder.path)
 
 
-def tell_failures(results: dict[str, Any], folder: Path) -> int:
-    """Tell which metrics, exporters and reports failed; returns the exit status."""
-    failures = results["failures"]
+def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:
+    """Print which metrics, exporters and reports failed; return the exit status."""
     output = error_console()
     for failure in failures:
         output.print(f"stereogs: {failure['component']}: {failure['what']}")
         output.print(f"  where  {failure['where']}")
     if failures:
         output.print(
-            "What did not fail is kept. Once it is mended, this scores, exports and reports again:\n"
+            "All other results are saved. After fixing it, score, export and report again:\n"
             f"  stereogs eval {folder}"
         )
     return FAILED if failures else 0

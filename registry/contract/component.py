@@ -86,8 +86,9 @@ class Component(Generic[SettingsType]):
     ablation_baseline: ClassVar[str | None] = None
     """What stands in its place where an ablation switches it off, as a pipeline writes a component:
     "name", or "{use: name, ...}". None: nothing does."""
-    needs_priors: ClassVar[tuple[str, ...]] = ()
-    """Capabilities that it asks of the pipeline's priors; `stereogs explain` looks for them."""
+    needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
+    """Capabilities of the priors that it uses; a tuple among them: any of these, the first preferred.
+    Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""
     needs_fields: ClassVar[int] = 1
     """How many fields of Gaussians (`training.fields`) it must be trained with at least."""
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..pipeline.pipeline import Item, Pipeline
 from .component_help import summary
+from .prior_needs import able, needs, prior_faults
 
 STAGES: Mapping[str, Mapping[str, str]] = {
     "before training": {
@@ -78,13 +79,9 @@ def faults(pipeline: Pipeline) -> list[str]:
             for path in _paths(item)
             if not path.exists()
         ]
-        found += [
-            f"{item.qualified_name}: needs a prior that can do {capability}, and there is none"
-            for capability in item.offer.component.needs_priors
-            if not _able(pipeline, capability)
-        ]
         if item.point.scheduled and not _due(item, pipeline):
             found.append(f"{item.qualified_name}: is never due")
+    found += [f"{item.qualified_name}: {fault.what}" for item, fault in prior_faults(pipeline)]
     return found
 
 
@@ -112,19 +109,10 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     given = next(sections[section] for sections in STAGES.values() if section in sections)
     notes.append(("reads", given))
     notes += [("file", f"{path}, {_size(path)}") for path in _paths(item)]
-    for capability in component.needs_priors:
-        able = ", ".join(_able(pipeline, capability)) or "none in the pipeline"
-        notes.append(("needs", f"a prior that can do {capability}: {able}"))
+    for wanted in needs(component):
+        names = ", ".join(able(pipeline, wanted)) or "none in the pipeline"
+        notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
     return Explained(item.qualified_name, tuple(notes))
-
-
-def _able(pipeline: Pipeline, capability: str) -> list[str]:
-    """The names of the priors that have a capability."""
-    return [
-        item.name
-        for item in pipeline.items["priors"]
-        if getattr(item.offer.component, "capability", None) == capability
-    ]
 
 
 def _due(item: Item, pipeline: Pipeline) -> list[int]:

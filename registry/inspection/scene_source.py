@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..contract.checks.scene import validate
 from ..errors import SceneError
-from ..pipeline.parts import build_part
 from ..pipeline.pipeline import Item, load_pipeline
 from ..pipeline.ready import is_pipeline_file, ready_pipelines
 from ..pipeline.settings_check import escape_variables
@@ -18,9 +17,8 @@ from ..plugins.recognition import SCENE, recognize
 from .single_item import COMMAND_LINE, qualified, single_item
 
 if TYPE_CHECKING:
-    from core_rasterizer import Device
-
     from ..contract.scene import Scene
+    from ..pipeline.parts import Part
 
 
 class FoundLoader(NamedTuple):
@@ -60,15 +58,14 @@ def find_loader(
     return FoundLoader(_folder_item(data, plugins, format_name, overrides))
 
 
-def load(found: FoundLoader, device: Device) -> Scene:
-    """What a loader loads, validated.
+def load(loader: Part) -> Scene:
+    """Load a scene and validate it.
 
     Raises:
-        ExplainedError: what the loader says.
+        ExplainedError: raised by the loader, or the scene is not valid.
     """
-    part = build_part(found.item, found.seed, device)
-    with part.at_work():
-        return validate(part.component.load())
+    with loader.at_work():
+        return validate(loader.component.load())
 
 
 def _folder_item(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -56,68 +56,96 @@ class Part:
 class Parts:
     """Every component of a pipeline, each with a random generator of its own.
 
+    Components of a section are constructed when the section is first used.
+
+    Args:
+        constructed: parts of the same run; those with equal settings and seed are used again.
+
     Raises:
-        PluginError: a component failed while it was built.
+        PluginError: the constructor of a component failed; raised on first use.
     """
 
-    def __init__(self, pipeline: Pipeline, device: Device) -> None:
+    def __init__(
+        self, pipeline: Pipeline, device: Device, constructed: Iterable[Part] = ()
+    ) -> None:
         self._pipeline, self._device = pipeline, device
-        self._parts = {
-            section: tuple(build_part(item, pipeline.training.seed, device) for item in items)
-            for section, items in pipeline.items.items()
-        }
+        self._constructed = {part.item.qualified_name: part for part in constructed}
+        self._parts: dict[str, tuple[Part, ...]] = {}
+
+    def following(self, pipeline: Pipeline) -> Parts:
+        """The components of another pipeline of the same run, shared where settings and seed are equal."""
+        return Parts(pipeline, self._device, [p for parts in self._parts.values() for p in parts])
 
     def for_field(self, index: int) -> Parts:
-        """The same pipeline for another field of Gaussians.
+        """The components of the pipeline for another field of Gaussians.
 
-        What trains is built anew, with random numbers of its own; what a run has once is shared, but for
-        observers, whom the first field alone is shown to.
+        Those that train are constructed again, with their own random numbers; the others are shared, except
+        observers, which receive the first field only.
 
         Args:
-            index: the field's number, from 1 on; 0 is this one.
+            index: number of the field. 0 gives a second set for the first field, with equal random numbers.
         """
         other = copy(self)
         other._parts = {
             section: tuple(
-                build_part(part.item, self._pipeline.training.seed, self._device, field=index)
-                for part in parts
+                build_part(item, self._pipeline.training.seed, self._device, field=index)
+                for item in items
             )
             if section in TRAINING_SECTIONS
-            else parts
-            for section, parts in self._parts.items()
+            else self[section]
+            for section, items in self._pipeline.items.items()
         }
         other._parts |= {point.section: () for point in PIPELINE_POINTS if point.observes}
         return other
 
     def __getitem__(self, section: str) -> tuple[Part, ...]:
+        if section not in self._parts:
+            self._parts[section] = tuple(map(self._part, self._pipeline.items[section]))
         return self._parts[section]
 
+    def _part(self, item: Item) -> Part:
+        seed = self._pipeline.training.seed
+        known = self._constructed.get(item.qualified_name)
+        if (
+            known is not None
+            and type(known.component) is item.offer.component
+            and known.item.settings == item.settings
+            and known.component.context.seed == derived_seed(seed, item.qualified_name)
+        ):
+            return replace(known, item=item)
+        return build_part(item, seed, self._device)
+
     def __iter__(self) -> Iterator[Part]:
-        return (part for parts in self._parts.values() for part in parts)
+        return (part for section in self._pipeline.items for part in self[section])
 
     @property
     def training(self) -> Iterator[Part]:
         """Those that are asked within the training loop."""
-        asked = (parts for name, parts in self._parts.items() if name in TRAINING_SECTIONS)
-        return (part for parts in asked for part in parts)
+        sections = (name for name in self._pipeline.items if name in TRAINING_SECTIONS)
+        return (part for section in sections for part in self[section])
+
+    @property
+    def shared(self) -> Iterator[Part]:
+        """Those that the fields of a run share: all that do not train."""
+        return (part for part in self if part.item.point.section not in TRAINING_SECTIONS)
 
     def one(self, section: str) -> Part:
         """The component of a section that holds exactly one."""
-        (part,) = self._parts[section]
+        (part,) = self[section]
         return part
 
     def due(self, section: str, iteration: int) -> Iterator[Part]:
         """Those that are called in this iteration, in the pipeline's order."""
         return (
             part
-            for part in self._parts[section]
+            for part in self[section]
             if part.item.schedule.due(iteration) and part.item.host.weight > 0
         )
 
     @property
     def priors(self) -> Mapping[str, Prior[Any]]:
         """The prior models by name."""
-        return {part.item.name: part.component for part in self._parts["priors"]}
+        return {part.item.name: part.component for part in self["priors"]}
 
     def carry(self, source: Tensor, fresh: Tensor, count: int, iteration: int) -> None:
         """Tell every component that Gaussians came or went; see `Component.carry`.

@@ -1,4 +1,4 @@
-"""Scores of rendered views against their photographs, and pictures of them."""
+"""Scores of rendered views against their photographs, and pictures of the views."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from ..contract.scene import Scene, View
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from ..toolkit.drawing.pictures import save_view_pictures
-from .average_error import AVERAGE_ERROR, average_error
 
+AVERAGE_ERROR = "avge"
+"""Name of the average error among the scores."""
 _ROLES: tuple[AverageErrorRole, ...] = get_args(AverageErrorRole)
-"""In the order in which `average_error` takes them."""
+"""In the order of the arguments of `average_error`."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,8 @@ class Scores:
 
     Args:
         views: each view's scores by metric; None where a metric is not available.
-        unavailable: why, by metric; the first view's reason stands for all.
-        failures: what went wrong, by the qualified name of each metric that failed or answered no
-            number; the first view's error stands for all.
+        unavailable: reason by metric, from the first view.
+        failures: error by qualified name of a metric, from the first view.
     """
 
     views: dict[str, dict[str, float | None]]
@@ -40,7 +40,7 @@ class Scores:
 
     @property
     def infinite(self) -> dict[str, list[str]]:
-        """The views for which a metric is infinite, by metric: JSON has no number for that."""
+        """The views for which a metric is infinite, by metric: JSON cannot represent infinity."""
         found: dict[str, list[str]] = {}
         for view, row in self.views.items():
             for name, score in row.items():
@@ -50,7 +50,7 @@ class Scores:
 
     @property
     def mean(self) -> dict[str, float | None]:
-        """Each metric's mean over the views that have it, None if none has; empty without views."""
+        """Mean of each metric over the views that have it, None if none has; empty without views."""
         rows = list(self.views.values())
         names = list(dict.fromkeys(name for row in rows for name in row))
         return {name: _mean([row.get(name) for row in rows]) for name in names}
@@ -65,15 +65,15 @@ def evaluate(
 ) -> Scores:
     """Render views and score them, colours clamped to [0, 1].
 
-    A view that has a score in each role of the average error also gets `avge` (`average_error`). A metric
-    that fails keeps no other from being measured; `Scores.failures` holds its error.
+    A view with a score in each role of the average error also gets `avge` (`average_error`). If a metric
+    fails, the others are still measured.
 
     Args:
         metrics: the pipeline's metric components.
-        pictures: a folder for `save_view_pictures`; None writes none.
+        pictures: folder for `save_view_pictures`; None writes none.
 
     Raises:
-        Overwritten: a metric wrote into the render or the photograph; no other score could be trusted.
+        Overwritten: a metric wrote into the render or the photograph, so other scores would be wrong.
     """
     scores: dict[str, dict[str, float | None]] = {}
     unavailable: dict[str, str] = {}
@@ -96,7 +96,7 @@ def evaluate(
 
 
 def quick(metrics: Sequence[Part]) -> list[Part]:
-    """The metrics without those that take long, for all but the last word on test views."""
+    """Return the metrics that do not take long, for scores during training and of training views."""
     return [part for part in metrics if not part.component.takes_long]
 
 
@@ -108,7 +108,7 @@ def _measured(
     scene: Scene,
     failures: dict[str, ExplainedError],
 ) -> float | Unavailable:
-    """A metric's score of a view; of one that fails, why there is none."""
+    """Return a metric's score of a view, or the reason that it is unavailable."""
     try:
         with part.at_work(lent=lent):
             return check_score(part.component.measure_view(rendering, view, scene))
@@ -120,7 +120,7 @@ def _measured(
 
 
 def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:
-    """The three metrics that `avge` is made of, the pipeline's first of each; empty if one lacks."""
+    """Return the first metric of each role in `avge`; empty if a role is missing."""
     roles = [getattr(item.offer.component, "average_error_role", None) for item in metrics]
     if not set(_ROLES) <= set(roles):
         return ()
@@ -130,12 +130,28 @@ def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:
 def _average_error(
     row: Mapping[str, float | None], metrics: Sequence[Part]
 ) -> dict[str, float | None]:
-    """AVGE of one view; empty if a metric for it is missing or not available, or if a metric is called so."""
+    """Return AVGE of one view; empty if a score is unavailable, or if a metric has this name."""
     scores = [row[item.name] for item in averaged([part.item for part in metrics])]
     known = [score for score in scores if score is not None]
     if len(known) < len(_ROLES) or AVERAGE_ERROR in row:
         return {}
     return {AVERAGE_ERROR: average_error(*known)}
+
+
+def average_error(psnr: float, ssim: float, lpips: float) -> float:
+    """Return the geometric mean of the mean squared error 10^(-psnr / 10), sqrt(1 - ssim) and LPIPS.
+
+    Niemeyer et al. 2022 (RegNeRF). Lower is better; 0 for equal images.
+
+    Args:
+        psnr: decibels.
+        ssim: at most 1, by either definition.
+        lpips: at least 0.
+    """
+    squared_error = 10 ** (-psnr / 10)
+    # A rounding error above 1 would make the root imaginary.
+    dissimilarity = max(1 - ssim, 0.0) ** 0.5
+    return float((squared_error * dissimilarity * max(lpips, 0.0)) ** (1 / 3))
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -144,12 +160,12 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def render_view(model: GaussianModel, scene: Scene, view: View) -> Rendering:
-    """One view without gradients, colours clamped to [0, 1]."""
+    """Render a view without gradients, colours clamped to [0, 1]."""
     return clamped_render(model, view.camera, scene.background)
 
 
 def clamped_render(
     model: GaussianModel, camera: Camera, background: tuple[float, float, float]
 ) -> Rendering:
-    """A camera without gradients, colours clamped to [0, 1]."""
+    """Render a camera without gradients, colours clamped to [0, 1]."""
     return model.reader().render(camera, background=background)

@@ -1,15 +1,16 @@
-"""The run folder: everything that a run leaves behind, and nothing if it could not begin.
+"""The run folder: all files of a run. It is created only if the run can begin.
 
-pipeline.yaml     the pipeline with every default written out
+pipeline.yaml     the pipeline with every default
 provenance.json   versions, commit, device, platform, seed, command line
-inputs.json       digests of what it was made from, see inputs.py
-initialization/   what the initializer reports: facts.json and pictures
-metrics.jsonl     one line every few iterations
-checkpoint/       the two newest moments to resume from (see training/checkpoint.py)
-renders/          the test views; exports/  what the exporters wrote
-observers/        what loggers and other observers wrote
-failures/         iterations that failed, to be repeated (see replay.py)
-results.json      scores and measurements, once training has ended
+inputs.json       digests of the inputs, see origin.py
+initialization/   facts and pictures of the initializer
+metrics.jsonl     one line every 50 iterations
+checkpoint/       the two newest checkpoints, see training/checkpoint.py
+renders/          pictures of the test views
+exports/          files of exporters
+observers/        files of observers
+failures/         failed iterations, see replay.py
+results.json      scores and measurements, written after training
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, ValidationError
 
 from ..errors import RunError
-from ..system.files import new_folder, remove_leftovers, write_json, write_text
-from .guarding.lock import locked
-from .results_file import Amount, read_results
+from ..system.files import jsonable, new_folder, remove_leftovers, write_json, write_text
+from ..system.lock import locked
+from .results_file import Amount, Record, Results, read_results
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,31 +44,25 @@ RESULTS = "results.json"
 _log = logging.getLogger(__name__)
 
 
-class _Record(BaseModel):
-    """What is read of a small JSON file; more may stand there."""
-
-    model_config = ConfigDict(extra="allow", strict=True)
-
-
-class _Provenance(_Record):
+class _Provenance(Record):
     run: str = ""
-    resumed: list[dict[str, Any]] = []
+    resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
-class _Inputs(_Record):
+class _Inputs(Record):
     digests: dict[str, str] | None = None
-    changed: list[str] = []
+    changed: list[str] = Field(default_factory=list)
 
 
-class _Facts(_Record):
+class _Facts(Record):
     seconds: Amount = 0.0
 
 
 class RunFolder:
-    """A run's folder. Constructing it touches nothing; `create` and `existing` do.
+    """The folder of a run. The constructor does not access the disk.
 
     Args:
-        path: where it is, or will be.
+        path: path of the folder, which may not exist yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -75,10 +70,10 @@ class RunFolder:
 
     @staticmethod
     def existing(path: Path) -> RunFolder:
-        """The folder of a run that was started earlier.
+        """Return the folder of a run that was started earlier.
 
         Raises:
-            RunError: there is none.
+            RunError: the path is not a run folder.
         """
         run = RunFolder(path)
         if not run.pipeline.is_file():
@@ -92,10 +87,10 @@ class RunFolder:
 
     @staticmethod
     def check_vacant(path: Path) -> None:
-        """Refuse a place where no run can be created; creates nothing itself.
+        """Refuse a path where a run folder cannot be created.
 
         Raises:
-            RunError: the folder has content, is a file, or cannot be written.
+            RunError: the folder is not empty, is a file, or cannot be written.
         """
         if path.is_dir() and any(path.iterdir()):
             raise RunError(
@@ -104,13 +99,15 @@ class RunFolder:
                 fix=f"choose another --out, or continue with `stereogs resume {path}`",
             )
         if path.exists() and not path.is_dir():
-            raise RunError("a file is in the way", where=str(path), fix="choose another --out")
+            raise RunError("the path is a file", where=str(path), fix="choose another --out")
         parent = path.absolute().parent
         while not parent.exists():
             parent = parent.parent
         if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
             raise RunError(
-                f"nothing can be written in {parent}", where=str(path), fix="choose another --out"
+                f"the folder {parent} cannot be written",
+                where=str(path),
+                fix="choose another --out",
             )
 
     def create(
@@ -120,14 +117,14 @@ class RunFolder:
         inputs: Mapping[str, str],
         fill: Callable[[RunFolder], None],
     ) -> None:
-        """Make the folder with its first files; all or nothing.
+        """Create the folder with its first files, completely or not at all.
 
         Args:
             inputs: digests by name, see `write_inputs`.
-            fill: writes what else the folder must never be without, above all the first checkpoint.
+            fill: writes the other required files, among them the first checkpoint.
 
         Raises:
-            RunError: see `check_vacant`; or the disk refused.
+            RunError: see `check_vacant`; or writing failed.
         """
         self.check_vacant(self.path)
         try:
@@ -145,28 +142,26 @@ class RunFolder:
             ) from error
 
     @contextmanager
-    def to_itself(self) -> Iterator[None]:
-        """Keep other processes from training or scoring this run; clear away what a kill has left.
+    def locked(self) -> Iterator[None]:
+        """Hold the lock of the folder, and remove partial files of killed processes.
 
         Raises:
-            RunError: another process works on it, or nothing can be written there.
+            RunError: another process holds the lock, or the folder cannot be written.
         """
         with locked(self.path) as lock:
-            if lock.taken_over is not None:
-                _log.warning(
-                    "process %d was killed while it worked in %s", lock.taken_over, self.path
-                )
+            if lock.killed is not None:
+                _log.warning("process %d was killed while it used %s", lock.killed, self.path)
             for folder in (self.path, *(path for path in self.path.rglob("*") if path.is_dir())):
                 remove_leftovers(folder)
             yield
 
     @property
     def identity(self) -> str:
-        """What tells this run from others that were made alike; "" for one of an older version."""
+        """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))
 
     def note_resumption(self, facts: dict[str, Any]) -> None:
-        """Add to provenance.json what a run goes on with."""
+        """Add the circumstances of a resumption to provenance.json."""
         origin = _read_json(self.path / PROVENANCE, _Provenance)
         if origin:
             origin["resumed"] = [*origin.get("resumed", []), facts]
@@ -174,46 +169,46 @@ class RunFolder:
 
     @property
     def pipeline(self) -> Path:
-        """The resolved pipeline."""
+        """Path of the resolved pipeline."""
         return self.path / PIPELINE
 
     def folder(self, name: str) -> Path:
-        """A folder inside, created if need be."""
+        """Return a folder inside, created if missing."""
         folder = self.path / name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     def write_inputs(self, digests: Mapping[str, str], changed: Sequence[str]) -> None:
-        """Keep other inputs than before, and what has changed on the way."""
+        """Write the digests of the current inputs, and the names of all inputs that ever changed."""
         write_json(self.path / INPUTS, {"digests": digests, "changed": list(changed)})
 
     def inputs(self) -> tuple[dict[str, str] | None, list[str]]:
-        """The digests of the inputs, None if an older version kept none, and what has changed.
+        """Return the digests of the inputs, None for a run of an older version, and the changed inputs.
 
         Raises:
-            RunError: they are none.
+            RunError: inputs.json is damaged.
         """
         content = _read_json(self.path / INPUTS, _Inputs)
         return content.get("digests"), content.get("changed", [])
 
-    def write_results(self, results: dict[str, Any]) -> None:
+    def write_results(self, results: Results) -> None:
         """Replace results.json."""
-        write_json(self.path / RESULTS, results)
+        write_json(self.path / RESULTS, jsonable(results.plain()))
 
     def results(self) -> dict[str, Any]:
-        """What results.json holds; empty before the run has ended.
+        """Return the content of results.json, empty before the run has ended.
 
         Raises:
-            RunError: it cannot be believed; see `read_results`.
+            RunError: it is inconsistent; see `read_results`.
         """
         path = self.path / RESULTS
         return read_results(path) if path.exists() else {}
 
     def write_initialization(self, facts: dict[str, Any], pictures: Mapping[str, Tensor]) -> None:
-        """Keep what the initializer reports.
+        """Write the facts and pictures of the initializer.
 
         Args:
-            pictures: `[H, W, 3]` in [0, 1] by file name without ending.
+            pictures: `[H, W, 3]` in [0, 1] by file name without suffix.
         """
         from ..system.parallel import in_parallel
         from ..toolkit.drawing.pictures import save_png
@@ -223,10 +218,10 @@ class RunFolder:
         in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:
-        """The facts that `write_initialization` kept; empty if there are none.
+        """Return the facts of the initializer, empty if missing.
 
         Raises:
-            RunError: they are none.
+            RunError: facts.json is damaged.
         """
         return _read_json(self.path / INITIALIZATION / "facts.json", _Facts)
 
@@ -234,7 +229,7 @@ class RunFolder:
         """Add one line to metrics.jsonl.
 
         Raises:
-            RunError: the disk refused.
+            RunError: writing failed.
         """
         path = self.path / METRICS
         try:
@@ -244,11 +239,11 @@ class RunFolder:
             raise RunError(
                 f"the metrics cannot be written: {error.strerror or error}",
                 where=str(path),
-                fix=f"free some disk space; `stereogs resume {self.path}` goes on",
+                fix=f"free some disk space; `stereogs resume {self.path}` continues the run",
             ) from error
 
     def forget_metrics_after(self, iteration: int) -> None:
-        """Drop the lines of iterations that a resumed run will do again."""
+        """Remove the lines of iterations that a resumed run will repeat."""
         path = self.path / METRICS
         if not path.is_file():
             return
@@ -257,17 +252,17 @@ class RunFolder:
         write_text(path, "".join(f"{line}\n" for line in kept))
 
 
-def _read_json(path: Path, record: type[_Record]) -> dict[str, Any]:
-    """The content of a JSON file; empty if there is none.
+def _read_json(path: Path, record: type[Record]) -> dict[str, Any]:
+    """Return the content of a JSON file, empty if it is missing.
 
     Raises:
-        RunError: it is no JSON, or not what the record says.
+        RunError: it is not JSON, or does not match the record.
     """
     if not path.is_file():
         return {}
     try:
         content = json.loads(path.read_text("utf-8"))
-        record.model_validate(content)
+        record.model_validate(content, strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "all of it"
@@ -278,15 +273,15 @@ def _read_json(path: Path, record: type[_Record]) -> dict[str, Any]:
 
 
 def _damaged(path: Path, what: str) -> RunError:
-    fix = "bring it back from a copy"
+    fix = "restore it from a backup"
     return RunError(f"{path.name} is damaged: {what}", where=str(path), fix=fix)
 
 
 def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Path:
-    """runs/<name>, or runs/<name>-2, -3, ... if that exists.
+    """Return runs/<name>, or runs/<name>-2, -3, ... if that exists.
 
     Args:
-        name: any text; what does not belong in a file name becomes "-".
+        name: any text; characters that are unsafe in a file name become "-".
     """
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "run"
     candidate, number = Path("runs", plain), 1

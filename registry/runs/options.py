@@ -3,18 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from core_rasterizer import Device
+    from core_rasterizer import Device, Gaussians
 
-    from ..contract.scene import Scene
+    from ..contract.scene import PointCloud, Scene
+    from ..pipeline.parts import Parts
+    from ..pipeline.pipeline import Pipeline
     from ..training.trainer import Iteration
-    from .beginning import Fit
     from .run import Run
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """State of a run before its first iteration.
+
+    Args:
+        pipeline: created the points.
+        parts: components of the pipeline.
+        scene: the training and test views.
+        points: output of the initializer.
+        gaussians: initial Gaussians, created from the points.
+        device: device of the run.
+    """
+
+    pipeline: Pipeline
+    parts: Parts
+    scene: Scene
+    points: PointCloud
+    gaussians: Gaussians
+    device: Device
+
+    def of(self, pipeline: Pipeline) -> InitialState:
+        """Return the state that another pipeline starts from with the same points."""
+        from ..training.initial_model import initial_gaussians
+
+        return replace(
+            self,
+            pipeline=pipeline,
+            parts=self.parts.following(pipeline),
+            gaussians=initial_gaussians(self.points, pipeline.training),
+        )
+
+
+Fit = Callable[[InitialState], "Pipeline"]
+"""Returns the pipeline that trains from an initial state. It must have the same scene, priors and
+initializer, so that training it alone gives the same bits."""
 
 
 @dataclass(frozen=True)
@@ -44,3 +82,20 @@ class RunOptions:
     hang_after: float | None = None
     fit: Fit | None = None
     accept_changed_inputs: bool = False
+
+    def console(self) -> Console:
+        """Return the console for progress, silent if `progress` is False."""
+        from rich.console import Console
+
+        from ..messages.terminal import PlainConsole
+
+        if isinstance(self.progress, Console):
+            return self.progress
+        return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not self.progress)
+
+
+def find_device(device: Device | str | None) -> Device:
+    """Return the device itself, the one with this name, or for None a chosen one."""
+    from core_rasterizer import open_device
+
+    return open_device(device) if device is None or isinstance(device, str) else device

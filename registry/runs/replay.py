@@ -1,8 +1,7 @@
-"""Iterations that failed: what is needed to repeat one is kept, and `stereogs replay` repeats it.
+"""Iterations that failed: their checkpoints are kept, and `stereogs replay` repeats them.
 
-RUN/failures/iteration-0000021/ is a checkpoint of the moment before iteration 21, with its error beside it.
-Nothing is prepared for that while all is well: after the failure, training is done again from the newest
-checkpoint up to the iteration before.
+RUN/failures/iteration-0000021/ is the checkpoint before iteration 21, with the error of that iteration. It is
+created after the failure: training is repeated from the newest checkpoint up to the iteration before.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from core_rasterizer import Device, ExplainedError, Gaussians
 
 from ..contract.scene import Scene
 from ..errors import RunError
+from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, load_pipeline
 from ..plugins.discovery import Plugins
@@ -30,21 +30,21 @@ from ..training.checkpoint import (
 from ..training.initial_model import new_model
 from ..training.trainer import Trainer, resumed
 from .folder import PIPELINE
-from .origin.inputs import changed_inputs, input_digests, load_scene, refuse_changed
+from .origin import changed_inputs, input_digests, refuse_changed
 from .run import Run
 
 FAILURES = "failures"
-_FIX = f"give a folder in RUN/{FAILURES}; a run goes on with `stereogs resume RUN`"
+_FIX = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Failure:
-    """An iteration that failed before, and goes through now.
+    """An iteration that failed before and succeeds now.
 
     Args:
         iteration: its number.
-        what: what was wrong then.
+        what: message of the earlier error.
     """
 
     iteration: int
@@ -52,19 +52,18 @@ class Failure:
 
 
 def keep_failure(run: Run, iteration: int, error: Exception) -> None:
-    """Keep the moment before an iteration that failed, and say in the error how to repeat it.
+    """Keep the checkpoint before a failed iteration, and add to the error how to repeat the iteration.
 
-    Where training cannot be done again up to there, its newest checkpoint is kept in its place. A run
-    without a folder keeps nothing.
+    If training cannot be repeated up to there, keep the newest checkpoint. Without a run folder, do nothing.
 
     Args:
-        iteration: the one that failed.
-        error: what it raised; gains the replay in its `fix` if it is an `ExplainedError`.
+        iteration: the failed iteration.
+        error: its exception; an `ExplainedError` gets the replay command in its `fix`.
     """
     if run.folder is None:
         return
     try:
-        before = _moment_before(run, iteration)
+        before = _checkpoint_before(run, iteration)
         notes = {
             "iteration": iteration,
             "what": error.what if isinstance(error, ExplainedError) else repr(error),
@@ -73,19 +72,22 @@ def keep_failure(run: Run, iteration: int, error: Exception) -> None:
         place = run.folder.folder(FAILURES) / f"iteration-{iteration:07d}"
         shutil.rmtree(place, ignore_errors=True)  # the same iteration, failed before
         write_checkpoint(replace(before, notes=notes), place)
-    except Exception as second:  # whatever it is, the first error is the one to be told
-        _log.warning("the moment before the failure could not be kept: %s", second)
+    except Exception as second:  # the first error is reported, whatever this one is
+        _log.warning("the checkpoint before the failure could not be kept: %s", second)
         return
     if isinstance(error, ExplainedError):
         error.fix += f"{'; ' if error.fix else ''}`stereogs replay {place}` repeats the iteration"
 
 
-def _moment_before(run: Run, iteration: int) -> Checkpoint:
-    """The checkpoint of the iteration before, or as near to it as training comes again."""
+def _checkpoint_before(run: Run, iteration: int) -> Checkpoint:
+    """Return the checkpoint before an iteration, or the nearest one that repeated training reaches."""
     newest = load_checkpoint(run.folder_or_refuse().path / CHECKPOINT)
     if newest.iteration == iteration - 1:
         return newest
-    _log.info("repeating from iteration %d to keep the moment before", newest.iteration + 1)
+    _log.info(
+        "repeating from iteration %d to keep the checkpoint before the failure",
+        newest.iteration + 1,
+    )
     device = run.model.device
     trainer = _trainer(newest, run.pipeline, Parts(run.pipeline, device), run.scene, device)
     try:
@@ -108,13 +110,13 @@ def replay(
 
     Args:
         place: the folder that `keep_failure` wrote, or a file in it.
-        accept_changed_inputs: repeat it although photographs, cameras or model files have changed.
+        accept_changed_inputs: continue even if photographs, cameras or model files have changed.
 
     Returns:
-        The failure, which did not come again.
+        The earlier failure, if the iteration succeeds now.
 
     Raises:
-        ExplainedError: it fails again; or the place holds no such iteration, or it is damaged.
+        ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
     """
     if place.is_file():
         place = place.parent
@@ -124,7 +126,7 @@ def replay(
     pipeline = load_pipeline(place / PIPELINE, plugins)
     iteration, what, inputs = _noted(checkpoint, pipeline, place)
     parts = Parts(pipeline, device)
-    scene = load_scene(parts)
+    scene = load(parts.one("scene"))
     changed = changed_inputs(inputs, input_digests(scene, pipeline))
     if not accept_changed_inputs:
         refuse_changed(changed, place)
@@ -139,7 +141,7 @@ def replay(
 def _trainer(
     checkpoint: Checkpoint, pipeline: Pipeline, parts: Parts, scene: Scene, device: Device
 ) -> Trainer:
-    """A trainer of its own that goes on after a checkpoint."""
+    """Return a new trainer that continues after a checkpoint."""
     model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
     return resumed(checkpoint, pipeline.training, parts, scene, model)
 
@@ -147,12 +149,12 @@ def _trainer(
 def _noted(
     checkpoint: Checkpoint, pipeline: Pipeline, place: Path
 ) -> tuple[int, str, dict[str, str]]:
-    """The iteration, its error, and the digests of the inputs."""
+    """Return the iteration, its error, and the digests of the inputs."""
     notes = checkpoint.notes
     iteration, inputs = notes.get("iteration"), notes.get("inputs")
     if type(iteration) is not int or not isinstance(inputs, dict):
         raise RunError(
-            "this is the checkpoint of a run, and no iteration that failed",
+            "this is the checkpoint of a run, not of a failed iteration",
             where=str(place),
             fix=_FIX,
         )

@@ -1,7 +1,6 @@
-"""results.json as it is read back: what it must say, and whether it agrees with itself.
+"""Schema of results.json, used to write and to read it.
 
-A run folder may come from anywhere, by mail or out of an archive. What is set side by side with other
-runs, put into a table or on a page, is held to this first.
+A run folder may come from an untrusted source, so reading checks types, ranges and consistency.
 """
 
 from __future__ import annotations
@@ -12,92 +11,117 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import RunError
 
 LARGEST = 12_000_000
 """Bytes; the scores of 10,000 views take 2 MB."""
 TOLERANCE = 1e-6
-"""Relative; a mean and that of the views differ by roundings alone."""
+"""Relative difference between a mean and that of the views, from rounding."""
 
 Count = Annotated[int, Field(ge=0)]
 Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1, max_length=500)]
 Score = Number | None
-"""None is infinite, or not available; JSON has no word for either."""
-Scores = dict[Name, Score]
+"""None: infinite or not available."""
+ScoresByMetric = dict[Name, Score]
 
 
-class _Record(BaseModel):
-    """A part of the file. Versions differ in what they write, so anything more may stand there."""
+class Record(BaseModel):
+    """A part of the file. Versions write different fields, so unknown ones are allowed."""
 
     model_config = ConfigDict(extra="allow")
 
 
-class _Protocol(_Record):
+class _Protocol(Record):
     name: Name
     modified: dict[str, Any]
 
 
-class _Scene(_Record):
+def _checked_protocol(value: dict[str, Any]) -> dict[str, Any]:
+    _Protocol.model_validate(value, strict=True)
+    return value
+
+
+class SceneRecord(Record):
+    """The scene; `facts` affect scores, `notes` do not."""
+
     name: Name
-    train: tuple[Name, ...] = ()
-    test: tuple[Name, ...] = ()
+    train: list[Name] = []
+    test: list[Name] = []
     width: Count = 0
     height: Count = 0
+    background: list[Number] = []
     extent: Amount = 0.0
     near: Amount = 0.0
     far: Amount = 0.0
     points: Count = 0
     image_memory_mb: Amount = 0.0
-    facts: dict[Name, Any] = Field(default_factory=dict)
-    notes: dict[Name, Any] = Field(default_factory=dict)
+    facts: dict[Name, Any] = {}
+    notes: dict[Name, Any] = {}
 
 
-class _Views(_Record):
-    train: dict[Name, Scores] = Field(default_factory=dict)
-    test: dict[Name, Scores] = Field(default_factory=dict)
+class ViewScores(Record):
+    """Scores of each view, by split."""
+
+    test: dict[Name, ScoresByMetric] = {}
+    train: dict[Name, ScoresByMetric] = {}
 
 
-class Results(_Record):
-    """The file's fields by type and range; which of them are needed is for the reader to say."""
+class Failure(Record):
+    """A metric, exporter or report that failed after training."""
+
+    component: Name
+    what: str
+    where: str = ""
+    fix: str = ""
+
+
+class Results(Record):
+    """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has."""
 
     pipeline: Name = "unnamed"
-    protocol: _Protocol | None = None
-    scene: _Scene | None = None
-    metrics: dict[Name, dict[str, Any]] = Field(default_factory=dict)
-    device: dict[Name, str] = Field(default_factory=dict)
+    protocol: Annotated[dict[str, Any], AfterValidator(_checked_protocol)] | None = None
+    scene: SceneRecord | None = None
+    metrics: dict[Name, dict[str, Any]] = {}
+    device: dict[Name, str] = {}
     seed: int = 0
     iterations: Count = 0
     gaussians: Count = 0
     hash: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = "0" * 64
-    initialization: dict[Name, Any] = Field(default_factory=dict)
+    initialization: dict[Name, Any] = {}
     seconds: Amount = 0.0
     seconds_total: Amount = 0.0
-    stages: dict[Name, Amount] = Field(default_factory=dict)
+    stages: dict[Name, Amount] = {}
     iterations_per_second: Amount = 0.0
     peak_memory_mb: Amount | None = None
-    exports: tuple[Name, ...] = ()
-    reports: tuple[Name, ...] = ()
-    changed_inputs: tuple[Name, ...] = ()
-    train: Scores = Field(default_factory=dict)
-    test: Scores = Field(default_factory=dict)
-    views: _Views = _Views()
-    unavailable: dict[Name, str] = Field(default_factory=dict)
+    changed_inputs: list[Name] = []
+    test: ScoresByMetric = {}
+    train: ScoresByMetric = {}
+    views: ViewScores = ViewScores()
+    unavailable: dict[Name, str] = {}
+    infinite: dict[Name, dict[Name, list[Name]]] = {}
+    failures: list[Failure] = []
+    exports: list[Name] = []
+    reports: list[Name] = []
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields that are set, as JSON values."""
+        return self.model_dump(exclude_unset=True)
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The content of a results.json, as it stands there.
+    """Read a results.json.
 
     Args:
         path: of the file.
 
     Raises:
-        RunError: it is missing, larger than 12 MB, no JSON object, says a thing twice, has a field of a
-            wrong type or range, or a text that would move a terminal's cursor; a mean is not that of
-            the views; or the scored views are not those of the scene.
+        RunError: the file is missing, larger than 12 MB or not a JSON object; a key is repeated; a field has
+            a wrong type or range; a text has control characters; a mean differs from that of the views; or
+            the scored views are not those of the scene.
     """
     try:
         if not path.is_file():
@@ -105,8 +129,8 @@ def read_results(path: Path) -> dict[str, Any]:
         size = path.stat().st_size
         if size > LARGEST:
             raise _refused(f"it has {size:,} bytes, more than {LARGEST:,}", path)
-        content: Any = json.loads(path.read_bytes(), object_pairs_hook=_once)
-        # Through JSON again: only so do pydantic's strict types take a list as a tuple.
+        content: Any = json.loads(path.read_bytes(), object_pairs_hook=_unique)
+        # json refuses what pydantic's parser would accept; strict mode needs JSON text again.
         results = Results.model_validate_json(json.dumps(content), strict=True)
     except OSError as error:
         raise _refused(str(error.strerror or error), path) from error
@@ -115,7 +139,7 @@ def read_results(path: Path) -> dict[str, Any]:
         place = ".".join(str(part) for part in first["loc"]) or "all of it"
         raise _refused(f"{place}: {first['msg']}", path) from error
     except (ValueError, RecursionError) as error:
-        raise _refused(f"it is no JSON: {error}", path) from error
+        raise _refused(f"it is not JSON: {error}", path) from error
     problem = next(_problems(results, content), None)
     if problem is not None:
         raise _refused(problem, path)
@@ -124,17 +148,17 @@ def read_results(path: Path) -> dict[str, Any]:
 
 def _refused(what: str, path: Path) -> RunError:
     return RunError(
-        f"{path.name} cannot be believed: {what}",
+        f"{path.name} is inconsistent: {what}",
         where=str(path),
-        fix=f"remove it, and score the run anew: stereogs eval {path.parent}",
+        fix=f"remove it, and score the run again: stereogs eval {path.parent}",
     )
 
 
-def _once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """An object whose keys are different; of two equal ones, readers would take one or the other."""
+def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse repeated keys: parsers differ in which value they keep."""
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a key is written twice")
+        raise ValueError("a key is repeated")
     return found
 
 
@@ -142,18 +166,20 @@ def _problems(results: Results, content: Any) -> Iterator[str]:
     for text in _texts(content):
         if any(not c.isprintable() and c not in "\n\t" for c in text):
             yield f"the text {text[:100]!r} has control characters"
-    scene, splits = results.scene, ("train", "test")
-    for split in splits:
-        rows: dict[str, Scores] = getattr(results.views, split)
-        named: tuple[str, ...] = getattr(scene, split) if scene else ()
-        if named and "views" in results.model_fields_set and tuple(rows) != named:
+    for split in ("train", "test"):
+        rows: dict[str, ScoresByMetric] = getattr(results.views, split)
+        named: list[str] = getattr(results.scene, split, [])
+        if named and "views" in results.model_fields_set and list(rows) != named:
             yield f"views.{split} are not the scene's {split} views"
         if rows:
             yield from _wrong_means(split, getattr(results, split), rows, results.unavailable)
 
 
 def _wrong_means(
-    split: str, means: Scores, rows: Mapping[str, Scores], unavailable: Mapping[str, str]
+    split: str,
+    means: ScoresByMetric,
+    rows: Mapping[str, ScoresByMetric],
+    unavailable: Mapping[str, str],
 ) -> Iterator[str]:
     names = dict.fromkeys(name for row in rows.values() for name in row)
     if names.keys() != means.keys():
@@ -166,18 +192,18 @@ def _wrong_means(
         infinite = len(known) < len(values) and name not in unavailable
         if infinite or (expected is not None and not math.isfinite(expected)):
             expected = None
-        if not _alike(means[name], expected):
+        if not _equal(means[name], expected):
             yield f"{split}.{name} is {means[name]}, the mean of its views is {expected}"
 
 
-def _alike(one: Score, other: Score) -> bool:
+def _equal(one: Score, other: Score) -> bool:
     if one is None or other is None:
         return one is other
     return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=1e-12)
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Every key and text in a JSON value."""
+    """Yield every key and text in a JSON value."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):

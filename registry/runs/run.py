@@ -1,11 +1,12 @@
-"""A run: what a pipeline has made of a scene, while it trains, when it is done, or read from its folder."""
+"""A run: a pipeline, a scene and the Gaussians, during training, after it, or read from its folder."""
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -15,21 +16,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from core_rasterizer import Camera, GaussianModel, Rendering, save_ply
+from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
 
+from ..calls.loan import Loan, Overwritten, of_scene
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..pipeline.parts import Parts
+from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Pipeline
+from ..system.files import jsonable
+from ..system.memory import peak_memory_mb
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.threads import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
-from .origin.inputs import input_digests
-from .origin.provenance import provenance
-from .results import finish
+from .origin import input_digests, provenance
+from .results import EXPORTS, RENDERS, add_scores, describe, existing_files, failure
+from .results_file import Failure, Results
 
 Floats = NDArray[np.float32]
+_log = logging.getLogger(__name__)
 
 
 class Picture(NamedTuple):
@@ -38,7 +43,7 @@ class Picture(NamedTuple):
     Args:
         rgb: `[H, W, 3]` in [0, 1].
         depth: `[H, W]` z-depth in world units, blended: divide by `alpha` where that is not 0.
-        alpha: `[H, W]` in [0, 1], how much of the light the Gaussians stop.
+        alpha: `[H, W]` in [0, 1], opacity of the Gaussians along the ray.
     """
 
     rgb: Floats
@@ -48,9 +53,9 @@ class Picture(NamedTuple):
 
 @dataclass
 class Stages:
-    """Seconds of wall-clock time that each stage took; after a resume, the loading done last counts.
+    """Wall-clock seconds of each stage. After a resume, `scene` is the time of the last loading.
 
-    `outputs` is what exporters and reports take. Imports are nobody's: they come before a run begins.
+    `outputs` is the time of exporters and reports. Imports before the run are not counted.
     """
 
     scene: float = 0.0
@@ -60,29 +65,29 @@ class Stages:
     outputs: float = 0.0
 
     def rounded(self) -> dict[str, float]:
-        """By name, to milliseconds."""
+        """Return seconds by name, to milliseconds."""
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
 @dataclass(eq=False)
 class Run:
-    """A pipeline, its scene, and the Gaussians that it has made of it so far.
+    """A pipeline, its scene, and the Gaussians trained so far.
 
     Args:
-        pipeline: what was trained.
-        parts: its components at work.
-        scene: the photographs and cameras.
+        pipeline: the pipeline that trains.
+        parts: its components.
+        scene: the training and test views.
         model: the Gaussians.
-        checkpoint: gives everything that training needs to go on from here.
-        iteration: the last one that is complete.
-        initialization: the facts that the initializer reports.
-        pictures: what it drew, `[H, W, 3]` in [0, 1] by name.
-        seconds: what each stage took.
-        metrics: what metrics.jsonl holds, line by line; of a run read from a folder, nothing.
-        folder: where the run is kept; None: in memory only.
-        changed: inputs that are not those that the run began with, and were accepted.
-        identity: what tells its folder from those of other runs; "" without a folder.
-        kept: the iteration of the newest checkpoint in the folder.
+        checkpoint: returns everything that training needs to continue from here.
+        iteration: the last complete iteration.
+        initialization: facts reported by the initializer.
+        pictures: pictures drawn by the initializer, `[H, W, 3]` in [0, 1] by name.
+        seconds: wall-clock time of each stage.
+        metrics: lines of metrics.jsonl; empty for a run read from a folder.
+        folder: the run folder; None: in memory only.
+        changed: inputs that changed since the run began, and were accepted.
+        identity: unique identifier of the run; "" without a folder.
+        saved_iteration: iteration of the newest checkpoint in the folder.
     """
 
     pipeline: Pipeline
@@ -98,12 +103,12 @@ class Run:
     folder: RunFolder | None = None
     changed: tuple[str, ...] = ()
     identity: str = ""
-    kept: int | None = None
+    saved_iteration: int | None = None
     _scores: tuple[int, dict[str, Scores]] | None = None
 
     @cached_property
     def pipeline_text(self) -> str:
-        """The pipeline as YAML, every default written out."""
+        """The pipeline as YAML, with every default."""
         return self.pipeline.to_yaml()
 
     @property
@@ -120,22 +125,22 @@ class Run:
     def kinds(self) -> dict[str, Tensor]:
         """Which Gaussians descend from initial points of a kind, `[N]` bool by its name.
 
-        Empty if the initializer tells no kinds apart (`PointCloud.kinds`).
+        Empty if the initializer does not distinguish kinds (`PointCloud.kinds`).
         """
         return self.checkpoint().part("kinds")
 
     @property
     def scores(self) -> dict[str, Scores]:
-        """By split, "test" and "train"; measured when first asked for: `scores["test"].mean["psnr"]`."""
+        """Scores by split, "test" and "train", computed on first use: `scores["test"].mean["psnr"]`."""
         if self._scores is None or self._scores[0] != self.iteration:
             return self.evaluate()
         return self._scores[1]
 
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
-        """Render and score all views anew.
+        """Render and score all views.
 
         Args:
-            pictures: a folder for the test views' pictures; None draws none.
+            pictures: folder for pictures of the test views; None draws none.
         """
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
@@ -149,48 +154,47 @@ class Run:
         return scores
 
     def rendering(self, camera: Camera) -> Rendering:
-        """A camera on the scene's background as tensors, without gradients, colours in [0, 1]."""
+        """Render a camera on the scene's background as tensors, without gradients, colours in [0, 1]."""
         return clamped_render(self.model, camera, self.scene.background)
 
     def render(self, camera: Camera) -> Picture:
-        """A camera on the scene's background as numpy arrays."""
+        """Render a camera on the scene's background as numpy arrays."""
         return as_arrays(self.rendering(camera))
 
     def export(self, path: str | os.PathLike[str]) -> Path:
-        """Write the Gaussians as a PLY file that viewers of 3D Gaussian Splatting read."""
+        """Write the Gaussians as a PLY file for viewers of 3D Gaussian Splatting."""
         file = Path(path).expanduser()
         save_ply(self.model.gaussians(), file)
         return file
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the run folder that training with `out=folder` would have left, and keep the run there.
+        """Write the run folder that training with `out=folder` would have written.
 
-        Of its checkpoints it has the newest alone. A run that is not finished is saved too, and can be
-        resumed.
+        It has the newest checkpoint only. An unfinished run can be resumed from it.
 
         Raises:
-            RunError: the run is kept in a folder already, or this one has content.
+            RunError: the run has a folder already, or this one is not empty.
         """
         if self.folder is not None:
             raise RunError(
-                "the run is kept in a folder already",
+                "the run has a folder already",
                 where=str(self.folder.path),
                 fix="copy that folder; a run folder can be moved",
             )
         self.keep_in(Path(folder).expanduser())
         kept_in = self.folder_or_refuse()
-        with kept_in.to_itself():
+        with kept_in.locked():
             for line in self.metrics:
                 kept_in.append_metrics(line)
             if self.finished:
-                finish(self)
+                self.finish()
         return kept_in.path
 
     def keep_in(self, path: Path) -> None:
-        """Create the run folder, with a checkpoint of where the run is; the rest goes there too.
+        """Create the run folder with a checkpoint; later files go there too.
 
         Raises:
-            RunError: the folder has content, is a file, or cannot be written.
+            RunError: the folder is not empty, is a file, or cannot be written.
         """
         origin = provenance(self.pipeline, self.model.device)
         self.identity = origin["run"]
@@ -202,29 +206,28 @@ class Run:
         folder = RunFolder(path)
         digests = input_digests(self.scene, self.pipeline)
         folder.create(self.pipeline_text, origin, digests, fill)
-        self.folder, self.kept = folder, self.iteration
+        self.folder, self.saved_iteration = folder, self.iteration
 
-    def keep_changes(self) -> None:
-        """Write down which inputs have changed, once something is made from them."""
+    def record_changes(self) -> None:
+        """Write to inputs.json which inputs have changed; called before the first output from them."""
         if self.changed and self.folder is not None:
-            earlier = self.folder.inputs()[1]
-            names = dict.fromkeys([*earlier, *self.changed])
+            names = dict.fromkeys([*self.folder.inputs()[1], *self.changed])
             self.folder.write_inputs(input_digests(self.scene, self.pipeline), [*names])
 
     def add_metrics(self, line: dict[str, Any]) -> None:
-        """Remember a line of metrics, in the folder too if there is one."""
+        """Add a line of metrics, also to the folder."""
         self.metrics.append(line)
         if self.folder is not None:
             self.folder.append_metrics(line)
 
     def save_checkpoint(self) -> None:
-        """Keep a checkpoint in the folder, if there is one, unless its newest is of this iteration."""
-        if self.folder is not None and self.kept != self.iteration:
+        """Write a checkpoint to the folder, unless its newest is of this iteration."""
+        if self.folder is not None and self.saved_iteration != self.iteration:
             save_checkpoint(self.checkpoint(), self.folder.folder(CHECKPOINT))
-            self.kept = self.iteration
+            self.saved_iteration = self.iteration
 
     def folder_or_refuse(self) -> RunFolder:
-        """The folder.
+        """Return the folder.
 
         Raises:
             RunError: the run is in memory only.
@@ -233,9 +236,131 @@ class Run:
             raise RunError("the run is in memory only", fix="save it first: run.save(folder)")
         return self.folder
 
+    def describe(self) -> Results:
+        """Return results without scores and times."""
+        return describe(self.pipeline, self.scene, self.model, self.iteration)
+
+    def finish(self) -> None:
+        """Evaluate, write results.json, export and report, all in the run folder.
+
+        If a metric, an exporter or a report fails, the others still run; the results list the failures.
+        """
+        folder = self.folder_or_refuse()
+        before = folder.results().get("hash")
+        self._score()
+        results = self.describe()
+        results.initialization = jsonable(self.initialization)
+        self._add_times(results)
+        per_second = self.iteration / max(self.seconds.training, 1e-9)
+        results.iterations_per_second = round(per_second, 3)
+        results.peak_memory_mb = peak_memory_mb()
+        results.changed_inputs = folder.inputs()[1]
+        add_scores(results, **self.scores)
+        if before not in (None, results.hash):
+            _log.warning("the hash was %s when the run was finished before", before)
+        begin = monotonic()
+        self._write_with_outputs(results)
+        self.seconds.outputs = monotonic() - begin
+        self._add_times(results)
+        folder.write_results(results)
+
+    def renew(self) -> dict[str, Any]:
+        """Score the run again, renew its results.json and pictures, and return the results.
+
+        For a finished run, export and report again too.
+
+        Raises:
+            RunError: another process uses the run; or results.json is of a later iteration.
+        """
+        folder = self.folder_or_refuse()
+        with folder.locked():
+            before = folder.results()
+            recorded = before.get("iterations", 0)
+            if recorded > self.iteration:
+                raise RunError(
+                    f"results.json is of iteration {recorded}, the newest intact checkpoint of "
+                    f"{self.iteration}",
+                    where=str(folder.path),
+                    fix=f"train to the end again: stereogs resume {folder.path}",
+                )
+            self.record_changes()
+            results = Results.model_validate({**before, **self.describe().plain()})
+            results.changed_inputs = folder.inputs()[1]
+            self._score()
+            add_scores(results, **self.scores)
+            if self.finished:
+                self._write_with_outputs(results)
+            else:
+                folder.write_results(results)
+        return results.plain()
+
+    def report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
+        """Write reports about the finished run, whether or not its pipeline names them.
+
+        Returns:
+            The files, relative to the run folder, and the failures. The files are added to results.json.
+
+        Raises:
+            RunError: another process uses the run.
+        """
+        folder = self.folder_or_refuse()
+        with folder.locked():
+            files, failures = self._report(reports)
+            results = Results.model_validate(folder.results())
+            results.reports = list(dict.fromkeys([*results.reports, *files]))
+            folder.write_results(results)
+        return files, failures
+
+    def _score(self) -> None:
+        """Score both splits, and draw the test views into the folder."""
+        self.evaluate(self.folder_or_refuse().folder(RENDERS) if self.scene.test else None)
+
+    def _add_times(self, results: Results) -> None:
+        results.stages = self.seconds.rounded()
+        results.seconds = results.stages["training"]
+        results.seconds_total = round(sum(results.stages.values()), 3)
+
+    def _write_with_outputs(self, results: Results) -> None:
+        """Write results.json before anything else can fail; then export, report, and write it again."""
+        folder = self.folder_or_refuse()
+        results.exports, results.reports = [], []
+        folder.write_results(results)
+        shown = of_scene(self.scene) + Loan(models=(self.model,))
+        for part in self.parts["exporters"]:
+            place = folder.folder(EXPORTS)
+            export = partial(part.component.export, self.model.reader(), self.scene, place)
+            results.exports += self._written(part, shown, results.failures, export)
+        folder.write_results(results)  # for the reports
+        results.reports, failures = self._report(self.parts["reports"])
+        results.failures += failures
+        folder.write_results(results)
+
+    def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
+        files: list[str] = []
+        failures: list[Failure] = []
+        for part in reports:
+            write = partial(part.component.write, self.folder_or_refuse().path, self.scene)
+            files += self._written(part, of_scene(self.scene), failures, write)
+        return files, failures
+
+    def _written(
+        self, part: Part, shown: Loan, failures: list[Failure], write: Callable[[], Any]
+    ) -> list[str]:
+        """Return the files that an exporter or a report wrote, relative to the folder where possible."""
+        root = self.folder_or_refuse().path
+        try:
+            with part.at_work(lent=shown):
+                files = existing_files(write())
+        except Overwritten:
+            raise
+        except ExplainedError as error:
+            failures.append(failure(part.item.qualified_name, error))
+            return []
+        return [str(f.relative_to(root) if f.is_relative_to(root) else f) for f in files]
+
 
 def as_arrays(rendering: Rendering) -> Picture:
-    """A rendering as numpy arrays."""
+    """Return a rendering as numpy arrays."""
     return Picture(*(_array(t) for t in (rendering.rgb, rendering.depth, rendering.alpha)))
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
-
-from rich.console import Console
 
 from core_rasterizer import Rendering
 
@@ -20,6 +19,7 @@ from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Offer, Plugins
+from ..runs.options import RunOptions
 from ..runs.training_run import resume, start
 from .bench import Bench, Moment
 from .companions import UNDER_TEST, item, pipeline_of
@@ -89,14 +89,13 @@ def listen(component: type[Component[Any]], settings: Settings, bench: Bench) ->
     """
     observer = item(component, settings, UNDER_TEST)
     alone, heard = pipeline_of([], _TRAINING), pipeline_of([observer], _TRAINING)
-    common: dict[str, Any] = {"device": bench.device, "console": Console(quiet=True)}
-    common["scene"] = bench.scene
-    expected = start(alone, out=None, **common)
+    options = RunOptions(scene=bench.scene, device=bench.device, progress=False)
+    expected = start(alone, options)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "run"
         half = _TRAINING.iterations // 2
-        start(heard, out=folder, callback=lambda done: done.number < half, **common)
-        run = resume(folder, plugins=_These(list(heard)), **common)
+        start(heard, replace(options, callback=lambda done: done.number < half), folder)
+        run = resume(folder, options, _These(list(heard)))
     require(run.hash == expected.hash, "the run ends in other bits than one without the observer")
 
 

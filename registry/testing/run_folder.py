@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rich.console import Console
-
 from ..pipeline.training_settings import TrainingSettings
+from ..runs.options import RunOptions
 from ..runs.training_run import start
 from .bench import Bench
 from .companions import pipeline_of
@@ -26,9 +25,7 @@ def finished_run(bench: Bench) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as name:
         run = start(
             pipeline,
-            device=bench.device,
-            out=Path(name) / "run",
-            console=Console(quiet=True),
-            scene=scene,
+            RunOptions(scene=scene, device=bench.device, progress=False),
+            Path(name) / "run",
         )
         yield run.folder_or_refuse().path

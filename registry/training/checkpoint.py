@@ -1,12 +1,12 @@
-"""Checkpoints: everything that the next iteration depends on, whole or absent, and checked when read.
+"""Checkpoints: everything that the next iteration depends on, written atomically and verified when read.
 
     iteration-0000500/
         manifest.json          the iteration, the other files' SHA-256, and a SHA-256 of itself
-        pipeline.yaml          what was trained, every default written out
+        pipeline.yaml          the pipeline with every default
         tensors.safetensors    all state
 
-Such a folder is written beside its place, flushed, and renamed. The one before it is kept, so that a
-damaged file costs a few iterations and not the run.
+A checkpoint is written to a temporary folder, flushed, and renamed. The previous one is kept: a damaged file
+costs a few iterations, not the run.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from ..errors import RunError
 from ..system.files import flush, flush_folder, new_folder, write_json, write_text
 
 CHECKPOINT = "checkpoint"
-"""The folder within a run's."""
+"""Name of the folder in a run folder."""
 FORMAT = 2
-"""Raised when older checkpoints can no longer be read."""
+"""Incremented when older checkpoints can no longer be read."""
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
 _NAME = re.compile(r"iteration-([0-9]{7,})(?:-([0-9]+))?")
 _log = logging.getLogger(__name__)
@@ -43,15 +43,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A moment between two iterations.
+    """State between two iterations.
 
     Args:
-        iteration: the last one that is complete; 0 before the first.
-        seconds: spent training until then.
+        iteration: the last complete iteration; 0 before the first.
+        seconds: training time so far.
         tensors: all state, by slash-separated names such as "model/means".
         pipeline: the resolved pipeline as YAML.
-        run: what tells its run from others; "" for a run that has no folder.
-        notes: what else belongs to it, as plain JSON values.
+        run: unique identifier of the run; "" for a run without a folder.
+        notes: additional JSON values.
     """
 
     iteration: int
@@ -62,23 +62,23 @@ class Checkpoint:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def part(self, prefix: str) -> dict[str, Tensor]:
-        """The tensors whose names begin with `prefix/`, without it."""
+        """Return the tensors whose names begin with `prefix/`, without the prefix."""
         start = f"{prefix}/"
         return {k.removeprefix(start): v for k, v in self.tensors.items() if k.startswith(start)}
 
 
 def save_checkpoint(checkpoint: Checkpoint, folder: Path) -> None:
-    """Add a checkpoint to those in `folder`, and remove all but it and the one before it.
+    """Add a checkpoint to `folder`, and remove all but this one and the previous one.
 
     Args:
-        folder: created if need be.
+        folder: created if missing.
 
     Raises:
-        RunError: the disk refused; what was there before is whole.
+        RunError: writing failed; earlier checkpoints are intact.
     """
     name = f"iteration-{checkpoint.iteration:07d}"
     place, number = folder / name, 1
-    while place.exists():  # damaged, or of a run that had got further before it went on from here
+    while place.exists():  # damaged, or from before the run was resumed at an earlier iteration
         number += 1
         place = folder / f"{name}-{number}"
     write_checkpoint(checkpoint, place)
@@ -89,10 +89,10 @@ def save_checkpoint(checkpoint: Checkpoint, folder: Path) -> None:
 
 
 def load_checkpoint(folder: Path) -> Checkpoint:
-    """Read the newest checkpoint in `folder` that is whole; damaged ones are warned of.
+    """Read the newest intact checkpoint in `folder`; log a warning for damaged ones.
 
     Raises:
-        RunError: there is none, or none is whole; says what is wrong with the newest.
+        RunError: all checkpoints are missing or damaged; describes the newest.
     """
     refused: RunError | None = None
     for place in reversed(_places(folder)):
@@ -103,7 +103,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
             continue
         if refused is not None:
             _log.warning(
-                "%s (%s); going on from the one before, after iteration %d",
+                "%s (%s); continuing from the previous one, after iteration %d",
                 refused.what,
                 refused.where,
                 checkpoint.iteration,
@@ -112,15 +112,15 @@ def load_checkpoint(folder: Path) -> Checkpoint:
     raise refused or RunError(
         "the run has no checkpoint to continue from",
         where=str(folder),
-        fix="train it anew into another folder",
+        fix="train again into another folder",
     )
 
 
 def trained_gaussians(run: Path) -> Gaussians:
-    """The Gaussians of a run folder's newest checkpoint that is whole.
+    """Return the Gaussians of the newest intact checkpoint in a run folder.
 
     Raises:
-        RunError: there is none, or it holds no Gaussians that fit together.
+        RunError: the folder has no checkpoint, or its Gaussians are inconsistent.
     """
     folder = run / CHECKPOINT
     with explain_misfit(folder):
@@ -128,10 +128,10 @@ def trained_gaussians(run: Path) -> Gaussians:
 
 
 def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
-    """Write one checkpoint to a place that does not exist yet: whole or not at all.
+    """Write one checkpoint to a path that does not exist yet, completely or not at all.
 
     Raises:
-        RunError: the disk refused.
+        RunError: writing failed.
     """
     try:
         with new_folder(place) as inside:
@@ -150,18 +150,18 @@ def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
             flush_folder(inside)
         flush_folder(place.parent)
     except (OSError, SafetensorError) as error:
-        before = "; the one before it is whole" if _places(place.parent) else ""
+        before = "; the previous one is intact" if _places(place.parent) else ""
         raise RunError(
             f"the checkpoint cannot be written: {error}",
             where=str(place),
-            fix=f"free some disk space, or see who may write there{before}",
+            fix=f"free some disk space, or check the permissions{before}",
         ) from error
 
 
 def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The same values, no two in one piece of memory, which safetensors would refuse.
+    """Return the tensors, cloned where they share memory, which safetensors refuses.
 
-    Sharing is no mistake: an initializer may know one depth of two views.
+    An initializer may return one depth map for two views.
     """
     apart: dict[str, Tensor] = {}
     taken: dict[int, str] = {}
@@ -173,10 +173,10 @@ def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def read_checkpoint(place: Path) -> Checkpoint:
-    """Read one checkpoint, and check every bit of it.
+    """Read one checkpoint, and verify every bit of it.
 
     Raises:
-        RunError: it is none, it is damaged, or it has another format.
+        RunError: it is damaged, or has another format.
     """
     try:
         manifest = json.loads((place / _MANIFEST).read_bytes())
@@ -184,7 +184,7 @@ def read_checkpoint(place: Path) -> Checkpoint:
             raise RunError(
                 f"the checkpoint has format {manifest['format']!r}, this version reads {FORMAT}",
                 where=str(place),
-                fix="resume it with the version that wrote it; provenance.json says which",
+                fix="resume it with the version that wrote it, see provenance.json",
             )
         if manifest.pop("sha256") != _digest(manifest):
             raise ValueError(f"{_MANIFEST} was changed after it was written")
@@ -205,17 +205,17 @@ def read_checkpoint(place: Path) -> Checkpoint:
         raise RunError(
             f"the checkpoint is damaged: {_first_line(error)}",
             where=str(place),
-            fix="bring the file back from a copy, or train anew into another folder",
+            fix="restore the file from a backup, or train again into another folder",
         ) from error
 
 
 @contextmanager
 def explain_misfit(place: Path) -> Iterator[None]:
-    """Explain whatever goes wrong in the block, which takes a checkpoint's state back.
+    """Explain exceptions of a block that restores the state of a checkpoint.
 
     Raises:
-        ExplainedError: a part says itself what does not fit; the place is added.
-        RunError: anything else.
+        ExplainedError: raised by a component; `place` is added.
+        RunError: any other exception.
     """
     try:
         yield
@@ -224,15 +224,15 @@ def explain_misfit(place: Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise RunError(
-            f"the checkpoint does not hold what this pipeline needs: "
+            f"the checkpoint does not match this pipeline: "
             f"{type(error).__name__}: {_first_line(error)}",
             where=str(place),
-            fix="resume it with the version that wrote it; provenance.json says which",
+            fix="resume it with the version that wrote it, see provenance.json",
         ) from error
 
 
 def _places(folder: Path) -> list[Path]:
-    """The checkpoints in a folder, the newest last."""
+    """Return the checkpoints in a folder, the newest last."""
     if not folder.is_dir():
         return []
     found = ((_NAME.fullmatch(path.name), path) for path in folder.iterdir())
@@ -246,7 +246,7 @@ def _sha256(file: Path) -> str:
 
 
 def _digest(manifest: Mapping[str, Any]) -> str:
-    """Of what a manifest says, however it is laid out."""
+    """Return the SHA-256 of the content, independent of the layout."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""Numbers that components bring along to be trained: stepped, saved and restored by the host."""
+"""Trainable parameters of components: stepped, saved and restored by the host."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 class ComponentParameters:
-    """The parameters of all components of a pipeline, each component's with an Adam of its own.
+    """The parameters of all components of a pipeline, with one Adam per component.
 
     Args:
-        parts: asked once for what they have to be trained.
+        parts: `parameters` of each component is called once.
 
     Raises:
-        PluginError: a group that is not one: no leaf that requires a gradient, a repeated name, a
-            learning rate below zero.
+        PluginError: a group has a tensor that is not a leaf with gradient, a repeated name, or a negative
+            learning rate.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -38,15 +38,15 @@ class ComponentParameters:
                     self._trained.append((part, groups, _adam(groups)))
 
     def zero_gradients(self) -> None:
-        """Forget the gradients."""
+        """Clear the gradients."""
         for _, _, optimizer in self._trained:
             optimizer.zero_grad(set_to_none=True)
 
     def check_gradients(self, iteration: int) -> None:
-        """Refuse gradients that are no numbers, before any step is taken.
+        """Refuse gradients that are not finite, before any step.
 
         Raises:
-            PluginError: one is not finite.
+            PluginError: a gradient is not finite.
         """
         for part, groups, _ in self._trained:
             with blame(part.item, iteration):
@@ -55,12 +55,12 @@ class ComponentParameters:
                         _refuse_undefined(tensor.grad, f"{group.name}, tensor {number}")
 
     def step(self) -> None:
-        """One step of each Adam; tensors that had no gradient stay where they are."""
+        """Step each Adam; tensors without gradient do not change."""
         for _, _, optimizer in self._trained:
             optimizer.step()
 
     def state(self) -> dict[str, Tensor]:
-        """Values and moments, by slashed names."""
+        """Return values and moments, by slash-separated names."""
         state: dict[str, Tensor] = {}
         for part, groups, optimizer in self._trained:
             for group in groups:
@@ -72,7 +72,7 @@ class ComponentParameters:
         return state
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore the result of `state`."""
         for part, groups, optimizer in self._trained:
             for group in groups:
                 for index, tensor in enumerate(group.tensors):
@@ -116,7 +116,7 @@ def check_groups(groups: Sequence[ParameterGroup]) -> None:
             if not (tensor.is_leaf and tensor.requires_grad and tensor.is_floating_point()):
                 raise PluginError(
                     f"the group {group.name!r} holds a tensor that cannot be trained",
-                    fix="give torch leaves made with requires_grad=True",
+                    fix="use torch leaves made with requires_grad=True",
                 )
 
 

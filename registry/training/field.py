@@ -1,6 +1,6 @@
-"""One field of Gaussians in training: a model, its optimizer, and the components that shape it.
+"""One field of Gaussians in training: a model, its optimizer and its components.
 
-Each method is one stage of an iteration; `trainer.py` says in which order they come.
+Each method is one stage of an iteration; `trainer.py` defines their order.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ from .losses import photometric_term, regularizing_terms, term_alone
 from .step_rendering import StepRenderer
 
 OPACITY_MARGIN = 1e-6
-"""Opacities are kept this far from 0 and 1, so that their logits stay finite."""
+"""Smallest distance of opacities from 0 and 1, so that logits stay finite."""
 
 HOST_NUMBERS = frozenset(("iteration", "seconds", "gaussians", "loss", "photometric", "test"))
-"""Names in metrics.jsonl that are not for components to log, beside those of the loss's terms."""
+"""Names in metrics.jsonl that components must not log; nor may they log names of loss terms."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What all fields of a run share.
+    """Data that all fields of a run share.
 
     Args:
-        settings: of the loop.
-        scene: without test views and true depth.
-        maps: each training view's depth, as the initializer knows it.
+        settings: settings of the loop.
+        scene: the scene without test views and true depth.
+        maps: depth maps of the training views from the initializer.
     """
 
     settings: TrainingSettings
@@ -69,7 +69,7 @@ class Surroundings:
 
     @cached_property
     def lent(self) -> Loan:
-        """What components are shown of it, and must leave as it is."""
+        """The parts of it that components receive and must not change."""
         return of_scene(self.scene) + of_maps(self.maps)
 
 
@@ -77,14 +77,14 @@ class Field:
     """A model in training.
 
     Args:
-        around: what it shares with other fields.
+        around: data shared with other fields.
         parts: its components.
         model: the Gaussians, changed in place.
-        index: its number; 0 is the one that is scored.
-        kinds: of the points that the Gaussians start from (`PointCloud.kinds`).
+        index: number of the field; field 0 is scored.
+        kinds: kinds of the initial points (`PointCloud.kinds`).
 
     Attributes:
-        logged: numbers that this iteration recorded, by name.
+        logged: numbers logged in this iteration, by name.
         kinds: which Gaussians descend from points of a kind, `[N]` bool by its name.
     """
 
@@ -110,13 +110,13 @@ class Field:
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(around.settings.seed, name))
         self._terms = {part.item.qualified_name for part in parts["regularizers"]}
-        self._told_of_limit = False
+        self._limit_logged = False
         self._reset = self._edited = False
         self._step: Step
         self._rendering: Rendering
 
     def begin(self, iteration: int, view: TrainingView) -> None:
-        """Schedules, and what this iteration learns from."""
+        """Apply schedules and samplers."""
         settings, scene = self._settings, self._around.scene
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
@@ -143,7 +143,7 @@ class Field:
                 self._take(check_sample(answer, self.model.count))
 
     def step_terms_alone(self) -> None:
-        """Terms with a backward pass and an optimizer step of their own."""
+        """Step the terms that have their own backward pass and optimizer step."""
         step = self._step
         for part in self.parts.due("regularizers", step.iteration):
             if part.item.host.step != "alone":
@@ -151,14 +151,14 @@ class Field:
             self._forget_gradients()
             step.rendered(cache(lambda: step.render(step.sample.camera)))
             term, skip = term_alone(part, step, self._lent, self._log_number)
-            if term.value.requires_grad:  # a term of zero may have none, and moves nothing
+            if term.value.requires_grad:  # a term of zero may have none
                 self._backward([term])
                 self.optimizer.step(step.learning_rates, self._bands, skip=skip)
                 self.parameters.step()
             step.rendered(None)
 
     def render(self) -> None:
-        """Modifiers, and the render of the iteration's view."""
+        """Apply modifiers, and render the view of the iteration."""
         step, sample = self._step, self._step.sample
         self._forget_gradients()
         self._rendering = self.model.render(
@@ -174,7 +174,7 @@ class Field:
         step.rendered(lambda: self._rendering)
 
     def seen_by_others(self) -> OtherField:
-        """What the losses and policies of other fields may look at."""
+        """Return what losses and policies of other fields may read."""
         return OtherField(
             index=self.index,
             model=self._reader,
@@ -183,11 +183,11 @@ class Field:
         )
 
     def done(self, loss: float, numbers: Mapping[str, float], seconds: float) -> IterationDone:
-        """The iteration that is complete, as observers are told of it.
+        """Return the complete iteration for observers.
 
         Args:
-            loss, numbers: what it recorded.
-            seconds: of training so far.
+            loss, numbers: results of the iteration.
+            seconds: training time so far.
         """
         return IterationDone(
             iteration=self._step.iteration,
@@ -204,15 +204,11 @@ class Field:
 
     @property
     def lent(self) -> Loan:
-        """What components were shown in this iteration."""
+        """Data that components received in this iteration."""
         return self._lent
 
     def differentiate(self, others: tuple[OtherField, ...]) -> float:
-        """The loss and its backward pass.
-
-        Returns:
-            The total loss.
-        """
+        """Run the backward pass, and return the total loss."""
         step = self._step
         step.rendered(lambda: self._rendering, others)
         colors, log = self._colors(), self._log_number
@@ -222,7 +218,7 @@ class Field:
         return self._backward(terms, colors)
 
     def update_opacities(self) -> None:
-        """Ask the opacity policies, in the pipeline's order."""
+        """Apply the opacity policies, in the order of the pipeline."""
         self._reset = False
         for part in self.parts.due("opacity", self._step.iteration):
             with part.at_work(self._step.iteration, self._lent):
@@ -234,11 +230,11 @@ class Field:
                 self._reset |= update.reset_moments
 
     def change_topology(self) -> None:
-        """Ask the densification policies."""
+        """Apply the densification policies."""
         self._edited = self._refine()
 
     def step_optimizer(self) -> None:
-        """Adam, for the Gaussians and for the components' parameters."""
+        """Step Adam for the Gaussians and the components' parameters."""
         rates = dict(self._step.learning_rates)
         if self._reset:
             # As in 3DGS, opacities that were reset take no step from the gradient before the reset.
@@ -251,7 +247,7 @@ class Field:
         self.parameters.step()
 
     def perturb(self) -> None:
-        """Add what perturbations want to the parameters."""
+        """Add the offsets of perturbations to the parameters."""
         for part in self.parts.due("perturbations", self._step.iteration):
             with part.at_work(self._step.iteration, self._lent):
                 offsets = check_offsets(part.component.offsets(self._step), self.model.read)
@@ -261,7 +257,7 @@ class Field:
 
     @property
     def _bands(self) -> int:
-        """SH bands that Adam steps: those in use, and one that begins to be."""
+        """SH bands that Adam steps: those in use, and one that fades in."""
         return int(-(-self._step.sample.sh_degree // 1))
 
     def _take(self, sample: Sample) -> None:
@@ -281,12 +277,12 @@ class Field:
         return product
 
     def _growing(self, iteration: int) -> list[Densification[Any]]:
-        """Policies that are due in this iteration or a later one."""
+        """Return the policies that are due in this iteration or a later one."""
         parts = self.parts["densification"]
         return [p.component for p in parts if not p.item.schedule.over(iteration)]
 
     def _colors(self) -> list[Recolored]:
-        """The rendered colours, as one appearance after the other changes them."""
+        """Return the colours before and after each appearance."""
         steps: list[Recolored] = []
         for part in self.parts.due("appearances", self._step.iteration):
             before = steps[-1].after if steps else self._rendering.rgb
@@ -296,7 +292,7 @@ class Field:
         return steps
 
     def _backward(self, terms: Sequence[Term], colors: Sequence[Recolored] = ()) -> float:
-        """The backward pass of a loss; returns the loss."""
+        """Run the backward pass of a loss; return the loss."""
         iteration = self._step.iteration
         return backward(
             terms,
@@ -307,7 +303,7 @@ class Field:
         )
 
     def _refine(self) -> bool:
-        """Ask the densification policies; whether Gaussians came or went."""
+        """Apply the densification policies; return whether the topology changed."""
         edited = False
         iteration = self._step.iteration
         for part in self.parts.due("densification", iteration):
@@ -331,8 +327,8 @@ class Field:
         if self._settings.max_gaussians is None:
             return edit
         edit, dropped = limited(edit, self._settings.max_gaussians, self.model.screen_gradient())
-        if dropped and not self._told_of_limit:
-            self._told_of_limit = True
+        if dropped and not self._limit_logged:
+            self._limit_logged = True
             _log.warning(
                 "iteration %d: max_gaussians (%d) is reached; growth is cut from here on",
                 self._step.iteration,
@@ -341,7 +337,7 @@ class Field:
         return edit
 
     def _carry(self, carried: Carried, count: int) -> None:
-        """What belongs to single Gaussians follows an edit of `count` of them."""
+        """Reorder per-Gaussian data after an edit of `count` Gaussians."""
         self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
         self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
         self.parts.carry(carried.source, carried.fresh, count, self._step.iteration)
@@ -350,16 +346,16 @@ class Field:
         self.logged[name] = float(value)
 
     def _log_for_component(self, name: str, value: float) -> None:
-        """`Step.log`."""
+        """Implement `Step.log`."""
         if name in HOST_NUMBERS or name in self._terms:
             raise PluginError(
-                f"it logs {name!r}, which is a number of the host's",
-                fix="log it under a name of your own",
+                f"it logs {name!r}, a name that the host uses",
+                fix="log it under another name",
             )
         self._log_number(name, value)
 
     def state(self, iteration: int) -> dict[str, Mapping[str, Tensor]]:
-        """Everything that its next iterations depend on, by kind."""
+        """Return everything that the next iterations depend on, by kind."""
         gaussians = self.model.gaussians()
         return {
             "model": dict(vars(gaussians)),
@@ -372,10 +368,10 @@ class Field:
         }
 
     def restore(self, part: Callable[[str], Mapping[str, Any]]) -> None:
-        """Take back what `state` returned; the model must hold the same Gaussians already.
+        """Restore the result of `state`; the model must already hold the same Gaussians.
 
         Args:
-            part: gives the tensors of one kind.
+            part: returns the tensors of one kind.
         """
         self.optimizer.restore(part("optimizer"))
         screen = part("statistics")["screen"]

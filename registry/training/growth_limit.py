@@ -1,4 +1,4 @@
-"""The limits that the host sets to growth: the number of Gaussians, and the end of training."""
+"""Limits of growth: the number of Gaussians, and the last iteration."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from core_rasterizer.layout import PARAMETERS
 
 
 def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
-    """The edit without what would go beyond a number of Gaussians.
+    """Reduce an edit so that the number of Gaussians stays within a limit.
 
-    A clone adds one, a split one fewer than it has children. Clones and splits go first: those of the
-    highest rank stay, equal ranks go by index, so that the choice is the same in every run. When none
-    is left, added Gaussians go, the last first. Relocations change no number.
+    A clone adds one Gaussian, a split one fewer than it has children. Clones and splits are dropped first,
+    those of the lowest rank first; equal ranks are ordered by index, so that the choice is deterministic.
+    Then added Gaussians are dropped, the last first.
 
     Args:
         limit: the largest number of Gaussians after the edit.
         rank: `[N]`, for example the screen-space gradient.
 
     Returns:
-        The edit, and how many Gaussians fewer it adds.
+        The edit, and the number of Gaussians dropped.
     """
     count = rank.shape[0]
     clone, split, prune = (edit.mask(name, count) for name in ("clone", "split", "prune"))
@@ -41,16 +41,15 @@ def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
 
 
 def without_growth(edit: Edit) -> Edit:
-    """The edit without clones, splits and added Gaussians: what it removes and relocates is left.
+    """Return the edit without clones, splits and added Gaussians, for the last iteration.
 
-    For the last iteration. Nothing would train what it adds: a child of a split may lie in front of a
-    camera, and stay there.
+    New Gaussians would not be trained: a child of a split may lie in front of a camera, and stay there.
     """
     return replace(edit, clone=None, split=None, add=None, parents=None)
 
 
 def _with_added(edit: Edit, number: int) -> Edit:
-    """The edit with only the first of its added Gaussians."""
+    """Return the edit with only the first of its added Gaussians."""
     if edit.add is None or edit.parents is None:
         return edit
     first = {name: getattr(edit.add, name)[:number] for name in PARAMETERS}

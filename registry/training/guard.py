@@ -1,8 +1,7 @@
-"""The guard of each iteration: nothing that is not a number reaches the optimizer, and who made it is named.
+"""Checks that only finite gradients reach the optimizer, and finds the component that made others.
 
-It costs nothing while all is well: the loss is a number that is read anyway, and the engine looks at the
-gradients of images and parameters as it takes them. Only after a failure is the loss taken apart, term by
-term, to find whose gradient it was.
+They cost nothing without a failure: the loss is read anyway, and the engine checks the gradients of images
+and parameters as it reads them. After a failure the loss is differentiated term by term.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from ..pipeline.blame import Blamable, blame
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A summand of the loss.
+    """A term of the loss.
 
     Args:
-        item: the regularizer that it comes from; None for the photometric term.
-        value: a scalar in autograd, the weight included.
+        item: its regularizer; None for the photometric term.
+        value: scalar with gradient, including the weight.
     """
 
     item: Blamable | None
@@ -37,10 +36,10 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Recolored:
-    """Colours on their way from the render to the photometric term.
+    """Colours between the render and the photometric term.
 
     Args:
-        item: the appearance that made `after` from `before`.
+        item: the appearance that computed `after` from `before`.
     """
 
     item: Blamable
@@ -56,20 +55,17 @@ def backward(
     forget: Callable[[], None],
     check: Callable[[], None],
 ) -> float:
-    """The backward pass of a loss.
+    """Run the backward pass, and return the loss.
 
     Args:
-        terms: what the loss is the sum of, in this order.
-        colors: what appearances made of the render, in their order.
-        forget: makes all gradients zero.
-        check: refuses gradients that only their owner knows.
-
-    Returns:
-        The loss.
+        terms: terms of the loss, in order of summation.
+        colors: outputs of appearances, in order.
+        forget: clears all gradients.
+        check: checks the gradients of the components' parameters.
 
     Raises:
-        ExplainedError: the loss, or a gradient, is not finite, or a component's own backward pass failed;
-            names the component whose term it was.
+        ExplainedError: the loss or a gradient is not finite, or the backward pass of a component failed;
+            names the component.
     """
     loss = terms[0].value
     for term in terms[1:]:
@@ -89,7 +85,7 @@ def backward(
 
 @contextmanager
 def in_iteration(iteration: int) -> Iterator[None]:
-    """Say in errors of the block which iteration it was, where they do not yet."""
+    """Add the iteration to errors of the block that lack it."""
     try:
         yield
     except ExplainedError as error:
@@ -100,7 +96,7 @@ def in_iteration(iteration: int) -> Iterator[None]:
 
 
 def _refuse_loss(terms: Sequence[Term], iteration: int) -> None:
-    """Each term was finite before it was weighed: name the first that no longer is."""
+    """Name the first term that is not finite; each was finite before the weight."""
     what = "the loss is too large for single precision"
     fix = "lower the weight of the term, or its size"
     for term in terms:
@@ -117,7 +113,7 @@ def _take_apart(
     forget: Callable[[], None],
     check: Callable[[], None],
 ) -> None:
-    """Differentiate the terms one by one; the first that fails alone raises, with its component's name."""
+    """Differentiate the terms one by one; the first that fails raises with the name of its component."""
     for term in terms:
         if not term.value.requires_grad:
             continue

@@ -1,4 +1,4 @@
-"""From points to the first Gaussians."""
+"""The initial Gaussians from points."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..errors import SceneError
 from ..pipeline.training_settings import TrainingSettings
 
 NEIGHBOURS = 3
-"""A Gaussian starts as large as its distance to so many nearest points (3DGS)."""
+"""Number of nearest points whose distance gives the initial size of a Gaussian (3DGS)."""
 MIN_SQUARED_DISTANCE = 1e-7
-"""Square world units; points at one place still get a size (3DGS)."""
+"""Square world units, so that coincident points get a size (3DGS)."""
 
 
 def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussians:
-    """Isotropic Gaussians at the points, coloured like them.
+    """Return isotropic Gaussians with the positions and colours of the points.
 
     Args:
         points: at least one.
 
     Raises:
-        SceneError: there is no point; one with a position, colour, scale or opacity that cannot be; a
-            picture whose name is not a file's; or a kind that is no mask of the points.
+        SceneError: the points are empty; a position, colour, scale or opacity is out of range; the name of a
+            picture is not a file name; or a kind is not a mask of the points.
     """
     _check(points)
     count = len(points)
@@ -42,7 +42,7 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
 
 
 def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) -> GaussianModel:
-    """Gaussians on a device, rendered as the settings say.
+    """Return Gaussians on a device, with the rendering options of the settings.
 
     Raises:
         GaussianError: a parameter is not finite.
@@ -56,15 +56,14 @@ def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) 
 
 
 def mean_squared_distances(positions: Tensor) -> Tensor:
-    """Mean squared distance to the three nearest other points, `[N]` float64, at least 1e-7.
+    """Return the mean squared distance to the three nearest other points, `[N]` float64, at least 1e-7.
 
-    With fewer than four points the mean is over those that there are; a single point gets the
-    smallest value.
+    With fewer than four points the mean is over all others; a single point gets the smallest value.
 
     Args:
         positions: `[N, 3]`, world units, N >= 1.
     """
-    from scipy.spatial import KDTree  # a quarter of a second that points with sizes do without
+    from scipy.spatial import KDTree  # slow import, not needed for points with sizes
 
     count = positions.shape[0]
     neighbours = min(NEIGHBOURS, count - 1)
@@ -72,7 +71,7 @@ def mean_squared_distances(positions: Tensor) -> Tensor:
         return torch.full((1,), MIN_SQUARED_DISTANCE, dtype=torch.float64)
     array = positions.double().numpy()
     distances, _ = KDTree(array).query(array, k=neighbours + 1)
-    # The nearest is the point itself, or a duplicate: at distance 0 either way.
+    # The nearest is the point itself or a duplicate, at distance 0.
     squared = torch.from_numpy(distances[:, 1:] ** 2)
     return squared.mean(dim=1).clamp(min=MIN_SQUARED_DISTANCE)
 

@@ -1,4 +1,4 @@
-"""Adam's step sizes in one iteration."""
+"""Learning rates of one iteration."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from ..pipeline.training_settings import TrainingSettings
 
 
 def learning_rates(iteration: int, settings: TrainingSettings, extent: float) -> dict[str, float]:
-    """The learning rate of each parameter group of `core_rasterizer.Adam`.
+    """Return the learning rate of each parameter group of `core_rasterizer.Adam`.
 
-    That of the means goes log-linearly from `position` to `position_final` (3DGS), the others along half
-    a cosine from what they are to `final_share` of it (Loshchilov and Hutter 2017, SGDR, eq. 5).
+    The rate of the means changes log-linearly from `position` to `position_final` (3DGS), the others along
+    half a cosine to `final_share` of their value (Loshchilov and Hutter 2017, SGDR, eq. 5).
 
     Args:
         iteration: 1-based.
-        extent: of the scene, world units; scales the rate of the means.
+        extent: extent of the scene, world units; scales the rate of the means.
     """
     rates = settings.learning_rates
     steps = rates.position_steps or settings.iterations
     progress = min(iteration / steps, 1.0)
     if rates.position > 0 and rates.position_final > 0:
         position = rates.position * (rates.position_final / rates.position) ** progress
-    else:  # a logarithm has no zero; go there in a straight line
+    else:  # no logarithm of zero: linear instead
         position = rates.position + (rates.position_final - rates.position) * progress
     half_cosine = (1 + cos(pi * iteration / settings.iterations)) / 2
     share = rates.final_share + (1 - rates.final_share) * half_cosine

@@ -1,4 +1,4 @@
-"""The loss of an iteration: how far the picture is from the photograph, and what regularizers add."""
+"""The loss of an iteration: the photometric term, and the terms of regularizers."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..pipeline.training_settings import TrainingSettings
 from .guard import Term
 
 Log = Callable[[str, float], None]
-"""Records a number of the host's own."""
+"""Logs a number by name."""
 
 
 def photometric_term(
     settings: TrainingSettings, shown: Tensor | Rendering, step: Step, device: Device, log: Log
 ) -> Term:
-    """L1 and D-SSIM between colours, or those of a render, and the iteration's target.
+    """Return L1 and D-SSIM between colours, or a render, and the target of the iteration.
 
     Raises:
         RunError: the colours are not finite.
@@ -41,17 +41,17 @@ def photometric_term(
         raise RunError(
             error.what,
             where=f"iteration {step.iteration}, view {step.view.name!r}",
-            fix="lower the learning rates; the last checkpoint, if any, is whole",
+            fix="lower the learning rates; the last checkpoint, if any, is intact",
         ) from error
     log("photometric", float(loss.detach()))
     return Term(None, loss)
 
 
 def regularizing_terms(parts: Parts, step: Step, lent: Loan, log: Log) -> list[Term]:
-    """The terms that are due and join the loss.
+    """Return the terms that are due and part of the common loss.
 
     Args:
-        lent: what they are shown.
+        lent: data that they receive.
     """
     return [
         _term(part, step, lent, log)
@@ -61,13 +61,13 @@ def regularizing_terms(parts: Parts, step: Step, lent: Loan, log: Log) -> list[T
 
 
 def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Term, tuple[str, ...]]:
-    """A term that is stepped alone.
+    """Return a term that is stepped alone.
 
     Args:
-        lent: what it is shown.
+        lent: data that it receives.
 
     Returns:
-        The term, and the parameter groups that its step leaves alone.
+        The term, and the parameter groups that its step does not change.
     """
     with part.at_work(step.iteration, lent):
         moves = check_moves(part.component.moves, PARAMETER_GROUPS)
@@ -76,7 +76,7 @@ def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Term, tupl
 
 
 def _term(part: Part, step: Step, lent: Loan, log: Log) -> Term:
-    """A regularizer's term times its weight."""
+    """Return the term of a regularizer times its weight."""
     with part.at_work(step.iteration, lent):
         term = check_loss(part.component.loss(step))
     log(part.item.qualified_name, float(term.detach()))

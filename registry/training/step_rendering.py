@@ -13,11 +13,11 @@ from ..contract.step import Sample
 
 
 class StepRenderer:
-    """What components call as `step.render`; see `registry.contract.step.Render`.
+    """The implementation of `step.render`; see `registry.contract.step.Render`.
 
     Args:
-        sample: the iteration's, whose background and bands are taken unless a call says others.
-        gradients: False for what may be looked at only.
+        sample: gives the default background and SH degree.
+        gradients: False for renders without gradients.
     """
 
     def __init__(self, model: GaussianModel, sample: Sample, *, gradients: bool = True) -> None:

@@ -1,4 +1,4 @@
-"""torch with a single thread, for as long as a run is at work."""
+"""A single torch thread while a run computes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Let torch use one thread within the block, or the function that this decorates.
+    """Limit torch to one thread within the block, or in the function that this decorates.
 
-    torch's own threads would wait in a spin beside the OpenCL device's: small operations between
-    kernels then cost milliseconds. One thread also makes torch's sums independent of the machine.
+    torch's threads spin while they wait and compete with those of the OpenCL device: small operations between
+    kernels then take milliseconds. One thread also makes torch's sums independent of the machine.
     """
     import torch
 

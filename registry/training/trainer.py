@@ -1,13 +1,12 @@
-"""The training loop. The order of one iteration lives here and nowhere else.
+"""The training loop. Only this module defines the order of one iteration.
 
 1. choose a training view          4. modifiers, render                       7. topology
 2. schedules, samplers             5. photometric loss + due regularizers,    8. Adam
 3. terms stepped alone                backward                                9. perturbations
                                    6. opacity policies
 
-With several fields (`training.fields`) each stage is done for all of them before the next begins.
-Progress, observers, evaluation and checkpoints come last: they run in whoever consumes `Trainer.run`,
-which yields after every iteration.
+With several fields (`training.fields`) each stage runs for all of them before the next. `Trainer.run` yields
+after every iteration; its caller then handles progress, observers, evaluation and checkpoints.
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ _log = logging.getLogger("stereogs")
 
 @dataclass(frozen=True)
 class Iteration:
-    """What an iteration leaves behind for whoever consumes `Trainer.run`.
+    """Result of an iteration.
 
     Args:
         number: 1-based.
-        loss: the total loss before the step; of the first field.
-        gaussians: how many there are after it; in the first field.
-        logged: numbers that the loop and the components recorded.
+        loss: total loss of the first field before the step.
+        gaussians: number of Gaussians in the first field after the step.
+        logged: numbers logged by the loop and the components.
     """
 
     number: int
@@ -57,16 +56,16 @@ class Trainer:
     """Trains Gaussians on a scene.
 
     Args:
-        settings: of the loop.
-        parts: the pipeline's components.
+        settings: settings of the loop.
+        parts: components of the pipeline.
         scene: validated.
         model: the Gaussians, changed in place.
-        maps: each training view's depth, as the initializer knows it (`PointCloud.maps`).
-        kinds: of the points that the Gaussians start from (`PointCloud.kinds`).
+        maps: depth maps of the training views from the initializer (`PointCloud.maps`).
+        kinds: kinds of the initial points (`PointCloud.kinds`).
 
     Attributes:
-        iteration: the last one that is complete; 0 before the first.
-        fields: what is trained in lock-step; the first holds `model` and is scored.
+        iteration: the last complete iteration; 0 before the first.
+        fields: fields of Gaussians trained in lock-step; the first holds `model` and is scored.
     """
 
     def __init__(
@@ -97,19 +96,19 @@ class Trainer:
 
     @property
     def optimizer(self) -> Adam:
-        """The first field's."""
+        """Optimizer of the first field."""
         return self.fields[0].optimizer
 
     def run(self) -> Iterator[Iteration]:
-        """Train to the last iteration, yielding after each; the last one is stepped too.
+        """Train to the last iteration, and yield after each.
 
-        Stop consuming to stop training: between two iterations everything is consistent.
+        The state is consistent between two iterations, so the caller may stop iterating.
 
         Raises:
-            ExplainedError: a component failed or answered nonsense, or the loss is not finite. No
-                step is taken then, and training cannot go on with these Gaussians.
+            ExplainedError: a component failed or returned an invalid answer, or the loss is not finite.
+                Training cannot continue with these Gaussians.
         """
-        self.state()  # what cannot be saved is told now, and not at the first checkpoint
+        self.state()  # reports state that cannot be saved before the first checkpoint
         while self.iteration < self.settings.iterations:
             with in_iteration(self.iteration + 1):
                 loss = self._iterate(self.iteration + 1)
@@ -125,7 +124,7 @@ class Trainer:
         for one in self.fields:
             one.render()
         losses = [one.differentiate(self._others(one)) for one in self.fields]
-        # The loss was waited for, so that this waits for nothing more.
+        # The device is idle after reading the loss, so this check does not wait.
         self._check_parameters()
         for one in self.fields:
             one.update_opacities()
@@ -140,7 +139,7 @@ class Trainer:
         return losses[0]
 
     def _check_parameters(self) -> None:
-        """Refuse to go on with Gaussians that the last step has left undefined."""
+        """Refuse Gaussians that the last step made undefined."""
         for one in self.fields:
             try:
                 one.optimizer.check_parameters()
@@ -152,18 +151,17 @@ class Trainer:
         return tuple(other.seen_by_others() for other in self.fields if other is not one)
 
     def _logged(self) -> dict[str, float]:
-        """What the fields recorded; the names of all but the first begin with the field's number."""
+        """Return the logged numbers of all fields; names of all but the first begin with the field."""
         logged = dict(self.fields[0].logged)
         for one in self.fields[1:]:
             logged |= {f"field{one.index}/{name}": value for name, value in one.logged.items()}
         return logged
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that the next iterations depend on, by slashed names.
+        """Return everything that the next iterations depend on, by slash-separated names.
 
         Raises:
-            ExplainedError: a component's state cannot be saved, or the next iteration would refuse the
-                Gaussians.
+            ExplainedError: the state of a component cannot be saved, or the Gaussians are not finite.
         """
         with in_iteration(self.iteration + 1):
             self._check_parameters()
@@ -179,8 +177,8 @@ class Trainer:
         """Continue after `iteration`.
 
         Args:
-            part: gives the tensors of `state` whose names begin with "<its argument>/"
-                (`Checkpoint.part`). The model must already hold the checkpoint's Gaussians.
+            part: returns the tensors of `state` below a prefix (`Checkpoint.part`). The model must already
+                hold the Gaussians of the checkpoint.
         """
         self.iteration = iteration
         self._views.restore(part("views"))
@@ -200,14 +198,13 @@ def resumed(
     scene: Scene,
     model: GaussianModel,
 ) -> Trainer:
-    """A trainer that goes on after a checkpoint.
+    """Return a trainer that continues after a checkpoint.
 
     Args:
-        model: holds the checkpoint's Gaussians.
+        model: holds the Gaussians of the checkpoint.
 
     Raises:
-        ExplainedError: the checkpoint holds something else than these parts need; or a component cannot
-            take its state back.
+        ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
     """
     trainer = Trainer(settings, parts, scene, model, maps_of(checkpoint.part("maps")))
     trainer.restore(checkpoint.iteration, checkpoint.part)
@@ -215,7 +212,7 @@ def resumed(
 
 
 def _prefix(index: int) -> str:
-    """In front of the names of a field's state; the first field's have none."""
+    """Return the prefix of a field's state, empty for the first field."""
     return f"field{index}/" if index else ""
 
 
@@ -226,10 +223,10 @@ def _below(
 
 
 def maps_of(state: Mapping[str, Tensor]) -> dict[str, DepthMap]:
-    """The initializer's depth maps that a checkpoint holds.
+    """Return the initializer's depth maps from a checkpoint.
 
     Args:
-        state: the tensors below "maps" of `Trainer.state`, by "<view>/<field>".
+        state: the tensors below "maps" in `Trainer.state`, by "<view>/<field>".
     """
     names = dict.fromkeys(name.rpartition("/")[0] for name in state)
     return {

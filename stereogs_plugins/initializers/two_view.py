@@ -60,6 +60,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
     """Points from optical flow and known cameras; also returns depth maps (`PointCloud.maps`)."""
 
     ablation_baseline = "sfm"
+    needs_priors = ("optical_flow",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point, and each view's depth.
@@ -174,6 +175,7 @@ class MatchedPoints(Initializer[MatchedPointsSettings]):
     """Triangulated matches, each first moved onto its epipolar line."""
 
     ablation_baseline = "sfm"
+    needs_priors = ("matches",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
         """Return at least one point.

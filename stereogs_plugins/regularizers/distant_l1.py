@@ -31,6 +31,8 @@ class DistantL1(Regularizer[DistantL1Settings]):
     The rendered colours are clamped to [0, 1], as in the authors' code.
     """
 
+    needs_priors = ("monocular_depth",)
+
     def __init__(self, settings: DistantL1Settings, context: Context) -> None:
         super().__init__(settings, context)
         self._far: dict[str, Tensor] = {}

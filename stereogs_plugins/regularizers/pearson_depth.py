@@ -47,6 +47,8 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     depth 0 and semi-transparent rims are too near, and the loss would fill both with fog.
     """
 
+    needs_priors = ("monocular_depth",)
+
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._known: dict[str, Tensor] = {}

@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
-from registry.commands import add_run, console, open_given, tell_failures
+from registry.commands import add_run, console, open_given, print_failures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,7 +52,6 @@ class Report(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Write, and say where; 1 if a report failed."""
         from registry.plugins import Plugins
-        from registry.runs import write_reports as report
 
         output = console()
         given = open_given(arguments)
@@ -62,10 +61,10 @@ class Report(Command):
                 where=str(arguments.run_folder),
                 fix=f"stereogs resume {arguments.run_folder}",
             )
-        files, failures = report(given, _reports(given, Plugins(), arguments.beside))
+        files, failures = given.report(_reports(given, Plugins(), arguments.beside))
         for file in files:
             output.print(f"page  {given.folder_or_refuse().path / file}")
-        return tell_failures({"failures": failures}, arguments.run_folder)
+        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
 
 
 def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:

@@ -29,7 +29,7 @@ from benchmarks.results_plan import (
 from benchmarks.training_records import read, save
 from registry import RunError
 from registry.plugins.discovery import Plugins
-from registry.runs.guarding.lock import locked
+from registry.runs import locked
 
 ROOM = Case(
     "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)

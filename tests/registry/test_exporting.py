@@ -82,7 +82,7 @@ def test_kinds_change_no_bit_of_the_gaussians(tmp_path: Path) -> None:
     assert without.kinds == {}
     with pytest.raises(RunError, match="no kind 'far'") as caught:
         stereogs.export(without, "toy_files", tmp_path, without=["far"])
-    assert "tells no kinds of points apart" in caught.value.fix
+    assert "does not distinguish kinds" in caught.value.fix
 
 
 def test_a_kind_is_left_out_of_an_export(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_what_cannot_be_exported_is_explained(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="no kind 'fat'; did you mean 'far'") as caught:
         stereogs.export(run, "toy_files", folder, without=["fat"])
     assert caught.value.fix == "kinds: near, far"
-    with pytest.raises(RunError, match="no Gaussian would be left"):
+    with pytest.raises(RunError, match="no Gaussian would remain"):
         stereogs.export(run, "toy_files", folder, without=["far", "near"])
     with pytest.raises(PluginError, match="no plugin offers the exporter 'toy_file'"):
         stereogs.export(run, "toy_file", folder)

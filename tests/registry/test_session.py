@@ -88,7 +88,7 @@ def test_saving_later_leaves_what_training_into_a_folder_leaves() -> None:
     for key in ("hash", "test", "views", "scene", "initialization"):
         if key != "initialization":
             assert first[key] == second[key]
-    with pytest.raises(RunError, match="kept in a folder already"):
+    with pytest.raises(RunError, match="has a folder already"):
         late.save("again")
 
 
@@ -135,7 +135,7 @@ def test_a_pipeline_from_values_text_and_file(tmp_path: Path) -> None:
     assert stereogs.build_pipeline(str(file), change) == one
     assert stereogs.load_scene(one).name == stereogs.load_scene(file).name == "tiny"
     assert stereogs.load_scene(text, ["test_views=0"]).test == ()
-    with pytest.raises(PipelineError, match="cannot be changed"):
+    with pytest.raises(PipelineError, match="already built"):
         stereogs.load_scene(one, ["test_views=0"])
     with pytest.raises(PipelineError, match="plain values"):
         stereogs.build_pipeline({**values, "training": {"seed": object()}})
@@ -148,7 +148,7 @@ def test_a_given_scene_is_told_of() -> None:
     run = stereogs.train(values, scene=tiny_scene(), progress=False, out="run")
     assert run.pipeline.one("scene").offer.name == "in_memory"
     assert "use: in_memory" in Path("run/pipeline.yaml").read_text()
-    with pytest.raises(SceneError, match="nothing to train on"):
+    with pytest.raises(SceneError, match="does not name a scene"):
         stereogs.train(PIPELINE)
 
 
@@ -166,7 +166,7 @@ def test_a_protocol_is_not_claimed_for_a_given_scene() -> None:
     from registry.pipeline.protocols import load_protocol
 
     claimed = replace(pipeline, protocol=AppliedProtocol(load_protocol("llff-3"), {}))
-    with pytest.raises(SceneError, match="'llff-3' says nothing"):
+    with pytest.raises(SceneError, match="'llff-3' does not apply"):
         stereogs.train(claimed, scene=tiny_scene())
 
 
@@ -183,7 +183,7 @@ def test_a_scene_from_arrays(device: Device) -> None:
     assert torch.allclose(scene.train[0].image, scene.test[0].image)
     with pytest.raises(SceneError, match="3 images and 2 cameras"):
         stereogs.scene_from_arrays([bytes_] * 3, cameras[:2], bounds=(1.0, 5.0))
-    with pytest.raises(SceneError, match="no image 3"):
+    with pytest.raises(SceneError, match="has the index 3"):
         stereogs.scene_from_arrays([bytes_] * 3, cameras, bounds=(1.0, 5.0), test=[3])
     with pytest.raises(SceneError, match="outside"):
         stereogs.scene_from_arrays([floats * 6] * 3, cameras, bounds=(1.0, 5.0))

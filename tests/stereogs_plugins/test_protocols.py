@@ -9,11 +9,11 @@ import pytest
 
 from core_rasterizer import open_device
 from registry.contract.scene import Scene
+from registry.inspection.scene_source import load
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
 from registry.plugins.discovery import Plugins
-from registry.runs.origin.inputs import load_scene
 from tests.data import data_folder
 
 TEXT = """\
@@ -26,7 +26,7 @@ initializer: random
 
 def under(protocol: str, loader: str, path: str) -> Scene:
     text = TEXT.format(protocol=protocol, loader=loader, path=path)
-    return load_scene(Parts(parse_pipeline(text, Plugins()), open_device()))
+    return load(Parts(parse_pipeline(text, Plugins()), open_device()).one("scene"))
 
 
 @pytest.mark.parametrize("name", protocol_names())

@@ -44,6 +44,8 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
     alpha only `solid` pixels are compared.
     """
 
+    needs_priors = (("monocular_depth", "multi_view_depth"),)
+
     def __init__(self, settings: DepthRankingSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._farness = Farness(settings.prior)

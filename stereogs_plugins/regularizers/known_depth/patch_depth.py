@@ -55,6 +55,8 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
         PluginError: the smallest side is larger than the largest.
     """
 
+    needs_priors = (("monocular_depth", "multi_view_depth"),)
+
     def __init__(self, settings: PatchDepthSettings, context: Context) -> None:
         super().__init__(settings, context)
         if settings.smallest > settings.largest:

@@ -65,13 +65,14 @@ class Check(Command):
         )
         from core_rasterizer import open_device
         from registry.inspection import facts, warnings
+        from registry.pipeline import build_part
         from registry.toolkit.drawing import save_png
         from registry.training import one_torch_thread
 
         from .scene_picture import scene_picture
 
         with one_torch_thread():
-            scene = load(found, open_device(arguments.device))
+            scene = load(build_part(found.item, found.seed, open_device(arguments.device)))
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         _print_columns(output, facts(scene))

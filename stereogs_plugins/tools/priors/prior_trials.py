@@ -103,7 +103,8 @@ def known_truth(plugins: Plugins, device: Device) -> Truth:
         ExplainedError: what its loader says.
     """
     with resources.as_file(resources.files(__package__).joinpath(_SCENE)) as path:
-        scene = load(find_loader(path, plugins), device)
+        found = find_loader(path, plugins)
+        scene = load(build_part(found.item, found.seed, device))
     return truth_of(scene.train, scene.bounds)
 
 

@@ -22,4 +22,4 @@ def within(seconds: float) -> Fit:
     from .fitting import Budget, fit_length
 
     budget, log = Budget(seconds, time.monotonic()), logging.getLogger("stereogs.quality")
-    return lambda beginning: fit_length(beginning, budget, log.info)
+    return lambda initial: fit_length(initial, budget, log.info)

@@ -14,7 +14,7 @@ from .messages import Say, tell_choice, tell_cost
 from .table import GROWTH, Quality, by_length, by_quality
 
 if TYPE_CHECKING:
-    from registry.runs import Beginning
+    from registry.runs import InitialState
 
     from .rehearsal import Clock, Measured
 
@@ -47,29 +47,29 @@ class Budget:
         return self.clock() - self.begin
 
 
-def fit_length(beginning: Beginning, budget: Budget, say: Say) -> Pipeline:
+def fit_length(initial: InitialState, budget: Budget, say: Say) -> Pipeline:
     """The pipeline at hand, as long as fits into the seconds and no longer than it says itself.
 
     Raises:
         RunError: there are too few seconds.
     """
-    own, first = beginning.pipeline, len(beginning.gaussians)
+    own, first = initial.pipeline, len(initial.gaussians)
     last = max(first, GROWN) if own.items["densification"] else first
     growth = _growth(own, (first + last) / 2, last)
-    cost, measured = _cost(beginning, budget, growth)
+    cost, measured = _cost(initial, budget, growth)
     cost.refuse_too_little(budget.seconds, min(LEAST_ITERATIONS, own.training.iterations))
     count = min(cost.iterations(budget.seconds), own.training.iterations)
     fitted = _within_budget(own, count, growth)
-    tell_choice(fitted, "", beginning, say)
+    tell_choice(fitted, "", initial, say)
     tell_cost(cost, measured, count, budget.seconds, say)
     return fitted
 
 
-def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say) -> Pipeline:
+def choose(initial: InitialState, wanted: Quality | Budget, load: Load, say: Say) -> Pipeline:
     """The best pipeline for the scene that needs no network, at the length that is wanted.
 
     Args:
-        beginning: of the pipeline that `table.SHORT` names.
+        initial: of the pipeline that `table.SHORT` names.
         wanted: a quality, or seconds to be kept.
         load: gives the others, which begin in the same way.
 
@@ -78,31 +78,31 @@ def choose(beginning: Beginning, wanted: Quality | Budget, load: Load, say: Say)
     """
     if not isinstance(wanted, Budget):
         taken = by_quality(wanted)
-        chosen = _ready(taken.name, beginning, load)
-        tell_choice(chosen, taken.because, beginning, say)
+        chosen = _ready(taken.name, initial, load)
+        tell_choice(chosen, taken.because, initial, say)
         return chosen
-    growth = _known_growth(beginning)
-    cost, measured = _cost(beginning, wanted, growth)
+    growth = _known_growth(initial)
+    cost, measured = _cost(initial, wanted, growth)
     affordable = cost.iterations(wanted.seconds)
-    taken = by_length(affordable / beginning.pipeline.training.iterations)
-    if taken.name != beginning.pipeline.name:
-        beginning = beginning.of(_ready(taken.name, beginning, load))
-        growth = _known_growth(beginning)
-        cost, measured = _cost(beginning, wanted, growth)
+    taken = by_length(affordable / initial.pipeline.training.iterations)
+    if taken.name != initial.pipeline.name:
+        initial = initial.of(_ready(taken.name, initial, load))
+        growth = _known_growth(initial)
+        cost, measured = _cost(initial, wanted, growth)
         affordable = cost.iterations(wanted.seconds)
     cost.refuse_too_little(wanted.seconds, LEAST_ITERATIONS)
-    count = min(affordable, round(taken.times * beginning.pipeline.training.iterations))
-    chosen = _within_budget(beginning.pipeline, count, growth)
-    tell_choice(chosen, taken.because, beginning, say)
+    count = min(affordable, round(taken.times * initial.pipeline.training.iterations))
+    chosen = _within_budget(initial.pipeline, count, growth)
+    tell_choice(chosen, taken.because, initial, say)
     tell_cost(cost, measured, count, wanted.seconds, say)
     return chosen
 
 
-def _ready(name: str, beginning: Beginning, load: Load) -> Pipeline:
+def _ready(name: str, initial: InitialState, load: Load) -> Pipeline:
     """A pipeline of the table, for the scene's views."""
-    if name == beginning.pipeline.name:
-        return beginning.pipeline
-    return load(name).for_views(len(beginning.scene.train))
+    if name == initial.pipeline.name:
+        return initial.pipeline
+    return load(name).for_views(len(initial.scene.train))
 
 
 class _Growth(NamedTuple):
@@ -118,16 +118,16 @@ def _growth(pipeline: Pipeline, mean: float, most: float) -> _Growth:
     return _Growth(max(1, min(int(mean), limit)), max(1, min(int(most), limit)))
 
 
-def _known_growth(beginning: Beginning) -> _Growth:
-    mean, most = GROWTH[beginning.pipeline.name]
-    first = len(beginning.gaussians)
-    return _growth(beginning.pipeline, mean * first, most * first)
+def _known_growth(initial: InitialState) -> _Growth:
+    mean, most = GROWTH[initial.pipeline.name]
+    first = len(initial.gaussians)
+    return _growth(initial.pipeline, mean * first, most * first)
 
 
-def _cost(beginning: Beginning, budget: Budget, growth: _Growth) -> tuple[Cost, Measured]:
+def _cost(initial: InitialState, budget: Budget, growth: _Growth) -> tuple[Cost, Measured]:
     from .rehearsal import rehearse
 
-    measured = rehearse(beginning, growth.mean, budget.clock, REHEARSED * budget.seconds)
+    measured = rehearse(initial, growth.mean, budget.clock, REHEARSED * budget.seconds)
     return Cost(budget.spent, measured.iteration, measured.after), measured
 
 

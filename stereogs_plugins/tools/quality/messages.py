@@ -10,7 +10,7 @@ from registry.pipeline import Pipeline
 from .cost import Cost
 
 if TYPE_CHECKING:
-    from registry.runs import Beginning
+    from registry.runs import InitialState
 
     from .rehearsal import Measured
 
@@ -18,19 +18,19 @@ Say = Callable[[str], None]
 """Takes a line."""
 
 
-def tell_choice(chosen: Pipeline, because: str, beginning: Beginning, say: Say) -> None:
+def tell_choice(chosen: Pipeline, because: str, initial: InitialState, say: Say) -> None:
     """Say which pipeline, for what, and why, in lines of 80 characters at most."""
-    for line in _reasons(chosen, because, beginning):
+    for line in _reasons(chosen, because, initial):
         say(line)
 
 
-def _reasons(chosen: Pipeline, because: str, beginning: Beginning) -> Iterator[str]:
-    training, camera = chosen.training, beginning.scene.train[0].camera
-    kind = beginning.points.facts.get("scene_kind")
+def _reasons(chosen: Pipeline, because: str, initial: InitialState) -> Iterator[str]:
+    training, camera = chosen.training, initial.scene.train[0].camera
+    kind = initial.points.facts.get("scene_kind")
     yield f"trained: {chosen.name}, {training.iterations:,} iterations" + (
         f", at most {training.max_gaussians:,} Gaussians" if training.max_gaussians else ""
     )
-    views = f"{len(beginning.scene.train)} training views of {camera.width}x{camera.height} pixels"
+    views = f"{len(initial.scene.train)} training views of {camera.width}x{camera.height} pixels"
     yield f"  for     {views}" + (f", {kind}" if kind else "")
     if because:
         yield f"  because {because}"

@@ -1,12 +1,13 @@
 """What iterations and scores cost on this machine, measured on what is about to be trained.
 
-Iterations from all parts of the pipeline are done on copies and forgotten. Nothing of the run changes:
-its components are built anew afterwards, as they are when a run is resumed.
+Iterations from all parts of the schedule train a copy of the Gaussians with a second set of components. The
+run's priors and metrics are used too; their state is restored afterwards.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from statistics import fmean
@@ -19,7 +20,7 @@ from torch import Tensor
 from core_rasterizer import GaussianModel, Gaussians
 from registry import View
 from registry.pipeline import Part, Parts
-from registry.runs import Beginning, evaluate, quick
+from registry.runs import InitialState, evaluate, quick
 from registry.training import Trainer, new_model
 
 from .cost import CLOSING
@@ -52,28 +53,40 @@ class Measured(NamedTuple):
     gaussians: int
 
 
-def rehearse(beginning: Beginning, count: int, clock: Clock, seconds: float) -> Measured:
+def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) -> Measured:
     """Measure a pipeline on its scene.
 
     Args:
         count: Gaussians that a run has on average; the first ones are repeated until there are so many.
         seconds: about how long iterations are done; at least one beyond the warm-up is.
     """
-    pipeline, scene = beginning.pipeline, beginning.scene
-    points, repeated = beginning.points, torch.arange(count) % len(beginning.gaussians)
-    gaussians = _grown(beginning.gaussians, repeated)
-    model = new_model(gaussians, pipeline.training, beginning.device)
-    parts = Parts(pipeline, beginning.device)
+    pipeline, scene = initial.pipeline, initial.scene
+    points, repeated = initial.points, torch.arange(count) % len(initial.gaussians)
+    gaussians = _grown(initial.gaussians, repeated)
+    model = new_model(gaussians, pipeline.training, initial.device)
+    parts = initial.parts.for_field(0)
     kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
-    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
-    spans: list[tuple[float, int]] = []
-    for moment in MOMENTS:
-        skipped = WARM if spans else WARM_UP
-        trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
-        spans.append(_measured(trainer, skipped, clock, seconds / len(MOMENTS)))
-    iteration = fmean(took / done for took, done in spans)
-    done = sum(done for _, done in spans)
-    return Measured(iteration, _after(beginning, model, parts, clock), done, len(gaussians))
+    with _unchanged(parts):
+        trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
+        spans: list[tuple[float, int]] = []
+        for moment in MOMENTS:
+            skipped = WARM if spans else WARM_UP
+            trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
+            spans.append(_measured(trainer, skipped, clock, seconds / len(MOMENTS)))
+        iteration = fmean(took / done for took, done in spans)
+        done = sum(done for _, done in spans)
+        return Measured(iteration, _after(initial, model, parts, clock), done, len(gaussians))
+
+
+@contextmanager
+def _unchanged(parts: Parts) -> Iterator[None]:
+    """Restore the random generators and the state of the components that the run uses too."""
+    shared = [part.component for part in parts.shared]
+    saved = [(one.generator.get_state(), {**one.state()}) for one in shared]
+    yield
+    for one, (generator, state) in zip(shared, saved, strict=True):
+        one.generator.set_state(generator)
+        one.restore(state)
 
 
 def _measured(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tuple[float, int]:
@@ -93,14 +106,14 @@ def _measured(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> t
     return clock() - begin, max(done, 1)
 
 
-def _after(beginning: Beginning, model: GaussianModel, parts: Parts, clock: Clock) -> float:
+def _after(initial: InitialState, model: GaussianModel, parts: Parts, clock: Clock) -> float:
     """Seconds from the last iteration on: one view of each split stands for all."""
-    train, test = beginning.scene.train, beginning.scene.test
+    train, test = initial.scene.train, initial.scene.test
     every, fast = parts["metrics"], quick(parts["metrics"])
 
     def scored(views: Sequence[View], metrics: Sequence[Part], pictures: Path | None) -> float:
         begin = clock()
-        evaluate(model, beginning.scene, views[:1], metrics, pictures)
+        evaluate(model, initial.scene, views[:1], metrics, pictures)
         return clock() - begin
 
     with TemporaryDirectory() as folder:

@@ -53,7 +53,7 @@ def test_a_report_is_written_later(pipeline: Path, capsys: Capture) -> None:
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
     assert main(["train", "toy.yaml", "--out", "here"]) == 0
     assert main(["resume", "here"]) == 0
-    assert "going on after iteration 5 of 5" in capsys.readouterr().out
+    assert "continuing after iteration 5 of 5" in capsys.readouterr().out
     provenance = json.loads(Path("here/provenance.json").read_text())
     assert provenance["plugins"]["scene.toy_scene"] == "toys 1.5"
 
@@ -76,7 +76,7 @@ def test_interrupted_during_training(
         assert main(["train", "toy.yaml", "--out", "run"]) == 130
     assert "stereogs resume run" in capsys.readouterr().out
     assert main(["resume", "run"]) == 0
-    assert "going on after iteration 1 of 5" in capsys.readouterr().out
+    assert "continuing after iteration 1 of 5" in capsys.readouterr().out
 
 
 def test_an_iteration_that_failed_is_repeated(

@@ -10,9 +10,16 @@ from core_rasterizer.layout import row_count
 from registry.commands import explain
 from registry.contract.hook_points import PIPELINE_POINTS
 from registry.inspection.explanation import STAGES, explained, faults, memory
+from registry.inspection.prior_needs import needs
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
-from registry.priors import MonocularDepthPrior, MultiViewDepthPrior, StereoPrior
+from registry.priors import (
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    StereoPrior,
+)
 
 ROOT = Path(__file__).parents[3]
 TEXT = """\
@@ -95,8 +102,14 @@ def test_a_prior_that_is_needed_is_looked_for(shipped: Plugins) -> None:
 
 
 def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
-    known = {prior.capability for prior in (StereoPrior, MultiViewDepthPrior, MonocularDepthPrior)}
-    needed = [name for offer in shipped.all() for name in offer.component.needs_priors]
+    bases = (
+        *(StereoPrior, MultiViewDepthPrior, MonocularDepthPrior),
+        *(OpticalFlowPrior, MatchingPrior),
+    )
+    known = {prior.capability for prior in bases}
+    needed = [
+        name for offer in shipped.all() for wanted in needs(offer.component) for name in wanted
+    ]
     assert len(needed) >= 2
     assert set(needed) <= known
 

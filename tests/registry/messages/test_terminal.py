@@ -11,7 +11,7 @@ from rich.table import Table
 
 from registry.cli import main
 from registry.messages.terminal import PlainConsole, PlainFormatter, visible
-from registry.session.arguments import console_of
+from registry.runs.options import RunOptions
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
 TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"
@@ -39,7 +39,7 @@ def test_a_console_writes_its_own_styles_alone() -> None:
 
 
 def test_every_console_of_the_host_is_one() -> None:
-    assert isinstance(console_of(True), PlainConsole)
+    assert isinstance(RunOptions().console(), PlainConsole)
 
 
 def test_log_lines_too() -> None:

@@ -22,8 +22,7 @@ from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer
-from registry.runs.average_error import average_error
-from registry.runs.evaluation import Scores, averaged, evaluate
+from registry.runs.evaluation import Scores, average_error, averaged, evaluate
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 

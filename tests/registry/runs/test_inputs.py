@@ -11,7 +11,7 @@ import torch
 from registry import PointCloud, Scene, View
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
-from registry.runs.origin.inputs import changed_inputs, input_digests, listed
+from registry.runs.origin import changed_inputs, input_digests, listed
 from registry.testing import tiny_scene
 
 TEXT = "name: x\nscene: toy_scene\ninitializer: toy_points\n"

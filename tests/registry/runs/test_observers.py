@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 import registry as r
 from core_rasterizer import Device, ExplainedError
@@ -18,7 +16,8 @@ from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
 from registry.plugins.discovery import Offer, Plugins
-from registry.runs.opened import open_run
+from registry.runs.opening import open_run
+from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from tests.registry.conftest import TOYS
@@ -38,11 +37,11 @@ WATCHED = TEXT + "observers: [{use: toy_diary, every: 3}]\n"
 
 def trained(text: str, toys: Plugins, device: Device, out: Path | None, **more: Any) -> Run:
     pipeline = parse_pipeline(text, toys, source="p.yaml")
-    return start(pipeline, device=device, out=out, console=Console(quiet=True), **more)
+    return start(pipeline, RunOptions(device=device, progress=False, **more), out)
 
 
 def resumed(out: Path, toys: Plugins, device: Device) -> Run:
-    return resume(out, plugins=toys, device=device, console=Console(file=io.StringIO()))
+    return resume(out, RunOptions(device=device, progress=False), toys)
 
 
 def diary(out: Path) -> list[str]:
@@ -95,7 +94,7 @@ def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run,
         "recorder", r.Settings(), HostSettings(use="recorder", every=4), offer, Place("here")
     )
     pipeline.items["observers"] = (item,)
-    run = start(pipeline, device=device, out=out, console=Console(quiet=True))
+    run = start(pipeline, RunOptions(device=device, progress=False), out)
     return run, run.parts["observers"][0].component.told
 
 

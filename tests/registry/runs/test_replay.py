@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from rich.console import Console
 
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
+from registry.runs.options import RunOptions
 from registry.runs.replay import replay
 from registry.runs.training_run import start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
@@ -39,7 +38,7 @@ def train(plugins: Plugins, device: Device, out: Path | None, fault: str) -> Exp
     """Train into a folder; the error that it ends in, if it does."""
     pipeline = parse_pipeline(TEXT.replace("FAULT", fault), plugins, source="toy.yaml")
     try:
-        start(pipeline, device=device, out=out, console=Console(file=io.StringIO()))
+        start(pipeline, RunOptions(device=device, progress=False), out)
     except ExplainedError as error:
         return error
     return None
@@ -121,14 +120,14 @@ def test_a_full_disk_does_not_hide_the_failure(
 def test_what_is_no_failure_is_refused(toys: Plugins, device: Device, tmp_path: Path) -> None:
     train(toys, device, tmp_path / "run", "nan")
     places = {
-        "no iteration that failed": tmp_path / "run" / "checkpoint" / "iteration-0000010",
+        "not of a failed iteration": tmp_path / "run" / "checkpoint" / "iteration-0000010",
         "no such folder": tmp_path / "none",
         "damaged": tmp_path / "run",
     }
     kept = read_checkpoint(tmp_path / "run" / "failures" / FAILED)
     for name, change in (
         (
-            "other inputs; changed: the points",
+            "inputs of the run have changed: the points",
             {"inputs": {**kept.notes["inputs"], "the points": ""}},
         ),
         ("iteration 10 does not come after 10", {"iteration": 10}),

@@ -17,8 +17,8 @@ from registry.commands.train import FAILED, conclude
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.opened import open_run
-from registry.runs.results import renew
+from registry.runs.opening import open_run
+from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
@@ -41,7 +41,7 @@ def train(toys: Plugins, device: Device, tmp_path: Path) -> Callable[[], Run]:
 
     def train() -> Run:
         pipeline = parse_pipeline(TEXT, toys, source="toy.yaml")
-        return start(pipeline, device=device, out=tmp_path / "run", console=quiet())
+        return start(pipeline, RunOptions(device=device, progress=False), tmp_path / "run")
 
     return train
 
@@ -105,7 +105,7 @@ def test_what_fails_after_training_is_told_and_loses_nothing(
     said = capsys.readouterr().err
     assert f"stereogs: {name}: " in said
     assert f"stereogs eval {folder.path}" in said.replace("\n", "")
-    mended = renew(open_run(folder.path, plugins=toys, device=device))
+    mended = open_run(folder.path, plugins=toys, device=device).renew()
     assert mended["failures"] == []
     assert (mended["exports"], mended["reports"]) == (["exports/count.txt"], ["report.txt"])
     assert mended["test"]["psnr"] > 0
@@ -155,12 +155,13 @@ def test_eval_does_not_go_back_to_an_earlier_iteration(
     run = open_run(folder.path, plugins=toys, device=device)
     assert run.iteration == 0
     with pytest.raises(
-        RunError, match="of iteration 2, the newest whole checkpoint of 0"
+        RunError, match="of iteration 2, the newest intact checkpoint of 0"
     ) as caught:
-        renew(run)
+        run.renew()
     assert "stereogs resume" in caught.value.fix
     assert folder.results() == before
-    assert resume(folder.path, plugins=toys, device=device, console=quiet()).finished
+    options = RunOptions(device=device, progress=False)
+    assert resume(folder.path, options, toys).finished
     assert folder.results()["hash"] == before["hash"]
 
 

@@ -121,15 +121,15 @@ def test_what_is_forged_is_refused(
     path: str, value: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = written(tmp_path, json.dumps(forged(path, value)))
-    with pytest.raises(RunError, match="cannot be believed") as caught:
+    with pytest.raises(RunError, match="is inconsistent") as caught:
         read_results(run / "results.json")
     assert caught.value.where == str(run / "results.json")
     assert "stereogs eval" in caught.value.fix
     assert main(["compare", str(run)]) == 2
     said = capsys.readouterr().err
-    assert "cannot be believed" in said
+    assert "is inconsistent" in said
     assert "\x1b" not in said
-    with pytest.raises(RunError, match="cannot be believed"):
+    with pytest.raises(RunError, match="is inconsistent"):
         build(HtmlReport).write(run, None)
 
 
@@ -150,7 +150,7 @@ def test_what_is_forged_is_refused(
 )
 def test_what_is_no_document_is_refused(content: str, tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(content, "utf-8")
-    with pytest.raises(RunError, match="cannot be believed"):
+    with pytest.raises(RunError, match="is inconsistent"):
         read_results(tmp_path / "results.json")
 
 

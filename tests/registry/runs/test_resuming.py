@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import json
 import math
 import shutil
@@ -12,16 +11,16 @@ from typing import Any
 
 import pytest
 import torch
-from rich.console import Console
 from torch import Tensor
 
-import registry.runs.autosave as autosave
+import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Scene
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.observing.metrics_log import MetricsLog
-from registry.runs.opened import open_run
+from registry.runs.opening import open_run
+from registry.runs.options import RunOptions
+from registry.runs.progress import MetricsLog
 from registry.runs.run import Run
 from registry.runs.training_run import resume
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
@@ -126,14 +125,12 @@ def test_changed_inputs_are_refused_unless_accepted(
         return replace(scene, train=(first, *scene.train[1:]))
 
     monkeypatch.setattr(ToyScene, "load", darker)
-    quiet = Console(file=io.StringIO())
+    quiet = RunOptions(device=device, progress=False)
     with pytest.raises(RunError, match="changed: the photograph of view0\n") as caught:
-        resume(folder.path, plugins=toys, device=device, console=quiet)
+        resume(folder.path, quiet, toys)
     assert "--accept-changed-inputs" in caught.value.fix
     assert folder.results()["changed_inputs"] == []
-    again = resume(
-        folder.path, plugins=toys, device=device, console=quiet, accept_changed_inputs=True
-    )
+    again = resume(folder.path, replace(quiet, accept_changed_inputs=True), toys)
     assert again.finished
     assert folder.results()["changed_inputs"] == ["the photograph of view0"]
     assert open_run(folder.path, plugins=toys, device=device).changed == ()
@@ -163,7 +160,7 @@ def test_an_edited_pipeline_is_refused_with_its_line(
     folder.pipeline.write_text(f"# a comment means nothing\n{text}")
     assert open_run(folder.path, plugins=toys, device=device).finished
     folder.pipeline.write_text(text.replace(line, edit))
-    with pytest.raises(RunError, match="not the one that the run was made with") as caught:
+    with pytest.raises(RunError, match="edited after training began") as caught:
         resumed(folder.path, toys, device)
     assert said in caught.value.what
     number = int(caught.value.where.rpartition(":")[2])
@@ -178,7 +175,7 @@ def test_another_runs_checkpoint_is_refused(toys: Plugins, device: Device, tmp_p
     mine, other = (run(toys, device, tmp_path / name)[0] for name in ("mine", "other"))
     shutil.rmtree(mine.path / "checkpoint")
     shutil.copytree(other.path / "checkpoint", mine.path / "checkpoint")
-    with pytest.raises(RunError, match="another run's"):
+    with pytest.raises(RunError, match="belongs to another run"):
         resumed(mine.path, toys, device)
 
 
@@ -195,7 +192,7 @@ def test_an_iteration_beyond_the_end_is_refused(
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     written_anew(folder, iteration=1_000_000_000)
-    with pytest.raises(RunError, match="says iteration 1000000000, and the run has 30"):
+    with pytest.raises(RunError, match="of iteration 1000000000, but the run has 30"):
         resumed(folder.path, toys, device)
 
 
@@ -268,8 +265,8 @@ def test_checkpoints_are_saved_by_the_clock_too(
     monkeypatch.setattr(Run, "save_checkpoint", noted)
     run(toys, device, tmp_path / "slow")
     assert saved == [30]
-    monkeypatch.setattr(autosave, "AUTOMATIC_SECONDS", 0.0)
-    monkeypatch.setattr(autosave, "AUTOMATIC_SHARE", 1e9)
+    monkeypatch.setattr(training_run, "AUTOSAVE_SECONDS", 0.0)
+    monkeypatch.setattr(training_run, "AUTOSAVE_SHARE", 1e9)
     saved.clear()
     folder, _, _ = run(toys, device, tmp_path / "quick", "training.iterations=3")
     assert saved == [1, 2, 3, 3]
@@ -282,6 +279,6 @@ def test_checkpoints_are_saved_by_the_clock_too(
 def test_a_run_at_work_is_left_alone(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     lines = (folder.path / "metrics.jsonl").read_text()
-    with folder.to_itself(), pytest.raises(RunError, match="in use by another process"):
+    with folder.locked(), pytest.raises(RunError, match="in use by another process"):
         resumed(folder.path, toys, device)
     assert (folder.path / "metrics.jsonl").read_text() == lines

@@ -10,7 +10,7 @@ import pytest
 
 from registry import RunError
 from registry.runs.folder import RunFolder, default_folder
-from registry.runs.observing.metrics_log import MetricsLog
+from registry.runs.progress import MetricsLog
 from registry.system.files import new_folder, replacing, write_text
 from registry.training.trainer import Iteration
 
@@ -49,9 +49,9 @@ def test_an_empty_folder_is_taken_and_a_full_one_refused(tmp_path: Path) -> None
 def test_places_where_nothing_can_be_written(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(RunError, match="in the way"):
+    with pytest.raises(RunError, match="the path is a file"):
         RunFolder.check_vacant(file)
-    with pytest.raises(RunError, match="nothing can be written"):
+    with pytest.raises(RunError, match="cannot be written"):
         RunFolder.check_vacant(file / "below")
     RunFolder.check_vacant(tmp_path / "a" / "b")
     assert not (tmp_path / "a").exists()
@@ -110,7 +110,7 @@ def test_what_killed_processes_had_begun_is_cleared_away(tmp_path: Path) -> None
     (leftovers[1] / "half").touch()
     for file in (leftovers[0], *kept):
         file.touch()
-    with RunFolder(tmp_path).to_itself():
+    with RunFolder(tmp_path).locked():
         assert not any(path.exists() for path in leftovers)
         assert all(path.exists() for path in kept)
 
@@ -196,6 +196,6 @@ def test_damaged_results_are_explained(tmp_path: Path) -> None:
     assert RunFolder(tmp_path).results() == {}
     for content in ("{", "[]", "[" * 100_000, '{"hash": "short"}', '{"test": {"psnr": true}}'):
         (tmp_path / "results.json").write_text(content)
-        with pytest.raises(RunError, match="cannot be believed") as caught:
+        with pytest.raises(RunError, match="is inconsistent") as caught:
             RunFolder(tmp_path).results()
         assert "stereogs eval" in caught.value.fix

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from registry.runs.origin.source_code import checkout, package_source
+from registry.runs.origin import checkout, package_source
 
 ROOT = Path(__file__).parents[3]
 

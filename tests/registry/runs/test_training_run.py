@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import json
 import sys
 from dataclasses import replace
@@ -8,15 +7,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from rich.console import Console
 
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, SceneError
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.opened import open_run
-from registry.runs.origin.source_code import checkout
+from registry.runs.opening import open_run
+from registry.runs.options import RunOptions
+from registry.runs.origin import checkout
 from registry.runs.training_run import start
 from tests.registry.runs.toy_run import pipeline, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
@@ -198,7 +197,7 @@ def test_the_module_writes_with_the_projects_own_plugins(
     monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
     small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
     chosen = load_pipeline(Path("demo"), Plugins(), overrides=small)
-    done = start(chosen, device=device, out=tmp_path / "run", console=Console(file=io.StringIO()))
+    done = start(chosen, RunOptions(device=device, progress=False), tmp_path / "run")
     assert done.finished
     folder = done.folder_or_refuse()
     results = folder.results()

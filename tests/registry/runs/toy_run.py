@@ -11,6 +11,7 @@ from core_rasterizer import Device
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
+from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 
@@ -39,12 +40,11 @@ def run(
 ) -> tuple[RunFolder, bool, str]:
     """Trained: its folder, whether it is finished, and what was printed."""
     stream = io.StringIO()
-    done = start(
-        pipeline(plugins, *overrides), device=device, out=out, console=Console(file=stream)
-    )
+    options = RunOptions(device=device, progress=Console(file=stream))
+    done = start(pipeline(plugins, *overrides), options, out)
     return done.folder_or_refuse(), done.finished, stream.getvalue()
 
 
 def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
     """The same from its last checkpoint on."""
-    return resume(path, plugins=plugins, device=device, console=Console(file=io.StringIO()))
+    return resume(path, RunOptions(device=device, progress=False), plugins)

@@ -77,7 +77,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, free: int) -> None:
     save_checkpoint(checkpoint(10), tmp_path)
     with pytest.raises(RunError, match="cannot be written") as caught, full_disk(free):
         save_checkpoint(checkpoint(20), tmp_path)
-    assert "the one before it is whole" in caught.value.fix
+    assert "the previous one is intact" in caught.value.fix
     assert names(tmp_path) == [FIRST]
     assert load_checkpoint(tmp_path).iteration == 10
 
@@ -159,7 +159,7 @@ def test_damage_is_explained_and_the_one_before_is_taken(
     with caplog.at_level(logging.WARNING):
         assert load_checkpoint(tmp_path).iteration == 10
     assert SECOND in caplog.text
-    assert "going on from the one before, after iteration 10" in caplog.text
+    assert "continuing from the previous one, after iteration 10" in caplog.text
 
 
 def test_an_iteration_that_comes_again_is_saved_beside(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_no_checkpoint(tmp_path: Path) -> None:
 
 def test_what_does_not_fit_names_the_checkpoint(tmp_path: Path) -> None:
     with (
-        pytest.raises(RunError, match="needs: KeyError: 'screen'") as caught,
+        pytest.raises(RunError, match="match this pipeline: KeyError: 'screen'") as caught,
         explain_misfit(tmp_path),
     ):
         _ = checkpoint(1).part("statistics")["screen"]

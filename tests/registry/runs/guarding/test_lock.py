@@ -13,12 +13,12 @@ import pytest
 
 from registry import RunError
 from registry.runs.folder import RunFolder
-from registry.runs.guarding.lock import locked
+from registry.system.lock import locked
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from registry.runs.guarding.lock import locked
+from registry.system.lock import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(60)
@@ -42,14 +42,14 @@ def test_a_second_process_is_refused_and_a_dead_one_succeeded(
     run = RunFolder(tmp_path)
     with other_process(tmp_path) as other:
         with pytest.raises(RunError, match=f"in use by another process, number {other.pid}"):
-            run.to_itself().__enter__()
+            run.locked().__enter__()
         other.kill()
         other.wait()
-        with caplog.at_level(logging.WARNING), run.to_itself():
+        with caplog.at_level(logging.WARNING), run.locked():
             pass
     assert f"process {other.pid} was killed" in caplog.text
     caplog.clear()
-    with run.to_itself():
+    with run.locked():
         pass
     assert caplog.text == ""
 
@@ -58,10 +58,10 @@ def test_an_error_leaves_no_word_about_a_kill(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), locked(tmp_path):
         raise ZeroDivisionError
     with locked(tmp_path) as lock:
-        assert lock.taken_over is None
+        assert lock.killed is None
 
 
 def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="nothing can be written") as caught:
+    with pytest.raises(RunError, match="folder cannot be written") as caught:
         locked(tmp_path / "none").__enter__()
     assert str(tmp_path) in caught.value.where

@@ -22,7 +22,8 @@ from registry.cli import main
 from registry.pipeline.parts import Part
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.runners import TrainingTask
-from registry.runs.observing.metrics_log import MetricsLog
+from registry.runs.options import RunOptions
+from registry.runs.progress import MetricsLog
 from registry.runs.training_run import start
 from registry.session import open_run
 from stereogs_plugins.tools.experiments.planning.plan import PlannedRun
@@ -173,9 +174,8 @@ def train_here(
         patch.setattr(MetricsLog, "add", add)
         start(
             run.pipeline,
-            device=device,
-            out=folder.run(run).path,
-            console=Console(file=io.StringIO()),
+            RunOptions(device=device, progress=False),
+            folder.run(run).path,
         )
 
 

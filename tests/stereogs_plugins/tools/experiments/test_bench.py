@@ -20,6 +20,7 @@ from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place, parse
 from registry.plugins.discovery import SELECTION, Offer, Plugins
 from registry.runners import Runner, RunningTask, TrainingTask
+from registry.runs.options import RunOptions
 from registry.runs.training_run import start
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
@@ -139,9 +140,8 @@ class _Task(RunningTask):
             return "seed 1 is not for me"
         start(
             pipeline,
-            device=self._runner.context.device,
-            out=self._task.folder,
-            console=Console(file=io.StringIO()),
+            RunOptions(device=self._runner.context.device, progress=False),
+            self._task.folder,
         )
         return ""
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 import registry.runs.run as runs
 import stereogs_plugins.tools.quality.rehearsal as rehearsal
@@ -16,8 +14,8 @@ from core_rasterizer import Device
 from registry import RunError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
-from registry.runs.beginning import Fit
 from registry.runs.evaluation import evaluate
+from registry.runs.options import Fit, InitialState, RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import start
 from registry.training.field import Field
@@ -75,7 +73,7 @@ def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> P
 
 
 def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) -> Run:
-    return start(first, device=device, out=out, console=Console(file=io.StringIO()), fit=fit)
+    return start(first, RunOptions(device=device, progress=False, fit=fit), out)
 
 
 @pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
@@ -140,8 +138,8 @@ def chosen(
 
     found: list[Pipeline] = []
 
-    def fit(beginning):  # type: ignore[no-untyped-def]
-        found.append(choose(beginning, wanted, load, said))  # type: ignore[arg-type]
+    def fit(initial: InitialState) -> Pipeline:
+        found.append(choose(initial, wanted, load, said))  # type: ignore[arg-type]
         raise Chosen
 
     with pytest.raises(Chosen):

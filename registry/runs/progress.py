@@ -1,10 +1,11 @@
-"""How training is going: a bar on a terminal, plain lines elsewhere."""
+"""Progress of a training: a bar on a terminal, plain lines elsewhere, and metrics.jsonl."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import (
@@ -15,13 +16,18 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from ..system.files import jsonable
+from ..training.trainer import Iteration
+
+EVERY = 50
+"""Iterations that share a line of metrics.jsonl."""
 _SECONDS_BETWEEN_LINES = 10.0
 _SMOOTHING = 0.05
-"""Weight of the newest loss in the shown one: single views differ too much to be read."""
+"""Weight of the newest loss in the shown one: the losses of single views differ too much."""
 
 
 class ShownBar:
-    """Shows a bar as long as it is entered.
+    """Shows a bar within a `with` block.
 
     Args:
         bar: shown if its console is a terminal.
@@ -47,9 +53,9 @@ class TrainingProgress(ShownBar):
     """Shows loss, number of Gaussians, iterations per second and time left.
 
     Args:
-        first: the iteration that training starts after.
+        first: the last iteration before training.
         total: the last iteration.
-        console: where to write; a bar if it is a terminal, else a line now and then.
+        console: shows a bar on a terminal, else a line every ten seconds.
     """
 
     def __init__(self, first: int, total: int, console: Console) -> None:
@@ -74,7 +80,7 @@ class TrainingProgress(ShownBar):
         )
 
     def update(self, iteration: int, loss: float, gaussians: int) -> None:
-        """Tell of an iteration that is complete."""
+        """Show a complete iteration."""
         smooth = loss if self._loss is None else self._loss + _SMOOTHING * (loss - self._loss)
         self._loss = smooth
         now = time.monotonic()
@@ -90,3 +96,34 @@ class TrainingProgress(ShownBar):
                 f"iteration {iteration}/{self._total}  loss {smooth:.4f}  "
                 f"{gaussians:,} Gaussians  {speed:.1f} it/s  {left // 60}:{left % 60:02d} left"
             )
+
+
+class MetricsLog:
+    """Averages the numbers of iterations into lines of metrics.jsonl.
+
+    Args:
+        write_line: receives each line.
+    """
+
+    def __init__(self, write_line: Callable[[dict[str, Any]], None]) -> None:
+        self._write_line = write_line
+        self._sums: dict[str, tuple[float, int]] = {}
+
+    def add(self, done: Iteration, seconds: float, *, last: bool) -> None:
+        """Add an iteration; write a line in every 50th iteration and in the last.
+
+        Args:
+            seconds: training time so far.
+        """
+        for name, value in {"loss": done.loss, **done.logged}.items():
+            total, count = self._sums.get(name, (0.0, 0))
+            self._sums[name] = (total + value, count + 1)
+        if last or done.number % EVERY == 0:
+            means = {name: total / count for name, (total, count) in self._sums.items()}
+            self._sums = {}
+            line = {"iteration": done.number, "seconds": round(seconds, 3)}
+            self.write({**line, "gaussians": done.gaussians, **means})
+
+    def write(self, line: dict[str, Any]) -> None:
+        """Write a line; infinite and NaN become null."""
+        self._write_line(jsonable(line))

@@ -1,4 +1,4 @@
-"""One process at a time in a folder."""
+"""A lock that gives one process exclusive use of a folder."""
 
 from __future__ import annotations
 
@@ -8,46 +8,44 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from ...errors import RunError
+from ..errors import RunError
 
 try:
     import fcntl
-except ImportError:  # Windows has no such lock; nothing guards against a second process there
+except ImportError:  # Windows has no such lock, and a second process is not refused there
     fcntl = None  # type: ignore[assignment]
 
 LOCK = ".lock"
-"""The file that is locked; it holds the number of the process that works in the folder."""
+"""The locked file; it holds the number of the process that has the lock."""
 
 
 class Lock(NamedTuple):
-    """A folder that is one's own.
+    """A lock held by this process.
 
     Args:
-        descriptor: of an open file: the lock lasts until all processes that inherited it have ended;
-            None where there are no such locks.
-        taken_over: the process that had the folder before and was killed in it, or None.
+        descriptor: file descriptor of the lock, which lasts until all processes that inherited it have ended;
+            None on Windows.
+        killed: number of the process that held the lock before and was killed, or None.
     """
 
     descriptor: int | None
-    taken_over: int | None
+    killed: int | None
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[Lock]:
-    """Keep a second process out of a folder, which exists.
-
-    The system frees the lock of a process that ends, however it ends.
+    """Hold the lock of an existing folder. The system frees the lock when the process ends.
 
     Raises:
-        RunError: another one has it, or the folder cannot be written.
+        RunError: another process has the lock, or the folder cannot be written.
     """
     try:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise RunError(
-            f"nothing can be written there: {error.strerror or error}",
+            f"the folder cannot be written: {error.strerror or error}",
             where=str(folder),
-            fix="see who may write there, or copy the folder to where you may",
+            fix="check the permissions, or copy the folder to another place",
         ) from error
     try:
         if fcntl is None:
@@ -74,12 +72,12 @@ def locked(folder: Path) -> Iterator[Lock]:
 
 
 def _process(descriptor: int) -> int | None:
-    """The process that the lock's file names; None after one that ended in good order."""
+    """Return the process in the lock file; None if it released the lock."""
     text = os.pread(descriptor, 20, 0)
     return int(text) if text.isdigit() else None
 
 
 def _note(descriptor: int, text: str) -> None:
-    with suppress(OSError):  # a full disk: the lock holds all the same
+    with suppress(OSError):  # full disk: the lock works without the number
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, text.encode(), 0)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM between iterations instead of in the middle of one."""
+"""Ctrl-C and SIGTERM that take effect between iterations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
-    """Whether the user has asked to stop."""
+    """Whether a stop was requested."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -20,10 +20,10 @@ class StopRequest:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C or SIGTERM within the block into a request; a second one ends as usual.
+    """Turn the first Ctrl-C or SIGTERM within the block into a request; a second one acts as usual.
 
-    Schedulers of clusters and containers send SIGTERM before they kill. Outside the main thread, where
-    signals cannot be caught, both work as usual.
+    Schedulers of clusters and containers send SIGTERM before SIGKILL. Outside the main thread signals cannot
+    be caught, and both act as usual.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -1,4 +1,4 @@
-"""The observers of a pipeline: told what happens in a run, each with the host's guards around the call."""
+"""Calls to the observers of a pipeline, each with the host's checks around it."""
 
 from __future__ import annotations
 
@@ -7,60 +7,52 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from core_rasterizer import ExplainedError
 
-from ...calls.loan import of_scene
-from ...events import RunEnded, RunStarted, ViewsScored
-from ...pipeline.parts import Part
-from ...training.trainer import Iteration, Trainer
-from ..evaluation import Scores
-from ..results import describe
-
-if TYPE_CHECKING:
-    from ..run import Run
+from ..calls.loan import of_scene
+from ..events import RunEnded, RunStarted, ViewsScored
+from ..pipeline.parts import Part
+from ..training.trainer import Iteration, Trainer
+from .evaluation import Scores
+from .run import Run
 
 FOLDER = "observers"
-"""In the run folder, with a folder for each observer's files."""
+"""Folder in the run folder, with a folder for the files of each observer."""
 
 _log = logging.getLogger(__name__)
 
 
 @contextmanager
 def observed(run: Run, trainer: Trainer, *, resumed: bool) -> Iterator[Observers]:
-    """Within the block a run is trained, or goes on: observers hear its start, and how it ended.
+    """Notify observers of the start of a run, and of its end after the block.
 
     Raises:
-        ExplainedError: an observer failed; the others have heard the end.
+        ExplainedError: an observer failed; the others are still notified of the end.
     """
     observers = Observers(run, trainer)
     try:
         observers.started(resumed=resumed)
         yield observers
     except Exception as error:
-        observers.failed(error)
+        for second in observers.ended(str(error)):
+            _log.warning("%s (%s)", second.what, second.where)
         raise
-    observers.ended()
+    errors = observers.ended(None)
+    if errors:
+        raise errors[0]
 
 
 class Observers:
-    """The observers of a run. Without any, all of this does nothing.
-
-    Each is given values of its own: what one changes in them reaches nobody else.
-
-    Args:
-        run: what is told of.
-        trainer: trains it.
-    """
+    """The observers of a run. Each receives copies, so that changes do not affect the others."""
 
     def __init__(self, run: Run, trainer: Trainer) -> None:
         self._run, self._trainer = run, trainer
         self._parts = run.parts["observers"]
-        self._listening: list[Part] = []
+        self._started: list[Part] = []
 
     def started(self, *, resumed: bool) -> None:
-        """Tell each that the run begins, or goes on.
+        """Notify each that the run begins or is resumed.
 
         Raises:
             ExplainedError: one failed.
@@ -68,7 +60,7 @@ class Observers:
         if not self._parts:
             return
         scene = self._run.scene.for_training()
-        facts, pipeline = describe(self._run), self._run.pipeline
+        facts, pipeline = self._run.describe().plain(), self._run.pipeline
         for part in self._parts:
             event = RunStarted(
                 title=self._run.folder.path.name if self._run.folder else pipeline.name,
@@ -83,10 +75,10 @@ class Observers:
             )
             with part.at_work(lent=of_scene(scene)):
                 part.component.started(event)
-            self._listening.append(part)
+            self._started.append(part)
 
     def iterated(self, done: Iteration) -> None:
-        """Tell those that are due of an iteration.
+        """Notify those that are due of a complete iteration.
 
         Raises:
             ExplainedError: one failed.
@@ -98,7 +90,7 @@ class Observers:
                 part.component.iterated(event)
 
     def evaluated(self, scores: Mapping[str, Scores]) -> None:
-        """Tell each of scores, by split.
+        """Notify each of scores, by split.
 
         Raises:
             ExplainedError: one failed.
@@ -112,26 +104,15 @@ class Observers:
             with part.at_work():
                 part.component.evaluated(event)
 
-    def ended(self) -> None:
-        """Tell each that training has come to its end, or was stopped.
+    def ended(self, error: str | None) -> list[ExplainedError]:
+        """Notify each that was notified of the start, once; return the errors that they raise.
 
-        Raises:
-            ExplainedError: some failed; it is the first one's.
+        Args:
+            error: the error that ended the training, or None.
         """
-        errors = self._tell_end(None)
-        if errors:
-            raise errors[0]
-
-    def failed(self, error: Exception) -> None:
-        """Tell each what went wrong; what goes wrong with that is only warned of."""
-        for second in self._tell_end(str(error)):
-            _log.warning("%s (%s)", second.what, second.where)
-
-    def _tell_end(self, error: str | None) -> list[ExplainedError]:
-        """Tell those that have heard the start, once; what some of them raised."""
-        listening, self._listening = self._listening, []
+        started, self._started = self._started, []
         run, errors = self._run, list[ExplainedError]()
-        for part in listening:
+        for part in started:
             complete = run.finished and error is None
             results = run.folder.results() if run.folder and complete else None
             event = RunEnded(run.iteration, run.finished, results, error)

@@ -1,1 +1,0 @@
-"""Who is told how training goes: a terminal, metrics.jsonl, and the pipeline's observers."""

@@ -1,1 +1,0 @@
-"""Where a result comes from: versions and commit, and digests of what was read."""

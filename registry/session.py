@@ -1,0 +1,372 @@
+"""The Python API, used by the command line too.
+
+    import stereogs
+
+    pipeline = stereogs.build_pipeline("pipelines/3dgs.yaml", ["scene.path=photos"])
+    run = stereogs.train(pipeline, callback=lambda done: print(done.number, done.loss))
+    rgb, depth, alpha = run.render(run.scene.test[0].camera)
+
+Importing this module is quick; torch is imported by the first function that computes something.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .contract.checks.scene import validate
+from .contract.in_memory import IN_MEMORY
+from .contract.scene import PointCloud, Scene, View
+from .errors import PipelineError, SceneError
+from .pipeline.edits import SECTIONS
+from .pipeline.pipeline import Item, Pipeline
+from .pipeline.pipeline import build_pipeline as checked_pipeline
+from .pipeline.ready import find_pipeline
+from .pipeline.schedule import HostSettings
+from .pipeline.yaml_source import Node, Place, parse, read, to_yaml
+from .plugins.discovery import Plugins
+from .runs.folder import RunFolder
+from .runs.options import RunOptions, find_device
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from core_rasterizer import Camera, Device, GaussianModel
+
+    from .runs.run import Picture, Run
+
+PathLike = str | os.PathLike[str]
+PipelineSource = Pipeline | Mapping[str, Any] | PathLike
+"""A pipeline, or a source that `build_pipeline` accepts."""
+
+
+def build_pipeline(
+    source: Mapping[str, Any] | PathLike,
+    overrides: Sequence[str] = (),
+    disable: Sequence[str] = (),
+    *,
+    plugins: Plugins | None = None,
+) -> Pipeline:
+    """Return a checked pipeline. Without a `scene` it needs one in `train(pipeline, scene=...)`.
+
+    Args:
+        source: plain values like those of a pipeline file; the path of a pipeline file, or the name of a
+            ready pipeline; or YAML text: a `str` with a line break or with "{" at its start.
+        overrides: `a.b=value`, as for `--set`; applied before `disable`.
+        disable: names of components to switch off, as for `--disable`.
+        plugins: plugins that offer components; None: the installed ones.
+
+    Raises:
+        PipelineError: a mistake in the pipeline, with its line.
+        PluginError: a component cannot be loaded.
+    """
+    root = _tree(source)
+    if isinstance(root.content, dict) and not any(
+        text.partition("=")[0].strip().startswith("scene") for text in overrides
+    ):
+        written = root.content.get("scene")
+        if written is None or written.content is None:
+            root.content["scene"] = Node(IN_MEMORY, root.place)
+    return checked_pipeline(root, plugins or Plugins(), overrides, disable)
+
+
+def _tree(source: Mapping[str, Any] | PathLike) -> Node:
+    if isinstance(source, Mapping):
+        try:
+            text = to_yaml(json.loads(json.dumps(source, default=_plain)))
+        except TypeError as error:
+            raise PipelineError(
+                f"a pipeline consists of plain values: {error}",
+                where="the pipeline's values",
+                fix="use dicts, lists, texts, numbers, True, False and None",
+            ) from error
+        return parse(text, "the pipeline's values", has_lines=False)
+    if _is_text(source):
+        return parse(str(source), "the pipeline's text")
+    return read(find_pipeline(Path(source).expanduser()))
+
+
+def _is_text(source: PathLike) -> bool:
+    return isinstance(source, str) and ("\n" in source or source.lstrip().startswith("{"))
+
+
+def _plain(value: object) -> object:
+    """Convert a path for JSON."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{value!r} is a {type(value).__name__}")
+
+
+def load_scene(
+    source: PipelineSource,
+    changes: Sequence[str] = (),
+    *,
+    format_name: str | None = None,
+    device: Device | str | None = None,
+) -> Scene:
+    """Load and validate the scene in a folder, or of a pipeline.
+
+    Args:
+        source: a folder of photographs or of a data set; a pipeline, or its file, text or values.
+        changes: `key=value`, settings of the loader; not for a pipeline that is already built.
+        format_name: the loader for a folder; None chooses the loader that recognizes the folder.
+        device: see `train`.
+
+    Raises:
+        ExplainedError: the path does not exist, no loader or several recognize the folder, or loading fails.
+    """
+    from .inspection.scene_source import FoundLoader, find_loader, load
+
+    if isinstance(source, str | os.PathLike) and not _is_text(source):
+        path = Path(source).expanduser()
+        found = find_loader(path, Plugins(), format_name=format_name, changes=changes)
+    elif isinstance(source, Pipeline) and changes:
+        raise PipelineError(
+            "the pipeline is already built", fix="give the changes to build_pipeline"
+        )
+    else:
+        if not isinstance(source, Pipeline):
+            source = build_pipeline(source, [f"scene.{x.removeprefix('scene.')}" for x in changes])
+        found = FoundLoader(source.one("scene"), source.training.seed)
+    from .pipeline.parts import build_part
+    from .training.threads import one_torch_thread
+
+    with one_torch_thread():
+        return load(build_part(found.item, found.seed, find_device(device)))
+
+
+def scene_from_arrays(
+    images: Sequence[ArrayLike],
+    cameras: Sequence[Camera],
+    *,
+    bounds: tuple[float, float],
+    test: Sequence[int] = (),
+    points: PointCloud | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    name: str = "scene",
+) -> Scene:
+    """Return a validated scene from photographs as arrays; views are named view_000, view_001, ...
+
+    Args:
+        images: each `[H, W, 3]`, uint8, or floating point in [0, 1].
+        cameras: one for each image, of its size.
+        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
+        test: indices of the test views; the others train.
+        points: sparse initial points, or None.
+        background: colour behind the scene, three numbers in [0, 1].
+        name: for titles and tables.
+
+    Raises:
+        SceneError: the numbers of cameras and images differ, an index in `test` does not exist, or the scene
+            is not valid (`registry.validate`).
+    """
+    if len(images) != len(cameras):
+        raise SceneError(
+            f"{len(images)} images and {len(cameras)} cameras were given",
+            where=name,
+            fix="give one camera for each image",
+        )
+    unknown = [index for index in test if not 0 <= index < len(images)]
+    if unknown:
+        raise SceneError(
+            f"test has the index {unknown[0]}, but there are {len(images)} images",
+            where=name,
+            fix="count from 0",
+        )
+    views = [
+        View(f"view_{index:03d}", camera, _colors(image))
+        for index, (image, camera) in enumerate(zip(images, cameras, strict=True))
+    ]
+    train = tuple(view for index, view in enumerate(views) if index not in test)
+    tested = tuple(views[index] for index in test)
+    return validate(Scene(name, train, tested, bounds, points, background))
+
+
+def _colors(image: ArrayLike) -> Any:
+    """Return `[H, W, 3]` float32 in [0, 1]; `validate` refuses other shapes and values."""
+    import numpy as np
+    import torch
+
+    array = np.asarray(image)
+    scale = 255 if array.dtype == np.uint8 else 1
+    return torch.from_numpy((array / np.float32(scale)).astype(np.float32))
+
+
+def train(
+    pipeline: PipelineSource,
+    options: RunOptions | None = None,
+    *,
+    out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
+    **changes: Any,
+) -> Run:
+    """Train a pipeline.
+
+    Args:
+        pipeline: a pipeline, or any source that `build_pipeline` accepts.
+        options: how the training runs.
+        out: the run folder, new or empty, or a function that returns it; None writes nothing to disk.
+        changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
+
+    Returns:
+        The run. It is not `finished` if the callback or Ctrl-C stopped it.
+
+    Raises:
+        ExplainedError: anything went wrong.
+    """
+    options = replace(options or RunOptions(), **changes)
+    checked = pipeline if isinstance(pipeline, Pipeline) else build_pipeline(pipeline)
+    if options.scene is not None:
+        checked = _in_memory(checked, options.scene)
+    elif checked.one("scene").offer.name == IN_MEMORY:
+        raise SceneError(
+            "the pipeline does not name a scene, and none is given",
+            fix="give one, train(pipeline, scene=...), or write scene: {use: ..., path: ...}",
+        )
+    from .runs.training_run import start
+
+    folder = Path(out).expanduser() if isinstance(out, str | os.PathLike) else out
+    return start(checked, options, folder)
+
+
+def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:
+    """Return the pipeline for a scene that is given."""
+    if pipeline.protocol is not None:
+        raise SceneError(
+            f"the protocol {pipeline.protocol.protocol.name!r} does not apply to a scene that is given",
+            where=scene.name,
+            fix='remove it: build_pipeline(..., ["protocol=null"])',
+        )
+    offer = Plugins(()).find(SECTIONS["scene"], IN_MEMORY)
+    place = Place("the scene that is given")
+    item = Item(IN_MEMORY, offer.settings_type(), HostSettings(use=IN_MEMORY), offer, place)
+    return replace(pipeline, items={**pipeline.items, "scene": (item,)})
+
+
+def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) -> Run:
+    """Continue a run that was stopped, to the same result as if it had not been.
+
+    Args:
+        folder: the run folder.
+        options, changes: as for `train`.
+
+    Raises:
+        ExplainedError: the folder is not a run, has no checkpoint, or anything goes wrong later.
+    """
+    path = _run_folder(folder).path
+    from .runs.training_run import resume as resume_run
+
+    return resume_run(path, replace(options or RunOptions(), **changes), Plugins())
+
+
+def open_run(
+    folder: PathLike,
+    *,
+    scene: Scene | None = None,
+    device: Device | str | None = None,
+    accept_changed_inputs: bool = False,
+) -> Run:
+    """Read a run folder: its pipeline, scene and Gaussians.
+
+    Args:
+        folder: written by training.
+        scene: needed if the run was trained on a scene made in Python.
+        device: see `train`.
+        accept_changed_inputs: open it even if photographs, cameras or model files have changed.
+
+    Raises:
+        ExplainedError: the folder is not a run, or a part of it cannot be read.
+    """
+    path = _run_folder(folder).path
+    from .runs.opening import open_run as read_run
+    from .training.threads import one_torch_thread
+
+    with one_torch_thread():
+        return read_run(
+            path,
+            plugins=Plugins(),
+            device=find_device(device),
+            scene=scene,
+            accept_changed_inputs=accept_changed_inputs,
+        )
+
+
+def results(folder: PathLike) -> dict[str, Any]:
+    """Return the content of results.json in a run folder, empty before the run has ended.
+
+    Raises:
+        RunError: the folder is not a run, or the file is damaged.
+    """
+    return _run_folder(folder).results()
+
+
+def _run_folder(folder: PathLike) -> RunFolder:
+    return RunFolder.existing(Path(folder).expanduser())
+
+
+def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
+    """Return an exporter with its settings.
+
+    Raises:
+        ExplainedError: no such exporter, or wrong settings.
+    """
+    from .inspection.single_item import qualified, single_item
+
+    point = SECTIONS["exporters"]
+    offer = Plugins().find(point, format_name)
+    return single_item(offer, [qualified(text, point.section) for text in changes])
+
+
+def export(
+    run: Run,
+    format_name: str,
+    folder: PathLike | None = None,
+    *,
+    changes: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> list[Path]:
+    """Write the Gaussians of a run with any installed exporter.
+
+    Args:
+        format_name: name of the exporter: "ply", "gltf", ...
+        folder: created if missing; None: `exports` in the run folder.
+        changes: `key=value`, settings of the exporter.
+        without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        ExplainedError: no such exporter or kind, wrong settings, no folder, or the exporter failed.
+    """
+    from .exporting import export as write
+    from .runs.results import EXPORTS
+    from .training.threads import one_torch_thread
+
+    item = find_exporter(format_name, changes)
+    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
+    with one_torch_thread():
+        return write(run, item, place, without)
+
+
+def render(
+    source: Run | GaussianModel,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Picture:
+    """Render a camera as numpy arrays: rgb `[H, W, 3]` in [0, 1], depth and alpha `[H, W]`.
+
+    Args:
+        source: a run, rendered on its own background, or Gaussians.
+        background: colour behind Gaussians, three numbers in [0, 1].
+    """
+    from .runs.evaluation import clamped_render
+    from .runs.run import Run, as_arrays
+
+    if isinstance(source, Run):
+        return source.render(camera)
+    return as_arrays(clamped_render(source, camera, background))
