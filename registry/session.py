@@ -39,6 +39,19 @@ if TYPE_CHECKING:
 
     from .runs.run import Picture, Run
 
+__all__ = [
+    "build_pipeline",
+    "export",
+    "find_exporter",
+    "load_scene",
+    "open_run",
+    "render",
+    "results",
+    "resume",
+    "scene_from_arrays",
+    "train",
+]
+
 PathLike = str | os.PathLike[str]
 PipelineSource = Pipeline | Mapping[str, Any] | PathLike
 """A pipeline, or a source that `build_pipeline` accepts."""

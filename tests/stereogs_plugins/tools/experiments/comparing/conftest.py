@@ -13,6 +13,7 @@ from registry.pipeline.protocol_rules import AppliedProtocol
 from registry.pipeline.protocols import load_protocol
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
+from registry.system.files import write_json
 from stereogs_plugins.tools.experiments.comparing.comparability import check_comparable
 from stereogs_plugins.tools.experiments.comparing.comparison import FinishedRun, read_run
 
@@ -73,7 +74,7 @@ def make(tmp_path: Path) -> Make:
     ) -> Path:
         run = RunFolder(tmp_path / name)
         run.create(to_yaml(changed(PIPELINE, pipeline or {})), {}, {}, lambda folder: None)
-        run.write_results(changed(RESULTS, results or {}))
+        write_json(run.path / "results.json", changed(RESULTS, results or {}))
         return run.path
 
     return make
