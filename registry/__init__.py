@@ -41,8 +41,7 @@ if TYPE_CHECKING:
         ViewMetric,
     )
     from .contract.fact import Fact
-    from .contract.hook_points import API_VERSION
-    from .contract.hooks import Register, hookimpl
+    from .contract.hook_points import API_VERSION, Register, hookimpl
     from .contract.prior import Prior
     from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View
     from .contract.step import OtherField, Render, Sample, Step
@@ -79,7 +78,7 @@ _MOVED = {
     "image_fitting": "registry.toolkit.networks",
     "optional_module": "registry.plugins",
     "read_results": "registry.runs",
-    "trained_gaussians": "registry.training",
+    "trained_gaussians": "registry.runs",
     "triangulation": "registry.toolkit.views",
     "virtual_views": "registry.toolkit.views",
     "web_page": "registry.toolkit",

@@ -9,7 +9,7 @@ import torch
 
 from core_rasterizer import GaussianModel, Gaussians
 
-from .calls.loan import Loan, of_scene
+from .calls.read_only_guard import ReadOnlyGuard, of_scene
 from .errors import RunError
 from .messages.suggestions import did_you_mean, listing
 from .pipeline.parts import build_part
@@ -32,7 +32,7 @@ def export(run: Run, exporter: Item, folder: Path, without: Sequence[str] = ()) 
     model = _without(run, without)
     folder.mkdir(parents=True, exist_ok=True)
     part = build_part(exporter, run.pipeline.training.seed, run.model.device)
-    lent = of_scene(run.scene) + Loan(models=(model,))
+    lent = of_scene(run.scene) + ReadOnlyGuard(models=(model,))
     with part.at_work(lent=lent):
         return existing_files(part.component.export(model.reader(), run.scene, folder))
 

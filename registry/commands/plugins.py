@@ -33,7 +33,7 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
 _NEW_EPILOG = """\
 kinds:
   scene, initializer, prior, sampler, appearance, regularizer, modifier, densification, opacity,
-  perturbation, metric, exporter, report, observer
+  perturbation, metric, exporter, report, observer, command
 
 examples:
   stereogs plugins new solid --kind regularizer

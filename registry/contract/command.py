@@ -7,11 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
-
-if TYPE_CHECKING:
-    from ..pipeline.pipeline import Pipeline
-    from ..runs.options import RunOptions
+from typing import Any, ClassVar
 
 
 class Command(ABC):
@@ -41,14 +37,14 @@ class TrainRequest:
     Args:
         arguments: as parsed.
         begin: `time.monotonic()` at the start of the command.
-        load: loads a pipeline by name or path, with the scene and the changes of the command line; None for
-            `resume`.
+        load: returns the `Pipeline` of a name or path, with the scene and the changes of the command line;
+            None for `resume`.
         pipeline_named: False if a folder of photographs was given in place of a pipeline.
     """
 
     arguments: argparse.Namespace
     begin: float
-    load: Callable[[str], Pipeline] | None = None
+    load: Callable[[str], Any] | None = None
     pipeline_named: bool = True
 
 
@@ -67,7 +63,10 @@ class TrainOption(ABC):
         """Raise a `RunError` for options that contradict each other, before anything is loaded."""
 
     @abstractmethod
-    def running(
-        self, request: TrainRequest, options: RunOptions
-    ) -> AbstractContextManager[RunOptions]:
-        """A context that encloses the training and gives the options to run it with."""
+    def running(self, request: TrainRequest, options: Any) -> AbstractContextManager[Any]:
+        """Return a context that encloses the training and gives the options to run it with.
+
+        Args:
+            request: the command line.
+            options: `registry.runs.options.RunOptions`; the context gives the same type.
+        """

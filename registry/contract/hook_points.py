@@ -1,9 +1,17 @@
-"""The hook points as a table: which section of a pipeline each fills, and what the host lends it."""
+"""The hooks through which plugins offer components, in one table.
+
+A plugin module implements a hook for each kind of component that it offers. The hook receives
+`register(name, component_class)` and calls it once for each component. The name is what users write
+after `use:` in a pipeline; it is unique within its hook point.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Literal, Protocol, TypeVar
+
+import pluggy
 
 from ..runners import Runner
 from . import components as c
@@ -21,39 +29,81 @@ scene without test views and true depth and Gaussians that cannot be written to;
 place of notes; each component has an entry point of its own name.
 """
 
+PROJECT = "stereogs"
+hookimpl = pluggy.HookimplMarker(PROJECT)
+OTHER_HOOKS = ("stereogs_register_commands", "stereogs_register_train_options")
+"""Hooks for verbs and for options of `train`; see `registry.contract.command`."""
+
+Registered = TypeVar("Registered", contravariant=True)
+
+
+class Register(Protocol[Registered]):
+    """The argument of a hook. Call it once for each component."""
+
+    def __call__(self, name: str, offered: type[Registered], /) -> None: ...
+
+
+STAGES = (
+    "before training",
+    "in an iteration, before the render",
+    "in an iteration, for the loss",
+    "in an iteration, after the backward pass",
+    "in an iteration, after the optimizer's step",
+    "after training",
+    "observers: notified during the run, cannot change it",
+)
+"""When components are called, in this order."""
+BEFORE, RENDER, LOSS, BACKWARD, OPTIMIZER, AFTER, DURING = range(len(STAGES))
+
 
 @dataclass(frozen=True)
 class HookPoint:
     """One kind of component.
 
     Args:
-        section: the key in a pipeline.
-        title: what a component of this kind is called in messages.
-        hook: the hook through which plugins offer components.
-        base: the class that a component derives from.
-        holds: whether the section holds one component, a list, or either as it is written.
-        required: a pipeline cannot do without.
-        scheduled: the host lends `start`, `stop` and `every`.
-        weighted: the host lends `weight` and `step`.
-        observes: it is told what happens and takes no part in it: a run has it once, whatever number of
-            fields of Gaussians, and may be resumed without it.
-        in_pipeline: False for what a pipeline does not name, because it trains whole pipelines.
+        section: key in a pipeline.
+        title: name of this kind in messages.
+        offers: end of the hook's name, `stereogs_register_OFFERS`.
+        base: class that a component derives from.
+        stage: index in `STAGES`; None for a kind that pipelines do not name.
+        reads: data that a component receives, for `stereogs explain`.
+        holds: number of components in the section: one, a list, or either.
+        required: True if a pipeline must have one.
+        scheduled: True if it accepts `start`, `stop`, `every` and `phase`.
+        weighted: True if it accepts `weight` and `step`.
+        late: True if it is called after the other kinds of its stage.
     """
 
     section: str
     title: str
-    hook: str
+    offers: str
     base: type[Component[Any]]
+    stage: int | None
+    reads: str
     holds: Literal["one", "list", "one or list"] = "list"
     required: bool = False
     scheduled: bool = False
     weighted: bool = False
-    observes: bool = False
-    in_pipeline: bool = True
+    late: bool = False
+
+    @property
+    def hook(self) -> str:
+        """Name of the function that a plugin implements."""
+        return f"stereogs_register_{self.offers}"
+
+    @property
+    def in_pipeline(self) -> bool:
+        """False for runners, which train whole pipelines."""
+        return self.stage is not None
+
+    @property
+    def observes(self) -> bool:
+        """True for observers: one per run, whatever the number of fields; a run resumes without it."""
+        return self.stage == DURING
 
     @property
     def host_settings(self) -> tuple[str, ...]:
-        """Settings that belong to the host; a component may not define them."""
+        """Settings that the host reads; a component must not define them."""
         names: tuple[str, ...] = ("use", "name", "enabled")
         if self.weighted:
             names += ("weight", "step")
@@ -62,74 +112,38 @@ class HookPoint:
         return names
 
 
+_in_loop = partial(HookPoint, scheduled=True)
+
+# fmt: off
 HOOK_POINTS: tuple[HookPoint, ...] = (
-    HookPoint(
-        "scene",
-        "scene loader",
-        "stereogs_register_scenes",
-        c.SceneLoader,
-        holds="one",
-        required=True,
-    ),
-    HookPoint(
-        "initializer",
-        "initializer",
-        "stereogs_register_initializers",
-        c.Initializer,
-        holds="one",
-        required=True,
-    ),
-    HookPoint("priors", "prior", "stereogs_register_priors", Prior),
-    HookPoint("samplers", "sampler", "stereogs_register_samplers", c.Sampler, scheduled=True),
-    HookPoint(
-        "appearances", "appearance", "stereogs_register_appearances", c.Appearance, scheduled=True
-    ),
-    HookPoint(
-        "regularizers",
-        "regularizer",
-        "stereogs_register_regularizers",
-        c.Regularizer,
-        scheduled=True,
-        weighted=True,
-    ),
-    HookPoint("modifiers", "modifier", "stereogs_register_modifiers", c.Modifier, scheduled=True),
-    HookPoint(
-        "densification",
-        "densification",
-        "stereogs_register_densifications",
-        c.Densification,
-        holds="one or list",
-        scheduled=True,
-    ),
-    HookPoint(
-        "opacity",
-        "opacity policy",
-        "stereogs_register_opacity_policies",
-        c.OpacityPolicy,
-        holds="one or list",
-        scheduled=True,
-    ),
-    HookPoint(
-        "perturbations",
-        "perturbation",
-        "stereogs_register_perturbations",
-        c.Perturbation,
-        scheduled=True,
-    ),
-    HookPoint("metrics", "metric", "stereogs_register_metrics", c.ViewMetric),
-    HookPoint("exporters", "exporter", "stereogs_register_exporters", c.Exporter),
-    HookPoint("reports", "report", "stereogs_register_reports", c.Report),
-    HookPoint(
-        "observers",
-        "observer",
-        "stereogs_register_observers",
-        c.Observer,
-        scheduled=True,
-        observes=True,
-    ),
-    HookPoint(
-        "runner", "runner", "stereogs_register_runners", Runner, holds="one", in_pipeline=False
-    ),
+    HookPoint("scene", "scene loader", "scenes", c.SceneLoader, BEFORE,
+              "the files that it names", holds="one", required=True),
+    HookPoint("initializer", "initializer", "initializers", c.Initializer, BEFORE,
+              "training views, their points, bounds; priors", holds="one", required=True, late=True),
+    HookPoint("priors", "prior", "priors", Prior, BEFORE,
+              "images and views that its callers pass"),
+    _in_loop("samplers", "sampler", "samplers", c.Sampler, RENDER,
+             "the step and its sample: view, camera, target, background"),
+    _in_loop("appearances", "appearance", "appearances", c.Appearance, LOSS,
+             "the step, the render and its colours"),
+    _in_loop("regularizers", "regularizer", "regularizers", c.Regularizer, LOSS,
+             "the step, the render, other fields; may render more views", weighted=True),
+    _in_loop("modifiers", "modifier", "modifiers", c.Modifier, RENDER,
+             "the step: scene, sample, Gaussians, priors"),
+    _in_loop("densification", "densification", "densifications", c.Densification, BACKWARD,
+             "the step, the Gaussians and their gradients", holds="one or list", late=True),
+    _in_loop("opacity", "opacity policy", "opacity_policies", c.OpacityPolicy, BACKWARD,
+             "the step, the Gaussians and their gradients", holds="one or list"),
+    _in_loop("perturbations", "perturbation", "perturbations", c.Perturbation, OPTIMIZER,
+             "the step, the Gaussians, learning rates"),
+    HookPoint("metrics", "metric", "metrics", c.ViewMetric, AFTER,
+              "renders of test and training views, the scene with its true depth"),
+    HookPoint("exporters", "exporter", "exporters", c.Exporter, AFTER, "the Gaussians, the scene"),
+    HookPoint("reports", "report", "reports", c.Report, AFTER, "the run folder, the scene"),
+    _in_loop("observers", "observer", "observers", c.Observer, DURING,
+             "start and end, scores; of each iteration the losses, the render, the Gaussians"),
+    HookPoint("runner", "runner", "runners", Runner, None, "pipelines to train", holds="one"),
 )
+# fmt: on
 PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)
-"""In the order in which a pipeline is written."""
+"""In the order of the sections in a pipeline."""

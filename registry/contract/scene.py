@@ -91,13 +91,13 @@ class TrainingView:
 
     @property
     def depth(self) -> Tensor | None:
-        """Not to be had: true depth is for evaluation (`View.depth`).
+        """Not available during training: true depth is for evaluation (`View.depth`).
 
         Raises:
             PluginError: always.
         """
         raise PluginError(
-            f"the true depth of the training view {self.name!r} was asked for; it is for evaluation",
+            f"the true depth of the training view {self.name!r} is not available during training",
             fix="train on photographs, or on depth that a prior or the initializer estimates",
         )
 
@@ -147,14 +147,14 @@ class TrainingScene:
 
     @property
     def test(self) -> tuple[View, ...]:
-        """Not to be had: training never sees a test view.
+        """Not available during training: test views are for evaluation.
 
         Raises:
             PluginError: always.
         """
         raise PluginError(
-            "the test views were asked for; they are for evaluation",
-            fix="use scene.train: what learns from test views cannot be scored on them",
+            "the test views are not available during training",
+            fix="use scene.train: a method that learns from test views cannot be scored on them",
         )
 
 

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What one iteration learns from; samplers may replace any of it (`dataclasses.replace`).
+    """The training sample of one iteration; samplers may replace any of it (`dataclasses.replace`).
 
     Args:
         view: the training view.
-        camera: what the render looks through; the view's camera, unless a sampler refines it.
-        target: `[H, W, 3]` float32 in [0, 1], what the render is compared with: the view's image,
-            unless a sampler changes it. Its size is the camera's.
+        camera: camera of the render: the view's, unless a sampler refines it.
+        target: `[H, W, 3]` float32 in [0, 1], compared with the render: the view's image, unless a
+            sampler changes it. Its size is the camera's.
         background: colour behind the render, three numbers.
-        sh_degree: spherical-harmonic bands in use; with a fraction, the band above takes part by it.
-        smoothing: `[N]` standard deviations in world units, >= 0, of a filter in space that each
-            Gaussian is rendered with (Mip-Splatting, Yu et al. 2024, eq. 9); None for none.
+        sh_degree: spherical-harmonic bands in use; a fraction is the weight of the next band.
+        smoothing: `[N]` standard deviations in world units, >= 0, of the 3D smoothing filter of each
+            Gaussian (Mip-Splatting, Yu et al. 2024, eq. 9); None: no filter.
     """
 
     view: TrainingView
@@ -57,22 +57,22 @@ class Render(Protocol):
         """Render.
 
         Args:
-            camera: what to look through.
-            gradient: let gradients flow to the Gaussians, and to the camera's pose if it wants one.
-            background: colour behind the scene; None takes the iteration's.
+            camera: the camera.
+            gradient: let gradients flow to the Gaussians, and to the camera's pose if it requires one.
+            background: colour behind the scene; None: the iteration's.
             opacity_scale: `[N]` factors >= 0 of the activated opacities.
             detach: parameter groups that no gradient of this render reaches: of "means",
                 "log_scales", "quaternions", "opacity_logits" and "sh".
-            sh_degree: bands to use; None takes the iteration's.
+            sh_degree: bands to use; None: the iteration's.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class OtherField:
-    """Another field of Gaussians in lock-step (`training.fields`), to be looked at only.
+    """Another field of Gaussians in lock-step (`training.fields`), read only.
 
     Args:
-        index: its number; 0 is the one that is scored.
+        index: its number; field 0 is scored.
         model: its Gaussians.
         rendering: its render of this iteration's view, without gradients.
         render: renders it through other cameras, without gradients.
@@ -84,6 +84,14 @@ class OtherField:
     render: Render
 
 
+@dataclass(eq=False)
+class _Rendered:
+    """The part of a `Step` that exists only after the render."""
+
+    rendering: Callable[[], Rendering] | None = None
+    others: tuple[OtherField, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """One training iteration, as the components see it.
@@ -92,19 +100,18 @@ class Step:
         iteration: 1-based.
         iterations: the total number of iterations.
         scene: the whole scene, without test views and true depth.
-        sample: what this iteration learns from.
-        model: the Gaussians; read what is needed with `model.read(name)`, after the backward pass
-            also `model.gradient(name)`.
+        sample: training sample of this iteration.
+        model: the Gaussians; `model.read(name)` reads a parameter, `model.gradient(name)` its gradient
+            after the backward pass.
         extent: the scene's extent in world units (`Scene.extent`).
         priors: the pipeline's prior models by name.
         render: renders other cameras; see `Render`.
         log: records a number under a name in the run's metrics.
-        maps: what the initializer knows of each training view's depth, by the view's name.
+        maps: depth of each training view from the initializer, by the view's name.
         learning_rates: Adam's step size of each parameter group in this iteration.
         kinds: which Gaussians descend from initial points of a kind, `[N]` bool by its name
-            (`PointCloud.kinds`); empty if the initializer tells none apart. Whoever changes the number
-            of Gaussians changes these too, before the next component is asked.
-        others: the other fields, from the render on; empty with a single field.
+            (`PointCloud.kinds`); empty if the initializer has no kinds. The host updates them whenever
+            the number of Gaussians changes.
     """
 
     iteration: int
@@ -119,8 +126,7 @@ class Step:
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
     learning_rates: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
-    others: tuple[OtherField, ...] = ()
-    _rendering: Callable[[], Rendering] | None = None
+    _rendered: _Rendered = field(default_factory=_Rendered)
 
     @property
     def view(self) -> TrainingView:
@@ -132,21 +138,25 @@ class Step:
         """The render of that view: `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; in autograd.
 
         Raises:
-            PluginError: it is not made yet: samplers and modifiers are asked before.
+            PluginError: it does not exist yet: samplers and modifiers run before the render.
         """
-        if self._rendering is None:
+        if self._rendered.rendering is None:
             raise PluginError(
-                "the render of this iteration was asked for before it is made",
-                fix="samplers and modifiers come before the render; look at it in a regularizer",
+                "the render of this iteration was read before it exists",
+                fix="samplers and modifiers run before the render; read it in a regularizer",
             )
-        return self._rendering()
+        return self._rendered.rendering()
+
+    @property
+    def others(self) -> tuple[OtherField, ...]:
+        """The other fields, after the render; empty with a single field."""
+        return self._rendered.others
 
     def rendered(
         self, rendering: Callable[[], Rendering] | None, others: tuple[OtherField, ...] = ()
     ) -> None:
-        """For the host: from now on there is a render, and other fields' are, or there is none."""
-        object.__setattr__(self, "_rendering", rendering)
-        object.__setattr__(self, "others", others)
+        """For the host: set the render and the other fields; None removes them."""
+        self._rendered.rendering, self._rendered.others = rendering, others
 
     def parameter(self, name: str) -> Tensor:
         """One parameter of all Gaussians, in autograd: a loss on it reaches the Gaussians.

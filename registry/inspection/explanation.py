@@ -7,41 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..contract.hook_points import PIPELINE_POINTS, STAGES
 from ..pipeline.pipeline import Item, Pipeline
 from .component_help import summary
 from .prior_needs import able, needs, prior_faults
-
-STAGES: Mapping[str, Mapping[str, str]] = {
-    "before training": {
-        "scene": "the files that it names",
-        "priors": "images and views that others show it",
-        "initializer": "training views, their points, bounds; priors",
-    },
-    "in an iteration, before the render": {
-        "samplers": "the step and its sample: view, camera, target, background",
-        "modifiers": "the step: scene, sample, Gaussians, priors",
-    },
-    "in an iteration, for the loss": {
-        "appearances": "the step, the render and its colours",
-        "regularizers": "the step, the render, other fields; renders more views if it likes",
-    },
-    "in an iteration, after the backward pass": {
-        "opacity": "the step, the Gaussians and their gradients",
-        "densification": "the step, the Gaussians and their gradients",
-    },
-    "in an iteration, after the optimizer's step": {
-        "perturbations": "the step, the Gaussians, learning rates",
-    },
-    "after training": {
-        "metrics": "renders of test and training views, the scene with its truth",
-        "exporters": "the Gaussians, the scene",
-        "reports": "the run folder, the scene",
-    },
-    "told of the run as it goes, asked for nothing": {
-        "observers": "start and end, scores; of iterations the losses, the render, the Gaussians",
-    },
-}
-"""The sections of a pipeline in the order in which they are at work, and what each is given."""
 
 ARRAYS = 4
 """Numbers kept for each parameter: itself, its gradient, Adam's two moments."""
@@ -64,8 +33,9 @@ class Explained:
 
 def explained(pipeline: Pipeline) -> Iterator[tuple[str, tuple[Explained, ...]]]:
     """Each stage that has something to do, with its components."""
-    for stage, sections in STAGES.items():
-        items = [item for section in sections for item in pipeline.items[section]]
+    for number, stage in enumerate(STAGES):
+        points = sorted((p for p in PIPELINE_POINTS if p.stage == number), key=lambda p: p.late)
+        items = [item for point in points for item in pipeline.items[point.section]]
         if items:
             yield stage, tuple(_explained(item, pipeline) for item in items)
 
@@ -101,13 +71,12 @@ def memory(pipeline: Pipeline) -> str:
 
 
 def _explained(item: Item, pipeline: Pipeline) -> Explained:
-    component, section = item.offer.component, item.point.section
+    component = item.offer.component
     notes = [("is", summary(item.offer))]
     notes.append(("from", f"{item.offer.distribution} {item.offer.version}, {item.place}"))
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline)))
-    given = next(sections[section] for sections in STAGES.values() if section in sections)
-    notes.append(("reads", given))
+    notes.append(("reads", item.point.reads))
     notes += [("file", f"{path}, {_size(path)}") for path in _paths(item)]
     for wanted in needs(component):
         names = ", ".join(able(pipeline, wanted)) or "none in the pipeline"

@@ -10,9 +10,9 @@ from typing import Protocol
 
 from core_rasterizer.errors import ExplainedError
 
-from ..calls.loan import NOTHING, Loan
 from ..calls.memory import LEDGER
 from ..calls.process_state import left_as_found, no_global_random_numbers, own_random_numbers
+from ..calls.read_only_guard import NOTHING, ReadOnlyGuard
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.prior import Prior
 from ..errors import PluginError
@@ -71,7 +71,7 @@ class _Asked:
     """What a component's call hands on to those that it asks itself, such as priors."""
 
     iteration: int | None = None
-    lent: Loan = NOTHING
+    lent: ReadOnlyGuard = NOTHING
     look: bool = True
 
 
@@ -84,7 +84,7 @@ def at_work(
     item: Blamable,
     seed: int,
     iteration: int | None = None,
-    lent: Loan = NOTHING,
+    lent: ReadOnlyGuard = NOTHING,
     *,
     look: bool = True,
 ) -> Iterator[None]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ..calls.loan import NOTHING, Loan, are_checked
+from ..calls.read_only_guard import NOTHING, ReadOnlyGuard, are_checked
 from ..contract.component import Component, Context
 from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
@@ -39,7 +39,7 @@ class Part:
     """Of the class that the item's hook point names."""
 
     def at_work(
-        self, iteration: int | None = None, lent: Loan = NOTHING
+        self, iteration: int | None = None, lent: ReadOnlyGuard = NOTHING
     ) -> AbstractContextManager[None]:
         """A block in which the component is called; see `registry.pipeline.blame.at_work`.
 

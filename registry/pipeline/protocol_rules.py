@@ -99,13 +99,7 @@ def _chosen(node: Node) -> tuple[Node, ProtocolChoice]:
             fix=f"protocols: {listing(protocol_names())}; or remove `protocol`",
         )
     choice = validate_settings(ProtocolChoice, Node(mapping, node.place), "protocol")
-    if choice.use not in protocol_names():
-        raise PipelineError(
-            f"there is no protocol {choice.use!r}{did_you_mean(choice.use, protocol_names())}",
-            where=str(node.place),
-            fix=f"protocols: {listing(protocol_names())}; or remove `protocol`",
-        )
-    return read_protocol(choice.use), choice
+    return read_protocol(choice.use, str(node.place)), choice
 
 
 class _Rules:

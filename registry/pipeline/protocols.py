@@ -1,14 +1,17 @@
-"""Evaluation protocols as data: what must be equal before two published numbers may be compared.
+"""Evaluation protocols: the conditions under which two published numbers are comparable.
 
-The files are data/protocols/*.yaml of this package; `protocol_rules` imposes one on a pipeline.
+Packages provide them as YAML files through the entry-point group `stereogs.protocols`; `protocol_rules`
+applies one to a pipeline.
 """
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import Any, Literal
 
 from ..contract.component import Settings
+from ..errors import PipelineError
+from ..messages.suggestions import did_you_mean, listing
+from .ready import PROTOCOLS, only_file, packaged_files
 from .settings_check import validate_settings
 from .yaml_source import Node, parse
 
@@ -45,21 +48,28 @@ class Protocol(Settings):
 
 
 def protocol_names() -> tuple[str, ...]:
-    """The protocols there are, sorted."""
-    files = (file.name for file in _folder().iterdir())
-    return tuple(sorted(n.removesuffix(".yaml") for n in files if n.endswith(".yaml")))
+    """Return the names of the installed protocols, sorted."""
+    return tuple(packaged_files(PROTOCOLS))
 
 
 def load_protocol(name: str) -> Protocol:
-    """The protocol of that name; see `protocol_names`."""
-    return validate_settings(Protocol, read_protocol(name), "protocol")
+    """Return the protocol of that name; see `read_protocol`."""
+    return validate_settings(Protocol, read_protocol(name, "protocol"), "protocol")
 
 
-def read_protocol(name: str) -> Node:
-    """The file of that protocol as a tree, for its places."""
-    file = f"{name}.yaml"
-    return parse(_folder().joinpath(file).read_text("utf-8"), f"protocols/{file}")
+def read_protocol(name: str, where: str) -> Node:
+    """Return a protocol's file as a tree, which keeps the lines.
 
+    Args:
+        where: place that names the protocol, for errors.
 
-def _folder() -> Any:
-    return resources.files("registry").joinpath("data", "protocols")
+    Raises:
+        PipelineError: the name is unknown, or several packages provide it.
+    """
+    files = packaged_files(PROTOCOLS)
+    fix = f"protocols: {listing(files)}; or remove `protocol`"
+    if name not in files:
+        what = f"unknown protocol {name!r}{did_you_mean(name, files)}"
+        raise PipelineError(what, where=where, fix=fix)
+    file = only_file(f"the protocol {name!r}", files[name], where, "uninstall one of them")
+    return parse(file.read_text("utf-8"), f"protocols/{file.name}")

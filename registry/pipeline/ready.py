@@ -1,7 +1,7 @@
-"""Ready pipelines, as files that any package may bring.
+"""Pipelines and protocols as files that any package may provide.
 
-A package names an entry point in the group `stereogs.pipelines`; its value is the package in which the
-files lie, `NAME.yaml`, or `FOLDER/NAME.yaml` for the name FOLDER/NAME.
+The value of an entry point in the group is the package that holds the files: `NAME.yaml`, or
+`FOLDER/NAME.yaml` for the name FOLDER/NAME.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ from pathlib import Path
 from ..errors import PipelineError
 from ..messages.suggestions import did_you_mean, listing
 
-GROUP = "stereogs.pipelines"
+PIPELINES, PROTOCOLS = "stereogs.pipelines", "stereogs.protocols"
+"""The entry-point groups."""
 _SUFFIXES = (".yaml", ".yml")
 
 
 def is_pipeline_file(path: Path) -> bool:
-    """Whether a path has the ending of a pipeline file and is no folder."""
+    """Return whether a path has the suffix of a pipeline file and is not a folder."""
     return path.suffix.lower() in _SUFFIXES and not path.is_dir()
 
 
-def ready_pipelines() -> dict[str, tuple[Path, ...]]:
-    """The files of each name, sorted by name; more than one if several packages bring it."""
+def packaged_files(group: str) -> dict[str, tuple[Path, ...]]:
+    """Return the files of each name, sorted by name; several if several packages provide it."""
     found: dict[str, tuple[Path, ...]] = {}
-    for entry in entry_points(group=GROUP):
+    for entry in entry_points(group=group):
         spec = find_spec(entry.value)
         for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
             for file in sorted([*folder.glob("*.yaml"), *folder.glob("*/*.yaml")]):
@@ -35,30 +36,45 @@ def ready_pipelines() -> dict[str, tuple[Path, ...]]:
     return dict(sorted(found.items()))
 
 
-def find_pipeline(given: Path) -> Path:
-    """The file that is given, or the ready pipeline of that name; a file that is there comes first.
+def ready_pipelines() -> dict[str, tuple[Path, ...]]:
+    """Return the files of each ready pipeline, by name; see `packaged_files`."""
+    return packaged_files(PIPELINES)
+
+
+def only_file(what: str, files: tuple[Path, ...], where: str, fix: str) -> Path:
+    """Return the single file of a name.
 
     Raises:
-        PipelineError: there is no such name, or two packages bring it.
+        PipelineError: several packages provide it.
+    """
+    if len(files) > 1:
+        raise PipelineError(
+            f"{what} is provided by several packages: {listing(map(str, files))}",
+            where=where,
+            fix=fix,
+        )
+    return files[0]
+
+
+def find_pipeline(given: Path) -> Path:
+    """Return the given file, or the file of the ready pipeline of that name; an existing file wins.
+
+    Raises:
+        PipelineError: the name is unknown, or several packages provide it.
     """
     if given.is_file() or given.suffix.lower() in _SUFFIXES:
         return given
-    name = given.as_posix()
+    name, where = given.as_posix(), "the command line"
     ready = ready_pipelines()
-    files = ready.get(name, ())
-    if len(files) == 1:
-        return files[0]
-    if files:
-        raise PipelineError(
-            f"the pipeline {name!r} is brought by several packages: {listing(map(str, files))}",
-            where="the command line",
-            fix="give the path of the file that is meant",
+    if name in ready:
+        return only_file(
+            f"the pipeline {name!r}", ready[name], where, "give the path of one of them"
         )
     folders = {found.partition("/")[0]: None for found in ready if "/" in found}
     more = f"; more are in {listing(folders)}" if folders else ""
     raise PipelineError(
-        f"there is no pipeline file and no ready pipeline {name!r}{did_you_mean(name, ready)}",
-        where="the command line",
-        fix="give the path of a YAML file (to train, also of a folder that is there), or one of: "
+        f"found neither a pipeline file nor a ready pipeline {name!r}{did_you_mean(name, ready)}",
+        where=where,
+        fix="give the path of a YAML file (to train, also of an existing folder), or one of: "
         f"{listing(found for found in ready if '/' not in found)}{more}",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import pydantic
 
@@ -19,20 +19,31 @@ _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
 class Schedule(Settings):
     """The iterations in which a component is called.
 
-    Due exactly when start <= iteration <= stop and iteration is `phase` more than a multiple of
-    `every`. Iterations count from 1. With `start: 500, every: 100` the first call is at 500; with
-    `start: 2001, every: 3000, phase: 2001` calls are at 2001, 5001, 8001. In a pipeline, all four may
-    also be written as a share of `training.iterations`, such as `50%`.
+    Due exactly when start <= iteration <= stop and iteration % every == phase % every. Iterations count
+    from 1. A given `start` is the first due iteration: `start: 5, every: 2` is due at 5, 7, 9. Without
+    `start`, `every: 100` is due at 100, 200. An explicit `phase` overrides both: `start: 550, every: 100,
+    phase: 0` is due at 600, 700. In a pipeline, all four may also be written as a share of
+    `training.iterations`, such as `50%`.
     """
 
     start: Annotated[int, pydantic.Field(ge=1)] = 1
-    """The first iteration that may be due."""
+    """First iteration that may be due."""
     stop: Annotated[int, pydantic.Field(ge=1)] | None = None
-    """The last iteration that may be due; null means the end of training."""
+    """Last iteration that may be due; null means the end of training."""
     every: Annotated[int, pydantic.Field(ge=1)] = 1
-    """Due only in multiples of this, shifted by `phase`."""
+    """Iterations between two calls."""
     phase: Annotated[int, pydantic.Field(ge=0)] = 0
-    """What remains of a due iteration when `every` is taken away as often as it can be."""
+    """Due when `iteration % every == phase`; unless given, `start % every` if `start` is given."""
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _begin_at_start(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "phase" in data:
+            return data
+        start, every = data.get("start"), data.get("every", 1)
+        if isinstance(start, int) and isinstance(every, int) and start > 0 and every > 0:
+            return {**data, "phase": start % every}
+        return data  # the fields' own types refuse it
 
     @pydantic.model_validator(mode="after")
     def _ordered(self) -> Self:

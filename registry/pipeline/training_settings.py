@@ -10,14 +10,14 @@ from typing import Annotated, Any, Self
 from pydantic import Field
 
 from ..contract.component import Settings
+from ..errors import PipelineError
 from .schedule import moved
-from .yaml_source import Node
+from .yaml_source import Node, parse
 
 VIEWS = 3
 """What a pipeline with iterations for each training view counts with until its scene is loaded."""
 PER_VIEW = re.compile(r"([1-9][0-9]{0,6}) per view")
 """How such iterations are written."""
-_IN_A_RUN = re.compile(r"^training:\n  iterations: ([0-9]{1,9})$", re.MULTILINE)
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
@@ -136,6 +136,9 @@ def per_view(settings: Mapping[str, Node]) -> tuple[dict[str, Node], int | None]
 
 
 def iterations_of_a_run(text: str) -> int:
-    """Their number in a run folder's pipeline file, which `Pipeline.to_yaml` wrote; 0 in other texts."""
-    found = _IN_A_RUN.search(text)
-    return int(found[1]) if found else 0
+    """Return the number of iterations in a run folder's pipeline file; 0 if it has none."""
+    try:
+        content = parse(text, "the run's pipeline").at(("training", "iterations")).content
+    except PipelineError:
+        return 0
+    return content if isinstance(content, int) else 0

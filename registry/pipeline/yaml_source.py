@@ -250,10 +250,11 @@ class _Converter:
 
 
 def _whole_characters(text: str, place: Place) -> str:
-    """The text, which can be written to a file; an escape such as "\\uD800" alone could not."""
-    if any("\ud800" <= character <= "\udfff" for character in text):
+    """Return the text, checked for unpaired surrogates, which cannot be written to a file."""
+    surrogate = next((c for c in text if "\ud800" <= c <= "\udfff"), None)
+    if surrogate is not None:
         raise PipelineError(
-            "half of a surrogate pair is no character",
+            f"unpaired surrogate \\u{ord(surrogate):04X}",
             where=str(place),
             fix="write the character itself, or \\U and its eight digits",
         )

@@ -139,7 +139,9 @@ def _registered(entry: EntryPoint, hook: str, kind: type[Kind]) -> Kind:
 
 def _offered(module: object, hook: str, where: str) -> dict[str, Any]:
     """All that a module registers through a hook, by name."""
-    from ..contract.hooks import PROJECT  # imports pydantic, which `stereogs --help` does without
+    from ..contract.hook_points import (
+        PROJECT,  # imports pydantic, which `stereogs --help` does without
+    )
 
     offered: dict[str, Any] = {}
 

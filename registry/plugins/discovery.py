@@ -1,4 +1,4 @@
-"""Discovery: find plugins through entry points, import only what is asked for, blame by name."""
+"""Find plugins through entry points, import only those that are used, and name those that fail."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points, version
 from typing import Any
 
-import pluggy
-
 from ..calls.process_state import left_as_found
 from ..calls.watchdog import WATCHDOG, Hang
-from ..contract import hooks
 from ..contract.component import Component, Settings
 from ..contract.components import SceneLoader
-from ..contract.hook_points import API_VERSION, HOOK_POINTS, HookPoint
+from ..contract.hook_points import API_VERSION, HOOK_POINTS, OTHER_HOOKS, PROJECT, HookPoint
 from ..contract.in_memory import IN_MEMORY, InMemoryScene
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
@@ -60,12 +57,12 @@ class Offer:
 
 
 class Plugins:
-    """The installed plugins. Reading their names imports nothing; `find` imports what it must.
+    """The installed plugins. Reading their names imports nothing; `find` imports what it needs.
 
-    An entry offers what it is named after: `psnr` and `anything.psnr` a component `psnr`. So the
-    entries of that name are all that could offer it; they alone are imported, and two that do are
-    never missed. A module that registers a name without an entry is refused. Each import is guarded:
-    one that fails is remembered in `broken`.
+    An entry point has the name of its component: `psnr` and `anything.psnr` offer `psnr`. `find` imports
+    the entry points of that name only, so it notices if two offer it. A module that registers a name
+    without an entry point, or lacks the name of its entry point, is refused. `broken` holds the errors
+    of failed imports.
 
     Args:
         entries: entry points to use instead of the installed ones that STEREOGS_PLUGINS selects.
@@ -81,15 +78,12 @@ class Plugins:
         self.broken: dict[str, PluginError] = {}
         self._loaded: set[str] = set()
         self._offers: list[Offer] = []
-        self._manager = pluggy.PluginManager(hooks.PROJECT)
-        self._manager.add_hookspecs(hooks)
 
     def find(self, point: HookPoint, name: str) -> Offer:
-        """The component of that name.
+        """Return the component of that name.
 
         Raises:
-            PluginError: no plugin offers it, the plugin named like it cannot be loaded, or two
-                plugins offer it.
+            PluginError: no plugin offers it, its plugin cannot be loaded, or two plugins offer it.
         """
         if point.base is SceneLoader and name == IN_MEMORY:
             return _in_memory(point)
@@ -106,13 +100,13 @@ class Plugins:
         raise self._silent(point, alike[0]) if alike else self._unknown(point, name)
 
     def all(self) -> Sequence[Offer]:
-        """Every component of every plugin that can be loaded; imports them all. See `broken`."""
+        """Import all plugins and return every component of those that load. See `broken`."""
         self._load_all(self.entries)
         order = {point.section: index for index, point in enumerate(HOOK_POINTS)}
         return sorted(self._offers, key=lambda offer: (order[offer.point.section], offer.name))
 
     def conflicts(self) -> list[PluginError]:
-        """One error for each name that two plugins offer at one hook point; imports all."""
+        """Import all plugins and return an error for each name that two offer at one hook point."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.all():
             groups.setdefault((offer.point.section, offer.name), []).append(offer)
@@ -135,20 +129,15 @@ class Plugins:
             with WATCHDOG.watching(who), left_as_found(who):
                 module = entry.load()
                 check_api(entry, module)
-                if not self._manager.is_registered(module):  # by another entry of the same module
-                    self._manager.register(module, name=key)
-                _check_hooks(module)
                 offers = list(self._collect(entry, module))
             self._check_entries(entry, offers)
-        except (Exception, SystemExit, Hang) as error:  # a stranger's module may raise anything
-            if self._manager.has_plugin(key):
-                self._manager.unregister(name=key)
+        except (Exception, SystemExit, Hang) as error:  # the module may raise anything
             raise _unusable(entry, error) from error
         self._loaded.add(key)
         self._offers.extend(offer for offer in offers if offer.name == offered_name(entry))
 
-    def _check_entries(self, entry: EntryPoint, offers: Iterable[Offer]) -> None:
-        """Refuse a module that registers what no entry of its package is named after."""
+    def _check_entries(self, entry: EntryPoint, offers: Sequence[Offer]) -> None:
+        """Refuse an entry point and a registered name that do not match each other."""
         beside = entry.dist.entry_points if entry.dist else self.entries
         mine = [e for e in beside if e.group == GROUP and e.value == entry.value]
         named = {offered_name(e) for e in mine}
@@ -160,33 +149,53 @@ class Plugins:
                     fix=f'add `{offer.name} = "{entry.value}"` to its entry points, and install it '
                     "again",
                 )
+        if offers and offered_name(entry) not in {offer.name for offer in offers}:
+            names = listing(dict.fromkeys(offer.name for offer in offers))
+            raise PluginError(
+                f"its entry point is named {entry.name!r}, but {entry.value} registers {names}",
+                fix=f"rename the entry point or register {offered_name(entry)!r}; then install it again",
+            )
 
-    def _collect(self, entry: EntryPoint, module: object) -> Iterator[Offer]:
+    @staticmethod
+    def _collect(entry: EntryPoint, module: object) -> Iterator[Offer]:
+        """Call the module's hooks and yield what they register."""
         distribution, version = _distribution(entry)
-        for point in HOOK_POINTS:
-            caller: pluggy.HookCaller = getattr(self._manager.hook, point.hook)
-            taken: list[tuple[str, type[Component[Any]]]] = []
-            for implementation in caller.get_hookimpls():
-                if implementation.plugin is module:
-                    implementation.function(lambda name, cls, to=taken: to.append((name, cls)))
-            for position, (name, component) in enumerate(taken):
+        points = {point.hook: point for point in HOOK_POINTS}
+        for member_name, member in list(vars(module).items()):
+            options = getattr(member, f"{PROJECT}_impl", None)
+            if not isinstance(options, dict):
+                continue
+            hook = options.get("specname") or member_name
+            if hook in OTHER_HOOKS:
+                continue
+            if hook not in points:
+                raise PluginError(
+                    f"there is no hook {hook!r}{did_you_mean(hook, points)}",
+                    fix=f"hooks: {listing(points)}",
+                )
+            taken: dict[str, Offer] = {}
+
+            def register(name: str, component: Any, point=points[hook], taken=taken) -> None:  # type: ignore[no-untyped-def]
                 check_offer(point, name, component)
-                if name in (earlier for earlier, _ in taken[:position]):
+                if name in taken:
                     raise PluginError(f"the {point.title} {name!r} is registered twice")
-                yield Offer(point, name, component, entry.name, distribution, version)
+                taken[name] = Offer(point, name, component, entry.name, distribution, version)
+
+            member(register)
+            yield from taken.values()
 
     def _unknown(self, point: HookPoint, name: str) -> PluginError:
-        """No entry has that name. What others are called is known without importing any."""
+        """Error for a name that no entry point has; imports nothing."""
         known = [offered_name(entry) for entry in self.entries]
         return PluginError(
             f"no plugin offers the {point.title} {name!r}{did_you_mean(name, known)}",
-            fix="`stereogs plugins` lists what there is, and what cannot be loaded"
+            fix="`stereogs plugins` lists all components, and plugins that cannot be loaded"
             if self.entries
             else f"install a plugin package, or unset {SELECTION}",
         )
 
     def _silent(self, point: HookPoint, entry: EntryPoint) -> PluginError:
-        """An entry of that name, whose module offers something else or nothing."""
+        """Error for an entry point whose module registers nothing, or another kind of component."""
         name = offered_name(entry)
         what = f"no plugin offers the {point.title} {name!r}"
         elsewhere = [offer.point for offer in self._offers if offer.name == name]
@@ -194,22 +203,22 @@ class Plugins:
             section = elsewhere[0].section
             return PluginError(
                 f"{what}; there is a {elsewhere[0].title} of that name, for {section!r}",
-                fix=f"move it to {section!r}; `stereogs plugins` lists what there is",
+                fix=f"move it to {section!r}; `stereogs plugins` lists all components",
             )
         return PluginError(
-            f"{what}: the plugin {_key(entry)} is there, and registers nothing of that name",
+            f"{what}: the plugin {_key(entry)} is installed but does not register that name",
             where=f"entry point {GROUP}: {entry.name} = {entry.value}",
             fix=f"does {point.hook} have its `@registry.hookimpl`, and register {name!r}?",
         )
 
 
 def offered_name(entry: EntryPoint) -> str:
-    """The name of the component that an entry offers: its own, without what stands before a dot."""
+    """Return the name of the component that an entry point offers: its part after the last dot."""
     return entry.name.rpartition(".")[2]
 
 
 def installed_entries() -> tuple[EntryPoint, ...]:
-    """The entry points of all installed plugins that STEREOGS_PLUGINS admits, by name."""
+    """Return the entry points of the installed plugins that STEREOGS_PLUGINS selects, by name."""
     found = sorted(entry_points(group=GROUP), key=_key)
     selection = os.environ.get(SELECTION)
     if selection is None:
@@ -227,11 +236,11 @@ def installed_entries() -> tuple[EntryPoint, ...]:
 
 
 def check_offer(point: HookPoint, name: object, component: object) -> None:
-    """Refuse a name or class that the host could not use.
+    """Check a name and class that a plugin registers.
 
     Raises:
         PluginError: the name is not a plain word, the class does not derive from the hook point's
-            base or leaves a method out, or its settings claim a name that belongs to the host.
+            base or lacks a method, or its settings use a name that belongs to the host.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise PluginError(
@@ -267,31 +276,18 @@ def check_api(entry: EntryPoint, module: object) -> None:
         )
 
 
-def _check_hooks(module: object) -> None:
-    """Refuse a hook that nobody calls, because its name is misspelt."""
-    known = [point.hook for point in HOOK_POINTS]
-    for name, member in vars(module).items():
-        options = getattr(member, f"{hooks.PROJECT}_impl", None)
-        hook = (options.get("specname") or name) if isinstance(options, dict) else known[0]
-        if hook not in known:
-            raise PluginError(
-                f"there is no hook {hook!r}{did_you_mean(hook, known)}",
-                fix=f"hooks: {listing(known)}",
-            )
-
-
 def _distribution(entry: EntryPoint) -> tuple[str, str]:
     return _name_and_version(entry.dist) if entry.dist else ("unknown package", "?")
 
 
 @cache
 def _name_and_version(distribution: Distribution) -> tuple[str, str]:
-    """Read once: each of the two parses the package's metadata anew."""
+    """Cached, because each attribute parses the package's metadata again."""
     return distribution.name, distribution.version
 
 
 def _in_memory(point: HookPoint) -> Offer:
-    """The host's own stand-in for scenes that are given as objects; no listing shows it."""
+    """Offer of the host's loader for scenes made in Python; not listed."""
     package = "stereogs-plugins"
     return Offer(point, IN_MEMORY, InMemoryScene, "registry", package, version(package))
 
@@ -310,7 +306,7 @@ def _unusable(entry: EntryPoint, error: BaseException) -> PluginError:
     return PluginError(
         f"the plugin {_key(entry)} cannot be used: {reason}",
         where=f"entry point {GROUP}: {entry.name} = {entry.value}",
-        fix=fix or f"mend or update {distribution}, or remove what uses it from the pipeline",
+        fix=fix or f"fix or update {distribution}, or remove its components from the pipeline",
     )
 
 

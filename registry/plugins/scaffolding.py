@@ -1,104 +1,123 @@
-"""A new plugin package, complete: written from the templates in data/new_plugin."""
+"""A new plugin package, written from the templates in data/new_plugin."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from string import Template
 
-from ..contract.hook_points import API_VERSION, PIPELINE_POINTS, HookPoint
+from ..contract.hook_points import API_VERSION, OTHER_HOOKS, PIPELINE_POINTS, HookPoint
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..system.files import new_folder
-from .discovery import installed_entries, offered_name
+from .commands import COMMANDS, verbs
+from .discovery import GROUP, installed_entries, offered_name
 
-KINDS: Mapping[str, HookPoint] = {
+COMPONENTS: Mapping[str, HookPoint] = {
     point.section.removesuffix("s"): point for point in PIPELINE_POINTS
 }
-"""What a package can be written for: the sections of a pipeline, in the singular."""
+"""Kinds of component: the sections of a pipeline, in the singular."""
+COMMAND = "command"
+KINDS = (*COMPONENTS, COMMAND)
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]*")
 _TEMPLATES = resources.files("registry").joinpath("data", "new_plugin")
 
 
 def new_plugin(name: str, kind: str, parent: Path) -> Path:
-    """Write the package `stereogs-NAME`: plugin, entry point, test, pipeline and README.
+    """Write the package `stereogs-NAME`: plugin, entry point, test, README, and a component's pipeline.
 
     Args:
-        name: of the component, as pipelines will write it.
+        name: name of the component in pipelines, or of the command.
         kind: one of `KINDS`.
-        parent: the folder that it goes into; created if need be.
+        parent: folder in which the package's folder is created; created if missing.
 
     Returns:
-        Its folder.
+        The package's folder.
 
     Raises:
-        PluginError: the name or the kind cannot be, an installed plugin offers the name, or the
-            folder exists and is not empty.
+        PluginError: the name or kind is invalid, an installed plugin offers the name, or the folder
+            exists and is not empty.
     """
     _check(name, kind)
     words = _words(name, kind)
     folder = parent / words["distribution"]
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise PluginError(
-            "there is something already", where=str(folder), fix="choose another name, or --into"
+            "folder exists and is not empty",
+            where=str(folder),
+            fix="choose another name, or --into",
         )
-    body = _filled(f"kinds/{kind}.py", words).rstrip("\n")
     with new_folder(folder) as temporary:
-        for file, text in {
-            "pyproject.toml": _filled("package/pyproject.toml", words),
-            "README.md": _filled("package/README.md", words),
-            "pipeline.yaml": _pipeline(kind, words),
-            f"{words['module']}.py": _filled("package/plugin.py", {**words, "body": body}),
-            f"test_{words['module']}.py": _filled("package/test.py", words),
-        }.items():
+        for file, text in _files(kind, words):
             (temporary / file).write_text(text, "utf-8")
     return folder
+
+
+def _files(kind: str, words: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    body = _filled(f"kinds/{kind}.py", words).rstrip("\n")
+    yield "pyproject.toml", _filled("package/pyproject.toml", words)
+    yield f"{words['module']}.py", _filled("package/plugin.py", {**words, "body": body})
+    if kind == COMMAND:
+        yield "README.md", _filled("package/README_command.md", words)
+        yield f"test_{words['module']}.py", _filled("package/test_command.py", words)
+    else:
+        yield "README.md", _filled("package/README.md", words)
+        yield f"test_{words['module']}.py", _filled("package/test.py", words)
+        yield "pipeline.yaml", _pipeline(kind, words)
 
 
 def _check(name: str, kind: str) -> None:
     if kind not in KINDS:
         raise PluginError(
-            f"there is no kind {kind!r} of plugin{did_you_mean(kind, KINDS)}",
+            f"unknown kind of plugin {kind!r}{did_you_mean(kind, KINDS)}",
             where="--kind",
             fix=f"kinds: {listing(KINDS)}",
         )
     if not _NAME.fullmatch(name):
         raise PluginError(
-            f"{name!r} is not a name that a component can have",
+            f"{name!r} is not a valid name",
             where="NAME",
             fix="use lower-case letters, digits, '-' and '_', a letter first",
         )
-    for entry in installed_entries():
-        if offered_name(entry) == name:
-            owner = entry.dist.name if entry.dist else "a package"
-            raise PluginError(
-                f"a component {name!r} is installed, offered by {owner}",
-                where="NAME",
-                fix="choose another name: what two packages offer no pipeline can use",
-            )
+    if kind == COMMAND:
+        installed = {verb.name: verb.entry for verb in verbs().values()}
+    else:
+        installed = {offered_name(entry): entry for entry in installed_entries()}
+    if name in installed:
+        entry = installed[name]
+        raise PluginError(
+            f"a {'command' if kind == COMMAND else 'component'} {name!r} is installed, offered by "
+            f"{entry.dist.name if entry.dist else 'the host'}",
+            where="NAME",
+            fix="choose another name: a name that two packages offer cannot be used",
+        )
 
 
 def _words(name: str, kind: str) -> dict[str, str]:
-    """What stands for the placeholders of the templates."""
-    point = KINDS[kind]
+    """Return the values of the templates' placeholders."""
     parts = [part for part in re.split(r"[-_]+", name) if part]
-    class_name = "".join(part.capitalize() for part in [*parts, kind])
-    return {
+    words = {
         "name": name,
+        "kind": kind,
         "distribution": "stereogs-" + "-".join(parts),
         "module": "stereogs_" + "_".join(parts),
-        "class_name": class_name,
-        "title": point.title.capitalize(),
-        "hook": point.hook,
+        "class_name": "".join(part.capitalize() for part in [*parts, kind]),
         "api": str(API_VERSION),
     }
+    if kind == COMMAND:
+        summary = "Print the number of files in a folder."
+        more = {"title": "Command", "hook": OTHER_HOOKS[0], "group": COMMANDS, "summary": summary}
+        return words | more
+    title = COMPONENTS[kind].title.capitalize()
+    more = {"title": title, "hook": COMPONENTS[kind].hook, "group": GROUP}
+    return words | more | {"summary": f"{title} `{name}`."}
 
 
 def _pipeline(kind: str, words: Mapping[str, str]) -> str:
-    """The pipeline that every package has, with the kind's own sections in place of its."""
+    """Return the pipeline of all packages, with the sections of this kind replaced."""
     own = _filled(f"kinds/{kind}.yaml", words).splitlines()
     keys = {_key(line) for line in own} - {""}
     usual = _filled("package/pipeline.yaml", words).splitlines()
@@ -107,7 +126,7 @@ def _pipeline(kind: str, words: Mapping[str, str]) -> str:
 
 
 def _key(line: str) -> str:
-    """The section that a line of a pipeline begins; empty if it begins none."""
+    """Return the section that starts in a line, or an empty text."""
     found = re.match(r"(\w+):", line)
     return found[1] if found else ""
 

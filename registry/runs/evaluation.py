@@ -10,7 +10,7 @@ from typing import get_args
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
-from ..calls.loan import Loan, Overwritten, of_rendering, of_view
+from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_rendering, of_view
 from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
@@ -102,7 +102,7 @@ def quick(metrics: Sequence[Part]) -> list[Part]:
 
 def _measured(
     part: Part,
-    lent: Loan,
+    lent: ReadOnlyGuard,
     rendering: Rendering,
     view: View,
     scene: Scene,

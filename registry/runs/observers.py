@@ -10,7 +10,7 @@ from pathlib import Path
 
 from core_rasterizer import ExplainedError
 
-from ..calls.loan import of_scene
+from ..calls.read_only_guard import of_scene
 from ..events import RunEnded, RunStarted, ViewsScored
 from ..pipeline.parts import Part
 from ..training.trainer import Iteration, Trainer

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
 
-from ..calls.loan import Loan, Overwritten, of_scene
+from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.parts import Part, Parts
@@ -325,7 +325,7 @@ class Run:
         folder = self.folder_or_refuse()
         results.exports, results.reports = [], []
         folder.write_results(results)
-        shown = of_scene(self.scene) + Loan(models=(self.model,))
+        shown = of_scene(self.scene) + ReadOnlyGuard(models=(self.model,))
         for part in self.parts["exporters"]:
             place = folder.folder(EXPORTS)
             export = partial(part.component.export, self.model.reader(), self.scene, place)
@@ -344,7 +344,7 @@ class Run:
         return files, failures
 
     def _written(
-        self, part: Part, shown: Loan, failures: list[Failure], write: Callable[[], Any]
+        self, part: Part, shown: ReadOnlyGuard, failures: list[Failure], write: Callable[[], Any]
     ) -> list[str]:
         """Return the files that an exporter or a report wrote, relative to the folder where possible."""
         root = self.folder_or_refuse().path

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from core_rasterizer import Device, ExplainedError
 
-from ..calls.loan import checked_plugins, of_scene
+from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import Scene

@@ -1,17 +1,18 @@
-"""A conformance suite: what a plugin author runs on a component of their own.
+"""A conformance suite for plugins.
 
     from registry.testing import check
 
     def test_my_regularizer():
         check(MyRegularizer, weight_of_something=0.5)
 
-It builds the component, asks it what the host would ask, and holds the answers to the contract. What a
-component is *good* for, its author must test.
+It builds the component, calls it as the host would, and checks the results against the contract.
+`check_command` checks a verb of the command line. Tests of a component's benefit are up to its author.
 """
 
 from __future__ import annotations
 
+from .commands import check_command
 from .conformance import Cost, check
 from .scenes import step_of, tiny_scene
 
-__all__ = ["Cost", "check", "step_of", "tiny_scene"]
+__all__ = ["Cost", "check", "check_command", "step_of", "tiny_scene"]

@@ -46,7 +46,7 @@ class MeanError(Metric[Settings]):
         return float((rendered - photograph).abs().mean())
 
 
-class Upheaval(Densification[Settings]):
+class RandomEdits(Densification[Settings]):
     """One kind of edit after the other, each leaving at least one Gaussian; in every third iteration.
 
     In the others the optimizer takes its step, which it does not after an edit.

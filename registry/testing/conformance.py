@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import Any
 
 from torch import Tensor
@@ -13,7 +14,7 @@ from core_rasterizer import Device, open_device
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..pipeline.parts import TRAINING_SECTIONS
-from ..plugins.discovery import check_offer
+from ..plugins.discovery import GROUP, Plugins, check_offer
 from ..training.component_parameters import check_groups
 from .bench import Bench, Refusal
 from .companions import UNDER_TEST, point_of
@@ -75,6 +76,7 @@ def check(
     """
     point = point_of(component)
     check_offer(point, UNDER_TEST, component)
+    _check_entry_points(component)
     chosen = component.Settings(**settings)
     check_settings(chosen)
     given = priors or {}
@@ -94,6 +96,19 @@ def check(
     if point.observes:
         listen(component, chosen, bench)
     return cost
+
+
+def _check_entry_points(component: type[Component[Any]]) -> None:
+    """Load the installed entry points of the component's module: their names must be registered.
+
+    Raises:
+        PluginError: one cannot be loaded, or its name and the registered name differ.
+    """
+    module = f"{component.__module__}."
+    plugins = Plugins(e for e in entry_points(group=GROUP) if module.startswith(f"{e.module}."))
+    plugins.all()
+    for error in plugins.broken.values():
+        raise error
 
 
 def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -> Any:

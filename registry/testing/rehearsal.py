@@ -19,12 +19,12 @@ from ..training.initial_model import new_model
 from ..training.trainer import Trainer
 from .bench import Bench
 from .carrying import check_carry
-from .companions import UNDER_TEST, Upheaval, item, pipeline_of
+from .companions import UNDER_TEST, RandomEdits, item, pipeline_of
 from .judging import first_difference, require
 from .watching import by_itself, untouched
 
 TRAINING = TrainingSettings(iterations=12, sh_degree=1, sh_every=5)
-"""Each kind of edit of `Upheaval` once; none in the last iteration."""
+"""Each kind of edit of `RandomEdits` once; none in the last iteration."""
 
 
 def rehearse(component: type[Component[Any]], settings: Settings, bench: Bench) -> None:
@@ -94,7 +94,7 @@ def _trainer(
     """The host's loop around a new component; at the Gaussians of a checkpoint if one is given."""
     items = [
         item(component, settings, UNDER_TEST),
-        item(Upheaval, Upheaval.Settings(), "upheaval"),
+        item(RandomEdits, RandomEdits.Settings(), "random_edits"),
         *(item(type(prior), prior.settings, name) for name, prior in bench.priors.items()),
     ]
     training = TRAINING.model_copy(update={"fields": component.needs_fields})

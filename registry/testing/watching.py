@@ -22,6 +22,7 @@ from ..calls.process_state import (
     no_global_random_numbers,
     own_random_numbers,
 )
+from ..calls.watchdog import WATCHDOG
 from ..contract.prior import Prior
 from ..contract.step import Step
 from ..errors import PluginError
@@ -58,7 +59,14 @@ def by_itself() -> Iterator[None]:
     """
     raised: BaseException | None = None
     try:
-        with own_random_numbers(_SEED), left_as_found("the component"), no_global_random_numbers():
+        with (
+            WATCHDOG.watching(
+                "the component"
+            ),  # starts the host's own thread before threads are counted
+            own_random_numbers(_SEED),
+            left_as_found("the component"),
+            no_global_random_numbers(),
+        ):
             try:
                 yield
             except BaseException as error:
@@ -98,6 +106,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, str]]:
         if not field.name.startswith("_"):
             yield from _parts(f"{name}.{field.name}", getattr(value, field.name))
     if isinstance(value, Step):
+        yield from _parts(f"{name}.others", value.others)
         with suppress(PluginError):  # before the render there is none to be changed
             yield from _parts(f"{name}.rendering", value.rendering)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .checkpoint import CHECKPOINT, load_checkpoint, trained_gaussians
+    from .checkpoint import CHECKPOINT, load_checkpoint
     from .initial_model import new_model
     from .threads import one_torch_thread
     from .trainer import Iteration, Trainer
@@ -19,5 +19,4 @@ __all__ = [
     "load_checkpoint",
     "new_model",
     "one_torch_thread",
-    "trained_gaussians",
 ]

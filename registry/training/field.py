@@ -17,7 +17,14 @@ from torch import Tensor
 
 from core_rasterizer import Adam, Carried, Edit, GaussianModel, Rendering, apply_edit
 
-from ..calls.loan import Loan, are_checked, of_kinds, of_maps, of_rendering, of_scene
+from ..calls.read_only_guard import (
+    ReadOnlyGuard,
+    are_checked,
+    of_kinds,
+    of_maps,
+    of_rendering,
+    of_scene,
+)
 from ..contract.checks.answers import (
     check_colors,
     check_edit,
@@ -68,7 +75,7 @@ class Surroundings:
     maps: Mapping[str, DepthMap]
 
     @cached_property
-    def lent(self) -> Loan:
+    def lent(self) -> ReadOnlyGuard:
         """The parts of it that components receive and must not change."""
         return of_scene(self.scene) + of_maps(self.maps)
 
@@ -122,7 +129,7 @@ class Field:
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)
         self._lent = self._around.lent + of_kinds(self.kinds)
-        self._lent += Loan(models=(self.model,) if are_checked() else ())
+        self._lent += ReadOnlyGuard(models=(self.model,) if are_checked() else ())
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -170,7 +177,7 @@ class Field:
             collect_statistics=bool(growing := self._growing(step.iteration)),
             collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
-        self._lent += of_rendering(self._rendering) + Loan({"the target": sample.target})
+        self._lent += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
         step.rendered(lambda: self._rendering)
 
     def seen_by_others(self) -> OtherField:
@@ -203,7 +210,7 @@ class Field:
         )
 
     @property
-    def lent(self) -> Loan:
+    def lent(self) -> ReadOnlyGuard:
         """Data that components received in this iteration."""
         return self._lent
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 
-from ..contract.checks.scene import is_file_name
+from ..contract.checks.scene import check_points, is_file_name
 from ..contract.scene import PointCloud
 from ..errors import SceneError
 from ..pipeline.training_settings import TrainingSettings
@@ -94,22 +94,4 @@ def _check(points: PointCloud) -> None:
                 f"points.kinds[{name!r}] is {mask.dtype} of shape {tuple(mask.shape)}, "
                 f"expected a bool for each of {count} points"
             )
-    for name, shape in (
-        ("positions", (count, 3)),
-        ("colors", (count, 3)),
-        ("scales", (count,)),
-        ("opacities", (count,)),
-    ):
-        values: Tensor | None = getattr(points, name)
-        if values is None:
-            continue
-        if tuple(values.shape) != shape:
-            raise SceneError(f"points.{name} has the shape {tuple(values.shape)}, expected {shape}")
-        good = torch.isfinite(values)
-        if name == "scales":
-            good &= values > 0
-        elif name == "opacities":
-            good &= (values > 0) & (values < 1)
-        if not good.all():
-            index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
-            raise SceneError(f"points.{name}[{index}] is {values[index].tolist()}, which cannot be")
+    check_points(points)

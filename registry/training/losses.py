@@ -9,7 +9,7 @@ from torch import Tensor
 from core_rasterizer import Device, ExplainedError, Rendering, photometric_loss
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.loan import Loan
+from ..calls.read_only_guard import ReadOnlyGuard
 from ..contract.checks.answers import check_loss, check_moves
 from ..contract.step import Step
 from ..errors import RunError
@@ -47,7 +47,7 @@ def photometric_term(
     return Term(None, loss)
 
 
-def regularizing_terms(parts: Parts, step: Step, lent: Loan, log: Log) -> list[Term]:
+def regularizing_terms(parts: Parts, step: Step, lent: ReadOnlyGuard, log: Log) -> list[Term]:
     """Return the terms that are due and part of the common loss.
 
     Args:
@@ -60,7 +60,9 @@ def regularizing_terms(parts: Parts, step: Step, lent: Loan, log: Log) -> list[T
     ]
 
 
-def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Term, tuple[str, ...]]:
+def term_alone(
+    part: Part, step: Step, lent: ReadOnlyGuard, log: Log
+) -> tuple[Term, tuple[str, ...]]:
     """Return a term that is stepped alone.
 
     Args:
@@ -75,7 +77,7 @@ def term_alone(part: Part, step: Step, lent: Loan, log: Log) -> tuple[Term, tupl
     return _term(part, step, lent, log), skip
 
 
-def _term(part: Part, step: Step, lent: Loan, log: Log) -> Term:
+def _term(part: Part, step: Step, lent: ReadOnlyGuard, log: Log) -> Term:
     """Return the term of a regularizer times its weight."""
     with part.at_work(step.iteration, lent):
         term = check_loss(part.component.loss(step))

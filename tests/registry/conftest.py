@@ -18,7 +18,7 @@ TOY_NAMES = (
 )
 TOY_ENTRIES = dict.fromkeys(TOY_NAMES, "tests.registry.toy_plugin")
 TOYS = [EntryPoint(name, module, GROUP) for name, module in TOY_ENTRIES.items()]
-DOOR_NAMES = (
+EXTENSION_NAMES = (
     *(
         "toy_target",
         "toy_pose",
@@ -30,7 +30,9 @@ DOOR_NAMES = (
     ),
     *("toy_guide", "toy_peek", "toy_guided", "toy_move"),
 )
-DOORS = [EntryPoint(name, "tests.registry.toy_doors", GROUP) for name in DOOR_NAMES]
+EXTENSION_POINTS = [
+    EntryPoint(name, "tests.registry.toy_extension_points", GROUP) for name in EXTENSION_NAMES
+]
 
 Install = Callable[..., Path]
 
@@ -47,9 +49,9 @@ def toys() -> Plugins:
 
 
 @pytest.fixture
-def doors() -> Plugins:
-    """The toy components, and those that go through every door of the host."""
-    return Plugins([*TOYS, *DOORS])
+def extension_points() -> Plugins:
+    """The toy components, and those that use every extension point of the host."""
+    return Plugins([*TOYS, *EXTENSION_POINTS])
 
 
 @pytest.fixture(scope="session")

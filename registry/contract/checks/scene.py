@@ -64,7 +64,14 @@ def validate(scene: Scene) -> Scene:
             fix="correct them in the file or the code that they come from",
         )
     if scene.points is not None:
-        _validate_points(scene.points, scene.name)
+        check_points(scene.points, scene.name)
+        colors = scene.points.colors
+        if len(colors) and not 0 <= colors.min() <= colors.max() <= 1:
+            raise SceneError(
+                "the points have colours outside [0, 1]",
+                where=scene.name,
+                fix="divide 8-bit values by 255",
+            )
     _validate_facts(scene)
     return scene
 
@@ -227,28 +234,46 @@ def _validate_facts(scene: Scene) -> None:
             )
 
 
-def _validate_points(points: PointCloud, scene_name: str) -> None:
+def check_points(points: PointCloud, where: str = "") -> None:
+    """Check the shape and values of positions, colours, scales and opacities.
+
+    Raises:
+        SceneError: a shape is wrong, a value is not finite, a scale is not positive, or an opacity is
+            not in (0, 1).
+    """
     import torch
 
-    for name in ("positions", "colors"):
-        array: Tensor = getattr(points, name)
-        if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] != len(points):
+    count = len(points)
+    shapes = {
+        "positions": (count, 3),
+        "colors": (count, 3),
+        "scales": (count,),
+        "opacities": (count,),
+    }
+    for name, shape in shapes.items():
+        values: Tensor | None = getattr(points, name)
+        if values is None:
+            continue
+        if tuple(values.shape) != shape:
             raise SceneError(
-                f"the points' {name} have shape {tuple(array.shape)}, not ({len(points)}, 3)",
-                where=scene_name,
-                fix="give each point a position and a colour of three numbers each",
+                f"points.{name} has the shape {tuple(values.shape)}, expected {shape}",
+                where=where,
+                fix="give each point three coordinates and three colour values",
             )
-        finite = torch.isfinite(array).all(dim=1)
-        if not finite.all():
-            first = int((~finite).nonzero()[0])
+        good = finite = torch.isfinite(values)
+        if name == "scales":
+            good = finite & (values > 0)
+        elif name == "opacities":
+            good = finite & (values > 0) & (values < 1)
+        if not good.all():
+            index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
             raise SceneError(
-                f"points.{name}[{first}] is not finite",
-                where=scene_name,
+                f"points.{name}[{index}] is "
+                + (
+                    f"{values[index].tolist()}, which is not valid"
+                    if finite[index].all()
+                    else "not finite"
+                ),
+                where=where,
                 fix="leave such points out",
             )
-    if len(points) and not 0 <= points.colors.min() <= points.colors.max() <= 1:
-        raise SceneError(
-            "the points have colours outside [0, 1]",
-            where=scene_name,
-            fix="divide 8-bit values by 255",
-        )

@@ -82,7 +82,7 @@ class HtmlReport(Report[HtmlReportSettings]):
         return [folder / FILE, *view.files]
 
     def _scene_view(self, folder: Path, scene: Scene, run: RunFiles) -> SceneView:
-        from registry.training import trained_gaussians
+        from registry.runs import trained_gaussians
 
         from .scene_view import SceneView, scene_view
 

@@ -142,7 +142,7 @@ def test_a_component_may_have_iterations_of_its_own(toys: Plugins) -> None:
         == 1000
     )
     assert (
-        iterations_of_a_run(text.replace("scene:\n", "priors:\n- use: one\n  iterations: 7\n"))
+        iterations_of_a_run(text.replace("priors: []\n", "priors:\n- use: one\n  iterations: 7\n"))
         == 1000
     )
     assert iterations_of_a_run("training: none") == 0

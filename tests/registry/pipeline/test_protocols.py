@@ -46,7 +46,8 @@ initializer: toy_points
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, toys: Plugins) -> Plugins:
     """The toy components, and a folder of protocols with a toy in it."""
     (tmp_path / "toy-1.yaml").write_text(TOY_PROTOCOL)
-    monkeypatch.setattr(protocols, "_folder", lambda: tmp_path)
+    files = {"toy-1": (tmp_path / "toy-1.yaml",)}
+    monkeypatch.setattr(protocols, "packaged_files", lambda group: files)
     return toys
 
 
@@ -98,12 +99,14 @@ def test_bounds_that_a_data_set_lacks_are_estimated(name: str) -> None:
     assert load_protocol(name).loaders["llff"]["bounds"] == "estimate"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_folder_of_links_has_each_protocol(name: str) -> None:
-    link = Path(__file__).parents[3] / "protocols" / f"{name}.yaml"
-    assert link.is_symlink()
-    packaged = Path(protocols.__file__).parents[1] / "data" / "protocols" / f"{name}.yaml"
-    assert link.read_bytes() == packaged.read_bytes()
+def test_a_protocol_of_two_packages_is_refused(
+    toy: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {"toy-1": (tmp_path / "toy-1.yaml", tmp_path / "other" / "toy-1.yaml")}
+    monkeypatch.setattr(protocols, "packaged_files", lambda group: files)
+    error = refused(toy)
+    assert "'toy-1' is provided by several packages" in error.what
+    assert error.where == "a.yaml:2"
 
 
 def test_settings_and_metrics_are_filled_in(toy: Plugins) -> None:
@@ -155,7 +158,7 @@ def test_a_contradiction_can_be_owned_up_to(toy: Plugins) -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("protocol=toy-2", "no protocol 'toy-2'; did you mean 'toy-1'"),
+        ("protocol=toy-2", "unknown protocol 'toy-2'; did you mean 'toy-1'"),
         ("protocol=3", "a protocol is a name, not 3"),
         ("protocol=[toy-1]", "a protocol is a name, not a list"),
         ("protocol={use: toy-1, modify: []}", "did you mean 'modified'"),

@@ -22,7 +22,7 @@ def bring(monkeypatch: pytest.MonkeyPatch, site: Path, *packages: str) -> None:
         (site / package / "more").mkdir(parents=True)
         for name in ("plain", "more/fancy"):
             (site / package / f"{name}.yaml").write_text(f"name: {package}")
-        entries.append(EntryPoint(package, package, ready.GROUP))
+        entries.append(EntryPoint(package, package, ready.PIPELINES))
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(ready, "entry_points", lambda group: entries)
 
@@ -64,5 +64,5 @@ def test_mistakes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="did you mean 'plain'") as caught:
         find_pipeline(Path("plane"))
     assert "one of: plain; more are in more" in caught.value.fix
-    with pytest.raises(PipelineError, match="brought by several packages"):
+    with pytest.raises(PipelineError, match="provided by several packages"):
         find_pipeline(Path("plain"))

@@ -18,9 +18,18 @@ def due(schedule: Schedule, last: int) -> list[int]:
 def test_due_from_start_to_stop_in_multiples() -> None:
     assert due(Schedule(), 3) == [1, 2, 3]
     assert due(Schedule(start=500, stop=800, every=100), 2000) == [500, 600, 700, 800]
-    assert due(Schedule(start=550, stop=799, every=100), 2000) == [600, 700]
+    assert due(Schedule(start=550, stop=799, every=100, phase=0), 2000) == [600, 700]
     assert due(Schedule(every=3000), 7000) == [3000, 6000]
     assert due(Schedule(start=3), 5) == [3, 4, 5]
+
+
+def test_a_given_start_is_the_first_iteration_that_is_due() -> None:
+    assert due(Schedule(start=5, every=2), 10) == [5, 7, 9]
+    assert due(Schedule(start=550, stop=799, every=100), 2000) == [550, 650, 750]
+    assert due(Schedule(start=1, every=3), 8) == [1, 4, 7]
+    assert Schedule(start=500, every=100).phase == 0
+    written = Schedule(start=5, every=2).model_dump_json()
+    assert Schedule.model_validate_json(written, strict=True) == Schedule(start=5, every=2)
 
 
 def test_over_means_never_again() -> None:
@@ -36,7 +45,7 @@ def test_over_means_never_again() -> None:
         (Schedule(start=5000), 10, False),
         (Schedule(start=10), 10, True),
         (Schedule(every=11), 10, False),
-        (Schedule(start=3, stop=4, every=5), 10, False),
+        (Schedule(start=3, stop=4, every=5, phase=0), 10, False),
         (Schedule(start=3, stop=5, every=5), 10, True),
         (Schedule(every=100, phase=7), 10, True),
         (Schedule(start=8, every=100, phase=7), 106, False),

@@ -8,7 +8,7 @@ import pytest
 from registry import API_VERSION, PluginError
 from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
 from registry.plugins.discovery import GROUP, SELECTION, Plugins
-from tests.registry.conftest import DOORS, TOYS, Install
+from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
 METRICS = POINTS["metrics"]
@@ -35,7 +35,7 @@ def refusal(plugins: Plugins, name: str, point: HookPoint = METRICS) -> PluginEr
 
 
 def test_every_hook_point_collects() -> None:
-    toys = Plugins([*TOYS, *DOORS])
+    toys = Plugins([*TOYS, *EXTENSION_POINTS])
     offers = toys.all()
     assert {offer.point.section for offer in offers} == set(POINTS)
     assert not toys.broken
@@ -173,6 +173,17 @@ def test_an_entry_offers_nothing_but_what_it_is_named_after(install: Install, fi
     assert 'add `twin = "stranger_a"`' in error.fix
     install("honest", "1", {"too.twin": "honest_a"}, honest_a=metric("twin", "Other"))
     assert "offered twice" in refusal(Plugins(), "twin").what
+
+
+def test_an_entry_whose_name_is_not_registered_is_a_fault_of_its_package(install: Install) -> None:
+    source = metric("right")
+    install("late", "1", {"wrong": "late_a", "right": "late_a"}, late_a=source)
+    plugins = Plugins()
+    assert plugins.find(METRICS, "right").distribution == "late"
+    plugins.all()
+    (fault,) = plugins.broken.values()
+    assert "its entry point is named 'wrong', but late_a registers right" in fault.what
+    assert "register 'wrong'" in fault.fix
 
 
 def test_a_module_of_several_components_is_imported_for_each_alone(install: Install) -> None:

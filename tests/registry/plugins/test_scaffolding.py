@@ -17,9 +17,10 @@ from registry.cli import main
 from registry.commands.plugins import _NEW_EPILOG
 from registry.errors import PluginError
 from registry.pipeline.pipeline import load_pipeline
+from registry.plugins.commands import verbs
 from registry.plugins.discovery import SELECTION, Plugins, installed_entries, offered_name
-from registry.plugins.scaffolding import KINDS, new_plugin
-from registry.testing import check
+from registry.plugins.scaffolding import COMMAND, COMPONENTS, KINDS, new_plugin
+from registry.testing import check, check_command
 from tests.packages import ROOT, install, install_by_pip, run_python
 
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}
@@ -59,19 +60,34 @@ def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
             del sys.modules[name]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", COMPONENTS)
 def test_it_installs_and_keeps_the_contract(kind: str, installed: Plugins) -> None:
-    offer = installed.find(KINDS[kind], NAMES[kind])
+    offer = installed.find(COMPONENTS[kind], NAMES[kind])
     assert offer.distribution == folder_of(kind)
     assert metadata.version(offer.distribution) == offer.version
     check(offer.component)
 
 
 def test_its_pipeline_uses_it(written: Path, installed: Plugins) -> None:
-    for kind, name in NAMES.items():
+    for kind, point in COMPONENTS.items():
+        name = NAMES[kind]
         pipeline = load_pipeline(written / folder_of(kind) / "pipeline.yaml", installed)
-        assert name in [item.offer.name for item in pipeline.items[KINDS[kind].section]]
+        assert name in [item.offer.name for item in pipeline.items[point.section]]
         assert pipeline.items["metrics"]
+
+
+def test_a_command_installs_and_keeps_the_contract(
+    installed: Plugins, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = NAMES[COMMAND]
+    verb = verbs()[name]
+    assert verb.summary == "print the number of files in a folder"
+    check_command(type(verb.load()))
+    (tmp_path / "one").touch()
+    assert main([name, str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "1\n"
+    assert main([name, str(tmp_path / "one")]) == 2
+    assert "not a folder" in capsys.readouterr().err
 
 
 def test_what_is_written_is_well_formatted(written: Path) -> None:
@@ -92,7 +108,7 @@ def test_the_command_writes_beside_what_is_there(
     assert "stereogs-solid" in capsys.readouterr().out
     assert (tmp_path / "stereogs-solid" / "stereogs_solid.py").is_file()
     assert main(["plugins", "new", "solid", "--kind", "regularizer"]) == 2
-    assert "something already" in capsys.readouterr().err
+    assert "folder exists and is not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["stereogs-solid"]
 
 
@@ -100,16 +116,24 @@ def test_the_command_writes_beside_what_is_there(
     ("name", "kind", "message"),
     [
         ("solid", "regulariser", "did you mean 'regularizer'"),
-        ("Solid", "regularizer", "not a name"),
-        ("2d", "regularizer", "not a name"),
-        ("", "regularizer", "not a name"),
-        ("../up", "regularizer", "not a name"),
+        ("Solid", "regularizer", "not a valid name"),
+        ("2d", "regularizer", "not a valid name"),
+        ("", "regularizer", "not a valid name"),
+        ("../up", "regularizer", "not a valid name"),
     ],
 )
 def test_what_cannot_be_is_refused(name: str, kind: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=message):
         new_plugin(name, kind, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_command_of_an_installed_name_is_refused(tmp_path: Path) -> None:
+    for name, owner in (("compare", "stereogs-plugins"), ("train", "the host")):
+        with pytest.raises(
+            PluginError, match=f"a command '{name}' is installed, offered by {owner}"
+        ):
+            new_plugin(name, COMMAND, tmp_path)
 
 
 def test_a_name_that_is_installed_is_refused(
@@ -129,6 +153,9 @@ def test_it_passes_its_own_tests_and_trains(kind: str, written: Path, tmp_path: 
     tests = ("-m", "pytest", "-q", "-p", "no:cacheprovider", str(package))
     run_python(*tests, folder=tmp_path, site=site)
     run_python("-m", "registry", "plugins", "--check", folder=tmp_path, site=site)
+    if kind == COMMAND:
+        run_python("-m", "registry", NAMES[kind], ".", folder=tmp_path, site=site)
+        return
     pipeline = str(package / "pipeline.yaml")
     run_python("-m", "registry", "train", pipeline, "--out", "run", folder=tmp_path, site=site)
     assert (tmp_path / "run" / "results.json").is_file()

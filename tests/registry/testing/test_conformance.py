@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -18,8 +21,9 @@ from core_rasterizer import ExplainedError
 from registry.events import IterationDone, RunEnded, RunStarted
 from registry.priors import StereoPrior
 from registry.testing import check
+from tests.registry.conftest import Install
 
-from .. import toy_doors as doors
+from .. import toy_extension_points as extension_points
 from .. import toy_plugin as toys
 
 
@@ -34,7 +38,7 @@ from .. import toy_plugin as toys
         toys.ToyReport,
         toys.ToyPsnr,
         toys.ToyDiary,
-        doors.ToyExposure,
+        extension_points.ToyExposure,
     ],
 )
 def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
@@ -57,6 +61,31 @@ def test_a_report_may_read_all_that_a_run_leaves() -> None:
 
 def test_a_component_may_refuse_what_it_cannot_do_in_words() -> None:
     check(NeedsWindow)
+
+
+def test_an_entry_point_of_another_name_is_found(install: Install) -> None:
+    source = (
+        Path(toys.__file__)
+        .read_text("utf-8")
+        .replace("from . import", "from tests.registry import")
+    )
+    install("misnamed", "1", {"toy_therm": "misnamed_a"}, misnamed_a=source)
+    component = importlib.import_module("misnamed_a").ToyTerm
+    with pytest.raises(r.PluginError, match="no entry point of misnamed"):
+        check(component)
+
+
+def test_the_hosts_own_thread_is_not_the_components() -> None:
+    """In a process of its own: the first watched call starts the host's thread."""
+    code = (
+        "from tests.registry.toy_plugin import ToyTerm\n"
+        "from registry.testing import check\n"
+        "import logging\nlogging.basicConfig(level='WARNING')\n"
+        "check(ToyTerm)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=200)
+    assert "left a thread behind" not in done.stderr
 
 
 def test_the_cost_is_told() -> None:
@@ -266,7 +295,7 @@ class Constant(toys.ToyTerm):
         return step.model.scales().mean()
 
 
-class Cut(doors.ToyExposure):
+class Cut(extension_points.ToyExposure):
     def colors(self, step: r.Step, rgb: torch.Tensor) -> torch.Tensor:
         return super().colors(step, rgb).detach()
 

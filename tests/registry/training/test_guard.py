@@ -16,19 +16,21 @@ from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Trainer
-from tests.registry.toy_doors import ToyExposure
+from tests.registry.toy_extension_points import ToyExposure
 from tests.registry.toy_plugin import ToyGrowth
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
 
 
 @pytest.fixture
-def fail(doors: Plugins, device: Device) -> Any:
+def fail(extension_points: Plugins, device: Device) -> Any:
     """Train until an iteration fails; its error. The Gaussians must be those before it."""
 
     def fail(text: str) -> ExplainedError:
         settings = ["training.iterations=3", "training.sh_degree=0"]
-        pipeline = parse_pipeline(BASE + text, doors, source="p.yaml", overrides=settings)
+        pipeline = parse_pipeline(
+            BASE + text, extension_points, source="p.yaml", overrides=settings
+        )
         scene = tiny_scene()
         assert scene.points is not None
         gaussians = initial_gaussians(scene.points, pipeline.training)
@@ -71,7 +73,7 @@ def test_a_loss_on_parameters_names_the_gaussian(fail: Any, monkeypatch: Any) ->
     def loss(self: object, step: r.Step) -> Tensor:
         return (step.parameter("opacities") * 0).sqrt().sum()
 
-    monkeypatch.setattr("tests.registry.toy_doors.ToyShape.loss", loss)
+    monkeypatch.setattr("tests.registry.toy_extension_points.ToyShape.loss", loss)
     error = fail("regularizers: [toy_term, toy_shape]\n")
     assert "the parameter 'opacities'" in error.what
     assert "[0]; in regularizer 'toy_shape'" in error.where

@@ -8,7 +8,7 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, GaussianError, GaussianModel
 from registry import PluginError, RunError, Step
-from registry.calls.loan import checked_plugins
+from registry.calls.read_only_guard import checked_plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
@@ -231,7 +231,7 @@ def test_a_component_is_looked_at_in_its_first_call_and_now_and_then(
         return step.rendering.alpha.mean()
 
     monkeypatch.setattr(ToyTerm, "loss", draw)
-    text = "regularizers: [{use: toy_term, start: 3, every: 2}]\n"
+    text = "regularizers: [{use: toy_term, start: 3, every: 2, phase: 0}]\n"
     for late in (4, 10):
         with pytest.raises(PluginError, match="global generator") as caught:
             train(make(text))

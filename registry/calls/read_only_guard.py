@@ -28,7 +28,7 @@ class Overwritten(PluginError):
     """A component wrote into what it was lent: whatever others make of that now would be wrong."""
 
 
-class Loan:
+class ReadOnlyGuard:
     """Tensors that a component may look at.
 
     Args:
@@ -46,8 +46,8 @@ class Loan:
         self._tensors, self._models = dict(tensors or {}), models
         self._renderings = renderings
 
-    def __add__(self, other: Loan) -> Loan:
-        return Loan(
+    def __add__(self, other: ReadOnlyGuard) -> ReadOnlyGuard:
+        return ReadOnlyGuard(
             self._tensors | other._tensors,
             self._models + other._models,
             self._renderings + other._renderings,
@@ -84,7 +84,7 @@ class Loan:
         return images
 
 
-NOTHING = Loan()
+NOTHING = ReadOnlyGuard()
 
 
 @contextmanager
@@ -105,7 +105,7 @@ def are_checked() -> bool:
     return _CHECKED.get()
 
 
-def of_scene(scene: Scene | TrainingScene) -> Loan:
+def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
     """The photographs, masks, depths, cameras and points of a scene; of test views if it has any."""
     tensors: dict[str, Tensor] = {}
     test = vars(scene).get("test", ())
@@ -114,27 +114,27 @@ def of_scene(scene: Scene | TrainingScene) -> Loan:
     for name, value in vars(scene.points).items() if scene.points else ():
         if name in ("positions", "colors", "scales", "opacities") and value is not None:
             tensors[f"the {name} of the scene's points"] = value
-    return Loan(tensors)
+    return ReadOnlyGuard(tensors)
 
 
-def of_view(view: TrainingView) -> Loan:
+def of_view(view: TrainingView) -> ReadOnlyGuard:
     """One view's photograph, mask, alpha, depth and camera."""
-    return Loan(_of_view(view))
+    return ReadOnlyGuard(_of_view(view))
 
 
-def of_rendering(rendering: Rendering) -> Loan:
+def of_rendering(rendering: Rendering) -> ReadOnlyGuard:
     """What was rendered."""
-    return Loan(renderings=(rendering,))
+    return ReadOnlyGuard(renderings=(rendering,))
 
 
-def of_kinds(kinds: Mapping[str, Tensor]) -> Loan:
+def of_kinds(kinds: Mapping[str, Tensor]) -> ReadOnlyGuard:
     """Which Gaussians descend from which kind of initial point."""
-    return Loan({f"which Gaussians are {kind}": mask for kind, mask in kinds.items()})
+    return ReadOnlyGuard({f"which Gaussians are {kind}": mask for kind, mask in kinds.items()})
 
 
-def of_maps(maps: Mapping[str, DepthMap]) -> Loan:
+def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
     """The initializer's depth of the training views."""
-    return Loan(
+    return ReadOnlyGuard(
         {
             f"the initializer's {kind} of {name}": value
             for name, known in maps.items()

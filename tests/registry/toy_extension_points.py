@@ -1,4 +1,4 @@
-"""Small components that go through one door of the host each, for tests of the doors."""
+"""Small components that use one extension point of the host each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every door of the training loop, each tried by a small plugin that goes through it."""
+"""Every extension point of the training loop, each used by a small plugin."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ Make = Callable[..., Trainer]
 
 
 @pytest.fixture
-def make(doors: Plugins, device: Device) -> Make:
+def make(extension_points: Plugins, device: Device) -> Make:
     def make(text: str, *overrides: str) -> Trainer:
         settings = ["training.iterations=6", "training.sh_degree=1", *overrides]
-        pipeline = parse_pipeline(BASE + text, doors, source="p.yaml", overrides=settings)
+        pipeline = parse_pipeline(
+            BASE + text, extension_points, source="p.yaml", overrides=settings
+        )
         parts, scene = Parts(pipeline, device), tiny_scene()
         points = parts.one("initializer").component.initialize(scene.for_training(), {})
         model = new_model(initial_gaussians(points, pipeline.training), pipeline.training, device)
@@ -255,7 +257,7 @@ def test_a_perturbation_that_makes_a_parameter_infinite_is_named(
     def offsets(self: object, step: Step) -> dict[str, torch.Tensor]:
         return {"means": torch.full_like(step.model.read("means"), 2e38)}
 
-    monkeypatch.setattr("tests.registry.toy_doors.ToyNoise.offsets", offsets)
+    monkeypatch.setattr("tests.registry.toy_extension_points.ToyNoise.offsets", offsets)
     with pytest.raises(ExplainedError, match="not finite") as caught:
         train(make("perturbations: [toy_noise]\n"))
     assert "means[0]; in perturbation 'toy_noise'" in caught.value.where
@@ -306,7 +308,7 @@ def test_depth_of_the_initializer_reaches_regularizers_and_survives_a_resume(mak
 
 @pytest.mark.parametrize(
     ("at", "message"),
-    [("test", "test views"), ("depth", "true depth"), ("early", "before it is made")],
+    [("test", "test views"), ("depth", "true depth"), ("early", "before it exists")],
 )
 def test_asking_for_the_truth_is_an_error_with_the_plugins_name(
     make: Make, at: str, message: str

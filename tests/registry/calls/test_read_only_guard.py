@@ -7,7 +7,13 @@ import torch
 
 from core_rasterizer import Device, GaussianModel
 from registry import PluginError, Scene
-from registry.calls.loan import Loan, checked_plugins, of_maps, of_rendering, of_scene
+from registry.calls.read_only_guard import (
+    ReadOnlyGuard,
+    checked_plugins,
+    of_maps,
+    of_rendering,
+    of_scene,
+)
 from registry.pipeline.training_settings import TrainingSettings
 from registry.priors import DepthMap
 from registry.testing import tiny_scene
@@ -79,7 +85,7 @@ def test_maps_are_lent_too() -> None:
 def test_tensors_without_a_count_of_writes_can_be_lent() -> None:
     with torch.inference_mode():
         tensor = torch.ones(3)
-    lent = Loan({"it": tensor})
+    lent = ReadOnlyGuard({"it": tensor})
     with lent.kept():
         pass
     with checked_plugins(), pytest.raises(PluginError), lent.kept(), torch.inference_mode():
@@ -90,7 +96,7 @@ def test_gaussians_are_compared(device: Device) -> None:
     points = tiny_scene().points
     assert points is not None
     model = GaussianModel(initial_gaussians(points, TrainingSettings(sh_degree=0)), device)
-    lent = Loan(models=(model,))
+    lent = ReadOnlyGuard(models=(model,))
     with lent.kept():
         model.read("means").clone()
     with pytest.raises(PluginError, match="wrote into the Gaussians"), lent.kept():
