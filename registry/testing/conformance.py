@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -14,6 +15,8 @@ from core_rasterizer import Device, open_device
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..pipeline.parts import TRAINING_SECTIONS
+from ..pipeline.settings_check import escape_variables, validate_settings
+from ..pipeline.yaml_source import Node, parse, to_yaml
 from ..plugins.discovery import GROUP, Plugins, check_offer
 from ..training.component_parameters import check_groups
 from .bench import Bench, Refusal
@@ -23,7 +26,6 @@ from .listening import listen
 from .questions import ASK
 from .rehearsal import rehearse
 from .scenes import EMPTY, PIXEL, REAL, Size
-from .settings import check_settings
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def check(
     check_offer(point, UNDER_TEST, component)
     _check_entry_points(component)
     chosen = component.Settings(**settings)
-    check_settings(chosen)
+    _check_settings(chosen)
     given = priors or {}
     bench = Bench(device or open_device(), given)
     first, again = (_answer(component, chosen, bench) for _ in range(2))
@@ -144,3 +146,19 @@ def _built(component: type[Component[Any]], settings: Settings, bench: Bench) ->
     if point_of(component).section in TRAINING_SECTIONS:
         built.begin_training(bench.scene.for_training())
     return built
+
+
+def _check_settings(settings: Settings) -> None:
+    """Write settings as JSON and as a pipeline file, and read them back.
+
+    Raises:
+        AssertionError: the settings differ afterwards.
+        PipelineError: the file is refused.
+    """
+    plain = settings.model_dump(mode="json")
+    from_json = type(settings).model_validate_json(json.dumps(plain), strict=True)
+    require(from_json == settings, "the settings do not survive being written as JSON")
+    tree = parse(to_yaml(escape_variables({"settings": plain})), "settings").content
+    written = tree["settings"] if isinstance(tree, dict) else Node({}, parse("", "").place)
+    from_yaml = validate_settings(type(settings), written, "settings")
+    require(from_yaml == settings, "the settings do not survive being written to a pipeline file")

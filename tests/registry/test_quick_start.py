@@ -44,7 +44,7 @@ REFUSED = {
     "metric=[psnr]": "did you mean 'metrics'",
     "training.iteration=3": "did you mean 'iterations'",
     "training.iterations": "must look like a.b=value",
-    "protocol=llff-4": "no protocol",
+    "protocol=llff-4": "unknown protocol",
 }
 
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
@@ -30,7 +28,9 @@ def step_beside(own: Tensor, *others: Tensor) -> Step:
     for index, positions in enumerate(others, start=1):
         model = GaussianModel(at(positions), open_device())
         beside.append(OtherField(index, model.reader(), step.rendering, step.render))
-    return replace(step, others=tuple(beside))
+    rendering = step.rendering
+    step.rendered(lambda: rendering, tuple(beside))
+    return step
 
 
 def test_it_keeps_the_contract() -> None:

@@ -15,6 +15,7 @@ from PIL import Image
 from core_rasterizer import Gaussians, Rendering
 from registry import RunError
 from registry.runs.folder import RunFolder
+from registry.system.files import write_json
 from registry.testing import tiny_scene
 from registry.toolkit.drawing.pictures import save_png, save_view_pictures
 from registry.training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
@@ -87,7 +88,7 @@ def run(tmp_path: Path) -> RunFolder:
     for iteration in (50, 100):
         run.append_metrics({"iteration": iteration, "seconds": 1.0, "loss": 9 / iteration})
         run.append_metrics({"iteration": iteration, "test": {"psnr": iteration / 5, "x": None}})
-    run.write_results(RESULTS)
+    write_json(run.path / "results.json", RESULTS)
     return run
 
 

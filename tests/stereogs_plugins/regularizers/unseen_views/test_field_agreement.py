@@ -54,8 +54,9 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
         asked.append(camera)
         return moved.render(camera, background=background)
 
-    other = step.others[0]
-    step = replace(step, others=(type(other)(1, moved.reader(), other.rendering, elsewhere),))
+    other, rendering = step.others[0], step.rendering
+    moved_field = type(other)(1, moved.reader(), other.rendering, elsewhere)
+    step.rendered(lambda: rendering, (moved_field,))
     loss = build(FieldAgreement, seed=3).loss(step)
     (camera,) = asked
     generator = torch.Generator().manual_seed(3)
@@ -71,6 +72,7 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
 
 def test_a_single_field_is_refused() -> None:
     step, _ = bench_step()
-    step = replace(step, others=())
+    rendering = step.rendering
+    step.rendered(lambda: rendering, ())
     with pytest.raises(PluginError, match="two fields"):
         build(FieldAgreement).loss(step)
