@@ -1,6 +1,6 @@
 """It keeps something of every iteration, for ever."""
 
-import torch
+import mmap
 
 import registry
 
@@ -11,7 +11,9 @@ class Sick(registry.Regularizer[registry.Settings]):
         self.kept = []
 
     def loss(self, step):
-        self.kept.append(torch.ones(8_000_000))
+        pages = mmap.mmap(-1, 32_000_000)  # new pages: an allocator may reuse freed ones
+        pages.write(bytes([1]) * 32_000_000)
+        self.kept.append(pages)
         return step.rendering.alpha.mean()
 
 
