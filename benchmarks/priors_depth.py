@@ -119,8 +119,9 @@ def point_errors(scene: Scene, seen: Sequence[Tensor], depths: Sequence[DepthIma
     errors = []
     for view, points, depth in zip(scene.train, seen, depths, strict=True):
         camera = view.camera
-        u, v, z = (values.numpy() for values in camera.project(points))
-        inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height) & (z > 0)
+        projected = camera.project(points)
+        inside = camera.contains(*projected).numpy()
+        u, v, z = (values.numpy() for values in projected)
         found = depth[v[inside].astype(int), u[inside].astype(int)]
         errors.append(np.where(found > 0, np.abs(found - z[inside]) / z[inside], np.inf))
     return np.concatenate(errors)

@@ -1,7 +1,7 @@
 """A differentiable rasterizer of 3D Gaussians in OpenCL, for any CPU or GPU.
 
-`rasterize` renders plain torch tensors. `GaussianModel` keeps the Gaussians on the device for
-training, with `photometric_loss`, `Adam` and `apply_edit` beside it.
+`rasterize` renders torch tensors. `GaussianModel` stores Gaussians on the device for training with
+`photometric_loss`, `Adam` and `apply_edit`.
 """
 
 from typing import TYPE_CHECKING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,25 +14,7 @@ from .errors import CameraError
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
-    """A pinhole camera without distortion.
-
-    Camera axes are OpenCV's: +x right, +y down, +z forward. Pixel centres lie at half integers, so
-    the centre of the top-left pixel is (0.5, 0.5) and an ideal centred camera has cx = width / 2.
-
-    Args:
-        world_to_camera: `[4, 4]` rigid transform from world to camera coordinates; anything that
-            torch can turn into a tensor. Kept as a copy, float64 on the CPU, that stays in autograd's
-            graph: where it requires a gradient, `backward` of a render gives it one (`rasterize`).
-        fx, fy: focal lengths in pixels, > 0.
-        cx, cy: principal point in pixels; it may lie outside the image.
-        width, height: image size in pixels, >= 1.
-
-    Raises:
-        CameraError: a value is not finite, a focal length or size is not positive, or the upper-left
-            3x3 block is not a rotation (to 1e-3).
-    """
-
+class _Pinhole:
     world_to_camera: Tensor
     fx: float
     fy: float
@@ -40,33 +23,49 @@ class Camera:
     width: int
     height: int
 
-    def __post_init__(self) -> None:
-        pose = _as_pose(self.world_to_camera)
-        object.__setattr__(self, "world_to_camera", pose)
-        for name in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, name))
-            if not abs(value) < float("inf"):
-                raise CameraError(f"{name} is {value}, which is not finite", where=f"camera.{name}")
-            object.__setattr__(self, name, value)
-        for name in ("fx", "fy"):
-            if getattr(self, name) <= 0:
-                raise CameraError(
-                    f"the focal length {name} is {getattr(self, name):g}; it must be positive",
-                    where=f"camera.{name}",
-                    fix="flip the camera axes in the pose instead of using a negative focal length",
-                )
-        for name in ("width", "height"):
-            value = getattr(self, name)
-            if int(value) != value or value < 1:
-                raise CameraError(
-                    f"the image {name} is {value}; it must be a whole number of at least 1",
-                    where=f"camera.{name}",
-                )
-            object.__setattr__(self, name, int(value))
+
+class Camera(_Pinhole):
+    """A pinhole camera without distortion; immutable, but `dataclasses.replace` works.
+
+    Camera axes are OpenCV's: +x right, +y down, +z forward. Pixel centres lie at half integers: the
+    centre of the top-left pixel is (0.5, 0.5), and an ideal centred camera has cx = width / 2.
+
+    Args:
+        world_to_camera: `[4, 4]` rigid transform from world to camera coordinates, anything that
+            torch can convert to a tensor. Stored as a float64 copy on the CPU that stays in autograd:
+            if it requires a gradient, `backward` of a render computes it (`rasterize`).
+        fx, fy: focal lengths in pixels, > 0.
+        cx, cy: principal point in pixels; may lie outside the image.
+        width, height: image size in pixels, >= 1.
+
+    Raises:
+        CameraError: a value is not finite, a focal length or size is not positive, or the upper-left
+            3x3 block is not a rotation (to 1e-3).
+    """
+
+    def __init__(
+        self,
+        world_to_camera: Any,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        width: int,
+        height: int,
+    ) -> None:
+        super().__init__(
+            _as_pose(world_to_camera),
+            _focal("fx", fx),
+            _focal("fy", fy),
+            _finite("cx", cx),
+            _finite("cy", cy),
+            _size("width", width),
+            _size("height", height),
+        )
 
     @classmethod
     def centered(cls, world_to_camera: Any, focal: float, width: int, height: int) -> Camera:
-        """A camera with square pixels and the principal point in the middle of the image.
+        """A camera with square pixels and the principal point at the image centre.
 
         Args:
             world_to_camera: `[4, 4]`, as above.
@@ -85,22 +84,22 @@ class Camera:
         *,
         up: Sequence[float] = (0.0, -1.0, 0.0),
     ) -> Camera:
-        """A `centered` camera at `eye` that sees `target` in the middle of its image.
+        """A `centered` camera at `eye` with `target` at the image centre.
 
         Args:
-            up: what is upwards in the image, world units of any length; not the viewing direction.
+            up: upward direction of the image, in world coordinates, of any length.
 
         Raises:
-            CameraError: the eye is at the target, or `up` is along the viewing direction.
+            CameraError: the eye is at the target, or `up` is parallel to the viewing direction.
         """
         place, seen, upwards = (torch.as_tensor(v, dtype=torch.float64) for v in (eye, target, up))
         forward = seen - place
         right = torch.linalg.cross(forward, upwards)
         if not float(right.norm()) > 1e-9 * float(forward.norm() * upwards.norm()):
             raise CameraError(
-                "no camera looks from the eye to the target with that `up`",
+                "the eye is at the target, or `up` is parallel to the viewing direction",
                 where=f"eye {list(eye)}, target {list(target)}, up {list(up)}",
-                fix="move the eye away from the target, or give an `up` that is not the direction of view",
+                fix="move the eye away from the target, or choose another `up`",
             )
         forward, right = forward / forward.norm(), right / right.norm()
         pose = torch.eye(4, dtype=torch.float64)
@@ -130,25 +129,44 @@ class Camera:
         )
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Where world points appear.
+        """Project world points to the image.
 
         Args:
             points: `[..., 3]`, world units.
 
         Returns:
-            u, v, z, each `[...]` float64: column and row in pixels, the top-left pixel's centre being
-            (0.5, 0.5), and z-depth in world units. Where z <= 0, nothing is seen, and u and v have
-            no meaning.
+            u, v, z, each `[...]` float64: column and row in pixels, and z-depth in world units. Where
+            z <= 0 the point is not visible, and u and v are meaningless.
         """
         pose = self.world_to_camera
         x, y, z = (points.double() @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
         return self.fx * x / z + self.cx, self.fy * y / z + self.cy, z
 
-    def unproject(self, u: Tensor, v: Tensor, z: Tensor) -> Tensor:
-        """The world points that appear at pixel positions: the inverse of `project`.
+    def contains(
+        self, u: Tensor, v: Tensor, z: Tensor | None = None, *, border: bool = False
+    ) -> Tensor:
+        """Which pixel positions lie in the image; `contains(*project(points))` for points.
 
         Args:
-            u, v: column and row in pixels, the top-left pixel's centre being (0.5, 0.5).
+            u, v: column and row in pixels, `[...]`.
+            z: z-depth `[...]`; if given, positions with z <= 0 are outside.
+            border: If True, u = width and v = height count as inside. If False, every position inside
+                falls into the pixel (floor(v), floor(u)).
+
+        Returns:
+            bool `[...]`, False for NaN.
+        """
+        if border:
+            inside = (u >= 0) & (u <= self.width) & (v >= 0) & (v <= self.height)
+        else:
+            inside = (u >= 0) & (u < self.width) & (v >= 0) & (v < self.height)
+        return inside if z is None else inside & (z > 0)
+
+    def unproject(self, u: Tensor, v: Tensor, z: Tensor) -> Tensor:
+        """The world points at pixel positions and depths: the inverse of `project`.
+
+        Args:
+            u, v: column and row in pixels.
             z: z-depth, world units. The three broadcast to one shape `[...]`.
 
         Returns:
@@ -169,18 +187,18 @@ class Camera:
         return u, v
 
     def shifted_right(self, distance: float) -> Camera:
-        """The same camera moved along its own +x axis: the right eye of a rectified stereo pair.
+        """The same camera moved along its +x axis: the right eye of a rectified stereo pair.
 
         Args:
-            distance: in world units; a negative distance moves to the left.
+            distance: in world units; negative moves to the left.
         """
         shift = torch.zeros(4, 4, dtype=torch.float64)
         shift[0, 3] = distance
-        # Not in place: this keeps nothing for autograd, so that backward may pass here many times.
+        # Not in place: autograd keeps nothing, so backward may run through it repeatedly.
         return replace(self, world_to_camera=self.world_to_camera - shift)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view on another pixel grid; focal lengths and principal point scale with it."""
+        """The same view at another image size; focal lengths and principal point scale with it."""
         scale_x, scale_y = width / self.width, height / self.height
         return replace(
             self,
@@ -193,27 +211,50 @@ class Camera:
         )
 
 
+def _finite(name: str, value: float) -> float:
+    value = float(value)
+    if not math.isfinite(value):
+        raise CameraError(f"{name} is {value}, which is not finite", where=f"camera.{name}")
+    return value
+
+
+def _focal(name: str, value: float) -> float:
+    value = _finite(name, value)
+    if value <= 0:
+        raise CameraError(
+            f"the focal length {name} is {value:g}; it must be positive",
+            where=f"camera.{name}",
+            fix="flip the camera axes in the pose instead of using a negative focal length",
+        )
+    return value
+
+
+def _size(name: str, value: float) -> int:
+    if int(value) != value or value < 1:
+        raise CameraError(
+            f"the image {name} is {value}; it must be a whole number of at least 1",
+            where=f"camera.{name}",
+        )
+    return int(value)
+
+
 def _as_pose(matrix: Any) -> Tensor:
-    pose = torch.as_tensor(matrix).to("cpu", torch.float64).clone()
-    _check_rigid(pose.detach())
-    return pose
-
-
-def _check_rigid(pose: Tensor) -> None:
+    """A float64 copy on the CPU, checked to be rigid."""
+    where = "camera.world_to_camera"
+    copy = torch.as_tensor(matrix).to("cpu", torch.float64).clone()
+    pose = copy.detach()
     if pose.shape != (4, 4):
         raise CameraError(
-            f"world_to_camera has shape {tuple(pose.shape)}; it must be (4, 4)",
-            where="camera.world_to_camera",
+            f"world_to_camera has shape {tuple(pose.shape)}; it must be (4, 4)", where=where
         )
     if not torch.isfinite(pose).all():
-        raise CameraError(
-            "world_to_camera contains a value that is not finite", where="camera.world_to_camera"
-        )
+        raise CameraError("world_to_camera contains a value that is not finite", where=where)
     rotation = pose[:3, :3]
     residual = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max()
     if residual > 1e-3 or torch.linalg.det(rotation) < 0:
         raise CameraError(
             f"the 3x3 block of world_to_camera is not a rotation (residual {residual:.2g})",
-            where="camera.world_to_camera",
+            where=where,
             fix="remove scale or mirroring from the pose",
         )
+    return copy

@@ -1,23 +1,23 @@
-"""Errors of the engine, and the root of every error that a user of the project may see.
+"""Errors of the engine, and the base class of every error that users of the project see.
 
-ExplainedError                what happened, where, and how to mend it
+ExplainedError                what happened, where, and how to fix it
 ├── DeviceError               no OpenCL device, an unknown name, a kernel that does not build
-├── CameraError               a camera that cannot project
+├── CameraError               an invalid camera
 ├── GaussianError             Gaussians of a wrong shape, type or value; names field and index
-├── PlyError                  a PLY file that cannot be read
-└── MemoryBudgetError         a scene that would not fit, with numbers
+├── PlyError                  a PLY file that cannot be read or written
+└── MemoryBudgetError         more memory needed than allowed, with numbers
 """
 
 from __future__ import annotations
 
 
 class ExplainedError(Exception):
-    """An error that a person can act on.
+    """An error with a location and a fix.
 
     Args:
-        what: one sentence: what happened.
-        where: the place: a file and line, a field and index, a plugin and iteration. May be empty.
-        fix: what to do about it. May be empty.
+        what: one sentence that describes the error.
+        where: file and line, field and index, or plugin and iteration. May be empty.
+        fix: how to avoid it. May be empty.
     """
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
@@ -36,11 +36,11 @@ class ExplainedError(Exception):
 
 
 class DeviceError(ExplainedError):
-    """No usable OpenCL device, or one that refused a kernel."""
+    """No usable OpenCL device, or a kernel that failed on it."""
 
 
 class CameraError(ExplainedError):
-    """A camera that cannot project: non-finite pose, focal length or size out of range."""
+    """A camera with a non-finite pose, or a focal length or size out of range."""
 
 
 class GaussianError(ExplainedError):
@@ -60,4 +60,4 @@ class PlyError(ExplainedError):
 
 
 class MemoryBudgetError(ExplainedError):
-    """The work asked for would need more memory than the budget allows."""
+    """An operation needs more memory than the budget allows."""

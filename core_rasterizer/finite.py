@@ -1,4 +1,4 @@
-"""Where numbers are not finite."""
+"""Search for values that are not finite."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 def undefined_places(values: Tensor) -> Tensor:
-    """Indices `[K, values.ndim]` of NaNs and infinities, in order.
+    """Return the indices `[K, values.ndim]` of NaNs and infinities, in order.
 
-    Usually one pass: only a sum that is not finite is worth a closer look.
+    Usually one pass: values are only searched if their sum is not finite.
     """
     values = values.detach()
     if math.isfinite(values.sum()):

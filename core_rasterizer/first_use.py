@@ -1,13 +1,12 @@
-"""Packages whose names are imported when they are first asked for, so that importing one costs nothing.
+"""Lazy imports for packages: a module is imported when one of its names is first used (PEP 562).
 
     if TYPE_CHECKING:
         from .camera import Camera
     else:
         __getattr__, __dir__ = names_on_first_use(__name__)
 
-Type checkers and readers see plain imports. At run time they are read, not executed: each module is
-imported when one of its names is first used (PEP 562). No name may be that of a module of the package,
-which Python would put in its place.
+Type checkers and readers see plain imports; at run time they are parsed, not executed. A name must not
+be that of a module of the package, because importing the module would replace it.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ from typing import Any
 
 
 def names_on_first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that imports only under `if TYPE_CHECKING:`.
+    """Return `__getattr__` and `__dir__` for a package that imports only under `if TYPE_CHECKING:`.
 
     Args:
-        package: its dotted name. Its source must be there, as it is in every wheel.
+        package: dotted name of a package whose source is installed, as in every wheel.
     """
-    homes = dict(_homes(package))
+    targets = dict(_targets(package))
 
     def get(name: str) -> Any:
-        if name not in homes:
+        if name not in targets:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, original = homes[name]
+        module, original = targets[name]
         if module == package:  # `from . import module`
             return importlib.import_module(f"{package}.{original}")
         value = getattr(importlib.import_module(module), original)
@@ -39,13 +38,13 @@ def names_on_first_use(package: str) -> tuple[Callable[[str], Any], Callable[[],
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *homes})
+        return sorted({*vars(sys.modules[package]), *targets})
 
     return get, names
 
 
-def _homes(package: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Each name with its module and what it is called there."""
+def _targets(package: str) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Each name with its module and its name in that module."""
     spec = sys.modules[package].__spec__
     source = spec.loader.get_source(package)  # type: ignore[union-attr]
     for node in ast.parse(source).body:

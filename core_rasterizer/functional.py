@@ -1,4 +1,4 @@
-"""Rendering as an ordinary differentiable torch function, for people with a loop of their own."""
+"""Rendering as a differentiable torch function, for custom training loops."""
 
 from __future__ import annotations
 
@@ -49,43 +49,42 @@ def rasterize(
 ) -> Rendering:
     """Render Gaussians; differentiable with respect to the first five arguments and the camera's pose.
 
-    The kernels run in the type of `means`: float32, or float64 on devices that have it. Gaussians
-    that are behind the camera, outside the image, fainter than 1/255 or not finite are invisible and
-    get a zero gradient.
+    The kernels run in the type of `means`: float32, or float64 where the device supports it. Gaussians
+    behind the camera, outside the image, fainter than 1/255 or not finite are invisible and get a zero
+    gradient.
 
-    Where `camera.world_to_camera` requires a gradient it gets one, `[4, 4]` with zeros in the last row: the
-    twelve numbers of [R | t] each on their own, the camera centre being -R^T t. A pose that is optimized is
-    best a function of six numbers, of which a new `Camera` is made at every step.
+    If `camera.world_to_camera` requires a gradient, it gets one, `[4, 4]` with zeros in the last row, which
+    treats the twelve entries of [R | t] as independent. To optimize a pose, compute it from six parameters
+    and create a new `Camera` at every step.
 
     Args:
         means: `[N, 3]` centres, world units.
-        quaternions: `[N, 4]` rotations (w, x, y, z), any length; normalized inside, zero = identity.
+        quaternions: `[N, 4]` rotations (w, x, y, z), normalized internally; zero is the identity.
         scales: `[N, 3]` standard deviations along the Gaussian's axes, world units (not logarithms).
         opacities: `[N]` in [0, 1] (not logits).
-        sh: `[N, K, 3]` spherical-harmonic coefficients, K = 1, 4, 9 or 16; colour is SH + 0.5, clamped
-            at 0 below.
-        camera: what to look through.
-        background: three numbers, the colour behind the scene; None is black. No gradient flows to it.
+        sh: `[N, K, 3]` spherical-harmonic coefficients, K = 1, 4, 9 or 16; colour is max(SH + 0.5, 0).
+        camera: the view.
+        background: three numbers, the colour behind the scene, without gradient; None is black.
         near: z-depth below which Gaussians are culled, world units, > 0.
-        sh_degree: bands to use, 0 to 3, the last by a fraction: 1.5 is bands 0 and 1 and half of band 2.
-            None, or more than `sh` has, uses all.
-        dilation: added to the variances of every ellipse on the image, square pixels, >= 0. Kernels are
-            built for each new value.
-        compensate_dilation: let the opacity fall as dilation widens the ellipse, as the 2D filter of
-            Mip-Splatting does (Yu et al. 2024, eq. 10).
-        smoothing: `[N]` standard deviations >= 0, world units, of the 3D filter of Mip-Splatting (eq. 9):
-            scales become sqrt(s^2 + f^2) and the opacity shrinks by the product of s / sqrt(s^2 + f^2).
-            No gradient flows to them.
+        sh_degree: bands to use, 0 to 3; a fraction weights the last band: 1.5 is bands 0 and 1 and half
+            of band 2. None, or more than `sh` has, uses all.
+        dilation: added to the variances of every ellipse on the image, square pixels, >= 0. Each new
+            value builds kernels.
+        compensate_dilation: If True, lower the opacity as dilation widens the ellipse, like the 2D filter
+            of Mip-Splatting (Yu et al. 2024, eq. 10).
+        smoothing: `[N]` standard deviations >= 0, world units, of the 3D filter of Mip-Splatting (eq. 9),
+            without gradient: scales become sqrt(s^2 + f^2), and the opacity is multiplied by
+            s / sqrt(s^2 + f^2) for each axis.
         device: the OpenCL device; None chooses (`open_device`).
 
     Returns:
         `rgb [H, W, 3]`, `depth [H, W]` (sum of z alpha T, not divided by alpha) and `alpha [H, W]`.
 
     Raises:
-        GaussianError: shapes or types that do not fit together; a background, a degree, a dilation or a
-            smoothing that is not finite or out of range.
+        GaussianError: inconsistent shapes or types; a background, degree, dilation or smoothing that is
+            not finite or out of range.
         CameraError: the image is too large to address, or `near` is not positive.
-        MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
+        MemoryBudgetError: the image or the lists of Gaussians per tile exceed the budget.
     """
     _check(
         {
@@ -155,7 +154,7 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _check(tensors: dict[str, Tensor]) -> None:
-    """Refuse shapes and types that do not fit together, naming the argument."""
+    """Raise for inconsistent shapes and types, naming the argument."""
     means, sh = tensors["means"], tensors["sh"]
     count = means.shape[0] if means.ndim else 0
     coefficients = sh.shape[1] if sh.ndim == 3 and sh.shape[1] in (1, 4, 9, 16) else 16
@@ -175,5 +174,5 @@ def _check(tensors: dict[str, Tensor]) -> None:
             raise GaussianError(
                 f"the type is {tensor.dtype}; means are {means.dtype}",
                 field=field,
-                fix="give all five as float32, or all five as float64",
+                fix="pass all five as float32, or all five as float64",
             )

@@ -1,4 +1,4 @@
-"""Gaussian parameters on the host, in the form in which they are optimized."""
+"""Gaussian parameters on the host, as they are optimized."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SH_C0 = 0.28209479177387814
 
 
 def sh_coefficients(degree: int) -> int:
-    """How many spherical-harmonic coefficients a colour channel has up to `degree` (0 to 3)."""
+    """Number of spherical-harmonic coefficients of a colour channel up to `degree` (0 to 3)."""
     return (degree + 1) ** 2
 
 
@@ -25,13 +25,13 @@ class Gaussians:
 
     Args:
         means: `[N, 3]` centres, world units.
-        log_scales: `[N, 3]` natural logarithm of the standard deviations along the Gaussian's axes.
-        quaternions: `[N, 4]` rotations (w, x, y, z); any length but zero, normalised on use.
-        opacity_logits: `[N]`; the opacity is sigmoid of it.
+        log_scales: `[N, 3]` natural logarithms of the standard deviations along the Gaussian's axes.
+        quaternions: `[N, 4]` rotations (w, x, y, z) of non-zero length; normalized on use.
+        opacity_logits: `[N]`; opacity = sigmoid(logit).
         sh: `[N, K, 3]` spherical-harmonic coefficients, K = 1, 4, 9 or 16; colour = SH + 0.5.
 
     Raises:
-        GaussianError: shapes that do not fit together. Values are not checked here; see `check_finite`.
+        GaussianError: inconsistent shapes. Values are not checked; see `check_finite`.
     """
 
     means: Tensor
@@ -63,14 +63,14 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """The degree that `sh` has room for, 0 to 3."""
+        """Degree of `sh`, 0 to 3."""
         return math.isqrt(self.sh.shape[1]) - 1
 
     def check_finite(self) -> Gaussians:
         """Return self if every parameter is finite.
 
         Raises:
-            GaussianError: naming the first field and index that are not.
+            GaussianError: names the first field and index that are not.
         """
         for field in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
             finite = torch.isfinite(getattr(self, field))[:, None].flatten(1).all(dim=1)
@@ -83,14 +83,14 @@ class Gaussians:
     def from_points(
         positions: Tensor, colors: Tensor, scales: Tensor, opacities: Tensor, sh_degree: int
     ) -> Gaussians:
-        """Isotropic Gaussians at points.
+        """Create isotropic Gaussians at points.
 
         Args:
             positions: `[N, 3]` world units.
-            colors: `[N, 3]` in [0, 1]; becomes the constant SH band, (rgb - 0.5) / C0.
+            colors: `[N, 3]` in [0, 1]; stored in the constant SH band as (rgb - 0.5) / C0.
             scales: `[N]` standard deviations, world units, > 0.
             opacities: `[N]` in (0, 1).
-            sh_degree: 0 to 3; higher bands start at zero.
+            sh_degree: 0 to 3; bands above the constant one are zero.
         """
         count = positions.shape[0]
         sh = torch.zeros(count, sh_coefficients(sh_degree), 3)

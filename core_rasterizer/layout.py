@@ -1,7 +1,7 @@
-"""Where each parameter of a Gaussian stands: the one place that says so, for Python and for the kernels.
+"""Memory layout of the parameters, for Python and the kernels.
 
 Parameters are an array `[rows, capacity]`: a row is one scalar parameter of all Gaussians, a column one
-Gaussian. SH rows come last, coefficient by coefficient, three channels each.
+Gaussian. SH rows come last, three channels per coefficient.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 from .gaussians import sh_coefficients
 
 _WIDTHS = {"means": 3, "log_scales": 3, "quaternions": 4, "opacity_logits": 1}
-"""Rows of each parameter in front of the SH coefficients, in their order."""
+"""Number of rows of each parameter before the SH coefficients, in order."""
 
 PARAMETERS = (*_WIDTHS, "sh")
-"""The names of the parameters, in the order of their rows."""
+"""Names of the parameters, in the order of their rows."""
 
 ROWS_BEFORE_SH = sum(_WIDTHS.values())
-"""Parameter rows in front of the SH coefficients."""
+"""Number of rows before the SH coefficients."""
 
 _ENDS = [sum(list(_WIDTHS.values())[: number + 1]) for number in range(len(_WIDTHS))]
 _ROWS = {
@@ -27,10 +27,10 @@ PARAMETER_GROUPS: dict[str, tuple[int, int | None]] = {
     "sh_constant": (ROWS_BEFORE_SH, ROWS_BEFORE_SH + 3),
     "sh_rest": (ROWS_BEFORE_SH + 3, None),
 }
-"""Rows that share a learning rate; the last group takes what is left."""
+"""Rows `[first, last)` that share a learning rate; the last group has all remaining rows."""
 
 PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
-"""A bit for each parameter, by which kernels are told of several at once."""
+"""One bit per parameter, for sets of parameters in kernel arguments."""
 
 KERNEL_MACROS = {
     "ROW_MEAN": _ROWS["means"][0],
@@ -40,14 +40,14 @@ KERNEL_MACROS = {
     "ROW_SH": ROWS_BEFORE_SH,
     **{f"BIT_{name.upper()}": bit for name, bit in PARAMETER_BITS.items()},
 }
-"""What every kernel is built with: the first row of each parameter, and its bit."""
+"""Macros of every kernel: first row and bit of each parameter."""
 
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 
 
 def row_count(sh_degree: int) -> int:
-    """Scalar parameters of a Gaussian with SH bands up to `sh_degree` (0 to 3)."""
+    """Number of scalar parameters of a Gaussian with SH bands up to `sh_degree` (0 to 3)."""
     return ROWS_BEFORE_SH + 3 * sh_coefficients(sh_degree)
 
 

@@ -1,4 +1,4 @@
-"""Gaussians in PLY files, in the layout that 3D Gaussian Splatting made a standard.
+"""Gaussians in PLY files, in the layout of 3D Gaussian Splatting.
 
 One `vertex` element in binary little-endian float32: x y z, normals (zero), f_dc_0..2 (the constant
 SH band), f_rest_* (the other bands, all of red, then green, then blue), opacity (logit), scale_0..2
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .ply_header import PlyHeader
 
 _COMMENT = "SplatRenderMode: default"
-"""How viewers are told that no anti-aliasing filter was part of training."""
+"""Tells viewers that training used no anti-aliasing filter."""
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -41,22 +41,21 @@ _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_POSITION, *_CONSTANT_BAND, "opacity", *_SCALE, *_ROTATION)
 _REST = "f_rest_"
 _REST_COUNTS = (0, 9, 24, 45)
-"""How many f_rest_* properties SH degrees 0 to 3 have."""
+"""Number of f_rest_* properties for SH degrees 0 to 3."""
 
 _log = logging.getLogger(__name__)
 
 
 def save_ply(gaussians: Gaussians, path: str | Path) -> int:
-    """Write Gaussians to a PLY file; an existing file is replaced only by a complete new one.
+    """Write Gaussians to a PLY file as float32, atomically.
 
-    Rows with a value that is not finite are left out, because viewers fail on them.
+    Rows with a value that is not finite are omitted, because viewers fail on them.
 
     Args:
-        gaussians: to be written, as float32.
         path: the file; its folder must exist.
 
     Returns:
-        How many rows were left out; if any, a warning is logged too.
+        Number of omitted rows; if any, a warning is logged.
 
     Raises:
         PlyError: the file cannot be written.
@@ -81,12 +80,12 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
     finite = torch.isfinite(columns).all(dim=1)
     dropped = count - int(finite.sum())
     if dropped:
-        _log.warning("%s: left out %d of %d Gaussians that are not finite", path, dropped, count)
+        _log.warning("%s: omitted %d of %d Gaussians that are not finite", path, dropped, count)
         columns = columns[finite]
     rest_names = tuple(f"{_REST}{i}" for i in range(rest.shape[1]))
     names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
-    from plyfile import PlyData, PlyElement  # only who reads or writes such files waits for it
+    from plyfile import PlyData, PlyElement
 
     vertex = PlyElement.describe(rows, "vertex")
     _write(PlyData([vertex], byte_order="<", comments=[_COMMENT]), path)
@@ -99,7 +98,7 @@ def load_ply(path: str | Path) -> Gaussians:
     Properties may come in any order, and unknown ones are ignored.
 
     Raises:
-        PlyError: the file is missing, cut off, not a PLY, not a Gaussian scene, or has a value that
+        PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has a value that
             is not finite; the message names the property and the row.
     """
     path = Path(path)
@@ -111,7 +110,7 @@ def load_ply(path: str | Path) -> Gaussians:
         raise PlyError(
             f"the vertices have no {_listed(missing)}",
             where=str(path),
-            fix="give a Gaussian scene; a point cloud or a mesh is not one",
+            fix="use a Gaussian scene, not a point cloud or a mesh",
         )
     columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
     return _gaussians_from(columns, rest)
@@ -122,11 +121,10 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
 
     Returns:
         Positions `[P, 3]` in the file's units, and colours `[P, 3]` in [0, 1]; P may be 0. Colours are
-        red, green, blue where the file has them (whole numbers up to 255, or floats up to 1), else the
-        constant SH band.
+        the constant SH band, or red, green, blue (whole numbers up to 255, or floats up to 1).
 
     Raises:
-        PlyError: the file is missing, cut off, not a PLY, has no positions or colours, or a value
+        PlyError: the file is missing, truncated, not a PLY, lacks positions or colours, or has a value
             that is not finite.
     """
     path = Path(path)
@@ -139,7 +137,7 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
         raise PlyError(
             f"the vertices have no {_listed(missing)}",
             where=str(path),
-            fix="give a point cloud with x y z and red green blue",
+            fix="use a point cloud with x y z and red green blue",
         )
     positions = torch.stack([_column(vertex, name, path) for name in _POSITION], dim=1)
     colors = torch.stack([_column(vertex, name, path) for name in color_names], dim=1)
@@ -149,7 +147,7 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
     largest = 255 if np.issubdtype(vertex["red"].dtype, np.integer) else 1
     if colors.numel() and not 0 <= colors.min() <= colors.max() <= largest:
         raise PlyError(
-            f"a colour is {float(colors.max()):g} or less than 0; the largest is {largest}",
+            f"a colour is not in 0 to {largest}; the largest is {float(colors.max()):g}",
             where=str(path),
             fix="write colours as whole numbers up to 255, or as floats up to 1",
         )
@@ -157,7 +155,7 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
 
 
 def _read_vertices(path: Path) -> NDArray[np.void]:
-    """The rows of the `vertex` element, a field for each property; nothing behind them is read."""
+    """Read the rows of the `vertex` element, with a field for each property."""
     header = read_header(path)
     index = next((k for k, e in enumerate(header.elements) if e.name == "vertex"), None)
     if index is None:
@@ -165,13 +163,13 @@ def _read_vertices(path: Path) -> NDArray[np.void]:
         raise PlyError(
             f"the PLY file has no 'vertex' element (it has: {names})",
             where=str(path),
-            fix="give a point cloud, or what a Gaussian splatting program exported",
+            fix="use a point cloud, or an export of a Gaussian splatting program",
         )
     if any(element.has_lists for element in header.elements[: index + 1]):
         raise PlyError(
-            "a list stands among or before the vertices, where only numbers are read",
+            "list properties in or before the vertices are not supported",
             where=str(path),
-            fix="export the points alone",
+            fix="export only the points",
         )
     from plyfile import PlyData
 
@@ -179,7 +177,7 @@ def _read_vertices(path: Path) -> NDArray[np.void]:
         announced = PlyData.read(io.BytesIO(header.without_rows()))
         dtype = np.dtype(announced["vertex"].dtype(announced.byte_order))
         return _read_rows(path, header, index, dtype)
-    except Exception as error:  # plyfile, numpy and Python's numbers each raise their own
+    except Exception as error:  # plyfile, numpy and int() raise different types
         raise PlyError(
             f"the PLY file cannot be read: {error}",
             where=str(path),
@@ -190,7 +188,7 @@ def _read_vertices(path: Path) -> NDArray[np.void]:
 def _read_rows(
     path: Path, header: PlyHeader, index: int, dtype: np.dtype[np.void]
 ) -> NDArray[np.void]:
-    """The rows of an element; none of those before it has a list."""
+    """Read the rows of an element; elements before it must not have lists."""
     before, count = header.elements[:index], header.elements[index].count
     with path.open("rb") as file:
         file.seek(header.body)
@@ -223,24 +221,24 @@ def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:
 
 
 def _rest_names(available: set[str], path: Path) -> list[str]:
-    """The f_rest_* properties in numerical order: f_rest_10 comes after f_rest_9.
+    """The f_rest_* properties in numerical order.
 
-    Others of that beginning, such as f_rest_01, are refused: to ignore them would lose bands of colour.
+    Others, such as f_rest_01, are an error: ignoring them would lose bands of colour.
     """
     found = [name for name in available if name.startswith(_REST)]
     names = [f"{_REST}{number}" for number in range(len(found))]
     if len(found) not in _REST_COUNTS or set(found) != set(names):
         odd = max(set(found) - set(names) or found, key=lambda name: (len(name), name))
         raise PlyError(
-            f"the vertices have {len(found)} f_rest properties, among them {odd[:40]}",
+            f"the vertices have {len(found)} f_rest properties, including {odd[:40]}",
             where=str(path),
-            fix="SH degrees 0, 1, 2, 3 have 0, 9, 24, 45 of them, numbered from 0",
+            fix="SH degrees 0, 1, 2, 3 need 0, 9, 24, 45 of them, numbered from 0",
         )
     return names
 
 
 def _column(vertex: NDArray[np.void], name: str, path: Path) -> Tensor:
-    with np.errstate(over="ignore"):  # an overflow becomes infinite and is refused
+    with np.errstate(over="ignore"):  # infinities are rejected below
         column: NDArray[np.float32] = vertex[name].astype(np.float32)
     finite = np.isfinite(column)
     if not finite.all():
@@ -269,7 +267,7 @@ def _write(data: PlyData, path: Path) -> None:
         raise PlyError(
             f"the PLY file cannot be written: {error.strerror}",
             where=str(path),
-            fix="check that the folder exists, may be written and has room",
+            fix="check that the folder exists, is writable and has free space",
         ) from error
 
 

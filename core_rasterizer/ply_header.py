@@ -1,6 +1,6 @@
-"""The header of a PLY file, and whether what follows can be what it promises.
+"""Read the header of a PLY file, and check the file's size against it.
 
-A reader makes room for the promised rows before it looks for them: a few bytes could ask for terabytes.
+Without the check, a header of a few bytes could make a reader allocate terabytes.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _SIZES = {
     **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
     **dict.fromkeys(("double", "float64"), 8),
 }
-"""Bytes of a binary value by the name of its type."""
+"""Bytes of a binary value by type name."""
 
 
 @dataclass(frozen=True)
 class ElementHeader:
-    """A table of rows that a header announces.
+    """A table of rows that a header declares.
 
     Args:
-        lines: of the header that announce it, comments between them included.
-        types: of its properties, by PLY's names; "list" for one of varying length.
+        lines: its lines in the header, including comments.
+        types: PLY type names of its properties; "list" for one of variable length.
     """
 
     name: str
@@ -38,23 +38,23 @@ class ElementHeader:
 
     @property
     def has_lists(self) -> bool:
-        """Whether the length of its rows varies."""
+        """Whether its rows have variable length."""
         return "list" in self.types
 
     @property
     def row_bytes(self) -> int:
-        """Of a binary row; the least it can have where that is not known."""
+        """Bytes of a binary row; a lower bound if the length varies."""
         return max(1, sum(_SIZES.get(kind, 1) for kind in self.types))
 
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What a file says of itself.
+    """A parsed header.
 
     Args:
-        preamble: the lines before the first element, the format among them.
-        text: values are written as text, a row in a line.
-        body: where the values begin, bytes.
+        preamble: the lines before the first element, including the format.
+        text: If True, values are text, one row per line.
+        body: offset of the values in bytes.
     """
 
     preamble: bytes
@@ -63,22 +63,22 @@ class PlyHeader:
     body: int
 
     def without_rows(self) -> bytes:
-        """The header of the same elements with no row in any."""
+        """The header with all row counts set to 0."""
         lines = b"".join(element.lines for element in self.elements)
         emptied = re.sub(rb"^(element\s+\S+\s+)\d+", rb"\g<1>0", lines, flags=re.MULTILINE)
         return b"".join([b"ply\n", self.preamble, emptied, b"end_header\n"])
 
 
 def read_header(path: Path) -> PlyHeader:
-    """The header of a file that is long enough for what it promises, and no longer where that shows.
+    """Read a header and check that the file's size matches it.
 
     Raises:
-        PlyError: there is no such file; it is no PLY, an element has no count, or the file is cut off
-            or has something behind its last row.
+        PlyError: the file is missing or not a PLY, an element has no count, or the file is truncated or
+            continues after its last row.
     """
     if not path.is_file():
         raise PlyError(
-            "the PLY file cannot be opened: there is no such file",
+            "the PLY file cannot be opened: file not found",
             where=str(path),
             fix="check the path",
         )
@@ -103,7 +103,7 @@ def _parse(start: bytes, path: Path) -> PlyHeader:
         raise PlyError(
             "the file does not begin with a complete PLY header",
             where=str(path),
-            fix="give a PLY file; if it is one, it may be cut off",
+            fix="use a PLY file; it may be truncated",
         )
     preamble, *elements = re.split(rb"^(?=element\s)", found[1], flags=re.MULTILINE)
     return PlyHeader(
@@ -132,34 +132,34 @@ def _element(lines: bytes, path: Path) -> ElementHeader:
 
 
 def _check_size(header: PlyHeader, size: int, path: Path) -> None:
-    # Every value takes at least one byte as text, and a space or line break behind it.
-    promised = sum(
+    # As text, a value takes at least one byte and a separator.
+    declared = sum(
         e.count * (max(1, 2 * len(e.types) - 1) if header.text else e.row_bytes)
         for e in header.elements
     )
     held = size - header.body
-    if promised > held:
+    if declared > held:
         raise PlyError(
-            f"the PLY header promises at least {promised} bytes, but the file has {held}",
+            f"the PLY header declares at least {declared} bytes, but the file has {held}",
             where=str(path),
-            fix="it is cut off or damaged; copy or export it again",
+            fix="it is truncated or damaged; copy or export it again",
         )
     if header.text:
-        rows, announced = _rows(path, header.body), sum(e.count for e in header.elements)
-        problem = f"{announced} rows, but the file has {rows}" if rows != announced else ""
+        rows, total = _rows(path, header.body), sum(e.count for e in header.elements)
+        problem = f"{total} rows, but the file has {rows}" if rows != total else ""
     else:
         exact = not any(element.has_lists for element in header.elements)
-        problem = f"{promised} bytes, but the file has {held}" if exact and promised < held else ""
+        problem = f"{declared} bytes, but the file has {held}" if exact and declared < held else ""
     if problem:
         raise PlyError(
-            f"the PLY header promises {problem}",
+            f"the PLY header declares {problem}",
             where=str(path),
             fix="it is damaged; copy or export it again",
         )
 
 
 def _rows(path: Path, body: int) -> int:
-    """How many lines with values a text file has."""
+    """Number of lines with values in a text file."""
     with path.open("rb") as file:
         file.seek(body)
         return sum(1 for line in file if not line.isspace())

@@ -1,11 +1,10 @@
-"""The oracle: the renderer once more, in plain torch and float64, written to be read.
+"""Reference implementation of the renderer in torch and float64, differentiated by autograd.
 
-The kernels are fast; this file says what they must compute, and the tests hold them to it. It follows
-3D Gaussian Splatting (Kerbl et al. 2023) with every choice made explicit by a named constant, and
-torch's autograd differentiates it.
+It defines the results of the kernels, and the tests compare both. It follows 3D Gaussian Splatting
+(Kerbl et al. 2023), with a named constant for every choice.
 
-Reading order: `render` is the whole story in two calls. `project` turns each Gaussian into an
-ellipse on the image, a colour and a depth; `composite` lays the ellipses over one another.
+`render` consists of two calls: `project` turns each Gaussian into an ellipse on the image, a colour and a
+depth; `composite` blends the ellipses.
 """
 
 from __future__ import annotations
@@ -21,45 +20,45 @@ from .rendering import Rendering
 from .spherical_harmonics import band_weights, sh_color
 
 NEAR = 0.2
-"""A Gaussian whose centre has z at or below this (world units) is not drawn."""
+"""Gaussians with z at or below this (world units) are culled."""
 
 DILATION = 0.3
-"""Added to the variance of every ellipse (square pixels): a pixel is not a point."""
+"""Added to the variances of every ellipse (square pixels), because a pixel has an area."""
 
 ALPHA_MIN = 1 / 255
-"""A Gaussian touches exactly the pixels where its alpha is at least this."""
+"""A Gaussian contributes to the pixels where its alpha is at least this."""
 
 ALPHA_MAX = 0.99
-"""No Gaussian takes more light than this from a pixel; above it alpha has no gradient."""
+"""Alpha is clamped to this; above it, it has no gradient."""
 
 TRANSMITTANCE_MIN = 1e-4
-"""A pixel stops before the Gaussian that would leave this much light, or less."""
+"""A pixel stops before the Gaussian that would lower its transmittance to this or below."""
 
 FRUSTUM_MARGIN = 0.3
-"""How far beyond the image, in half image sizes, the projection is still linearised in place."""
+"""Margin around the image, in half image sizes, in which the projection is linearized in place."""
 
 TILE = 16
-"""Side of the pixel blocks, in pixels: keeps the list of candidates short, changes no result."""
+"""Side of pixel blocks, in pixels; shortens the lists of candidates, without effect on results."""
 
 
 class Ellipses(NamedTuple):
-    """N Gaussians on the image, without their places."""
+    """N Gaussians on the image, without their positions."""
 
     covariances: Tensor
     """`[N, 2, 2]` square pixels, dilation included."""
     determinants: Tensor
     """`[N]` of the covariances."""
     undilated: Tensor
-    """`[N]` determinants before dilation; 0 where the Gaussian is seen on edge."""
+    """`[N]` determinants before dilation; 0 for flat Gaussians seen on edge."""
 
 
 class Projected(NamedTuple):
     """The M visible Gaussians on the image, nearest first."""
 
     indices: Tensor
-    """`[M]` int64: which Gaussians they are."""
+    """`[M]` int64, indices of the Gaussians."""
     centers: Tensor
-    """`[M, 2]` pixels. Its gradient is the screen-space gradient that densification reads."""
+    """`[M, 2]` pixels. Its gradient is the screen-space gradient for densification."""
     covariances: Tensor
     """`[M, 2, 2]` square pixels, dilation included."""
     determinants: Tensor
@@ -91,23 +90,22 @@ def render(
 
     Args:
         means: `[N, 3]` centres, world units.
-        quaternions: `[N, 4]` (w, x, y, z) of any length; zero means no rotation, without gradient.
+        quaternions: `[N, 4]` (w, x, y, z) of any length; zero is the identity, without gradient.
         scales: `[N, 3]` standard deviations, world units (not their logarithms).
         opacities: `[N]` in [0, 1] (not logits).
         sh: `[N, K, 3]` spherical-harmonic coefficients, K = 1, 4, 9 or 16.
         camera: the view.
-        background: `[3]` colour behind everything.
-        near: Gaussians with z <= near are not drawn; world units, > 0.
+        background: `[3]` colour behind the Gaussians.
+        near: Gaussians with z <= near are culled; world units, > 0.
         dilation: added to the variances on the image, square pixels, >= 0.
-        compensate_dilation: lower the opacity by what dilation adds to the ellipse's area, as the 2D
-            filter of Mip-Splatting does (Yu et al. 2024, eq. 10).
-        smoothing: `[N]` standard deviations >= 0, world units, of a Gaussian filter that each Gaussian
-            goes through before it is projected: the 3D filter of Mip-Splatting (eq. 9).
-        sh_degree: how many bands of the colour count, the last by a fraction (`band_weights`); None is
-            all.
+        compensate_dilation: If True, lower the opacity as dilation widens the ellipse, like the 2D filter
+            of Mip-Splatting (Yu et al. 2024, eq. 10).
+        smoothing: `[N]` standard deviations >= 0, world units, of a Gaussian filter applied before
+            projection: the 3D filter of Mip-Splatting (eq. 9).
+        sh_degree: bands to use; a fraction weights the last (`band_weights`). None is all.
 
     Returns:
-        A float64 `Rendering`. A Gaussian with a parameter that is not finite is not drawn.
+        A float64 `Rendering`. Gaussians with a parameter that is not finite are culled.
     """
     projected = project(
         means,
@@ -139,14 +137,14 @@ def project(
     smoothing: Tensor | None = None,
     sh_degree: float | None = None,
 ) -> Projected:
-    """The visible Gaussians as ellipses on the image, nearest first. Arguments as in `render`."""
+    """Project the visible Gaussians to ellipses, nearest first. Arguments as in `render`."""
     means, quaternions, scales, opacities, sh = (
         t.double() for t in (means, quaternions, scales, opacities, sh)
     )
     if sh_degree is not None:
         sh = sh * band_weights(sh_degree, sh.shape[1])[:, None]
-    # The first look decides who is visible; the second, at those alone, is the one that autograd
-    # sees. So a Gaussian that overflows or lies behind the camera leaves no NaN in the gradient.
+    # The first pass selects the visible Gaussians, and only the second is in autograd. So Gaussians that
+    # overflow or lie behind the camera cause no NaN in the gradient.
     with torch.no_grad():
         points, ellipses, strengths = _seen(
             means, quaternions, scales, opacities, camera, dilation, compensate_dilation, smoothing
@@ -155,7 +153,7 @@ def project(
         in_front = (points[:, 2] > near) & (strengths >= ALPHA_MIN)
         has_area = torch.isfinite(ellipses.determinants) & (ellipses.determinants > 0)
         visible = (finite & in_front & has_area).nonzero()[:, 0]
-        # Stable, so equal depths keep the order of their indices.
+        # Stable: Gaussians of equal depth stay in index order.
         indices = visible[torch.sort(points[visible, 2], stable=True).indices]
     points, ellipses, strengths = _seen(
         means[indices],
@@ -185,7 +183,7 @@ def composite(
     height: int,
     background: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
 ) -> Rendering:
-    """Lay the ellipses over one another, front to back, and the background behind them."""
+    """Blend the ellipses front to back over the background."""
     behind = torch.as_tensor(background, dtype=torch.float64)
     reach = _reach(projected.covariances.detach(), projected.opacities.detach())
     rows = []
@@ -223,17 +221,17 @@ def _seen(
 
 
 def _finite(*parameters: Tensor) -> Tensor:
-    """Which Gaussians have finite numbers only, bool `[N]`."""
+    """Which Gaussians have only finite parameters, bool `[N]`."""
     return torch.isfinite(torch.cat([t[..., None].flatten(1) for t in parameters], 1)).all(1)
 
 
 def _smoothed(scales: Tensor, opacities: Tensor, smoothing: Tensor) -> tuple[Tensor, Tensor]:
-    """Scales and opacities of Gaussians convolved with a Gaussian of the deviation `smoothing`.
+    """Scales and opacities after convolution with a Gaussian of standard deviation `smoothing`.
 
-    Variances add up; the opacity falls as the volume grows, so that the mass stays (Mip-Splatting, eq. 9).
+    Variances add up, and the opacity falls so that the mass is constant (Mip-Splatting, eq. 9).
     """
     filtered = (smoothing > 0)[:, None]
-    # A stand-in where nothing is filtered: the square root has no slope at zero.
+    # 1 where unfiltered, because the square root has no slope at zero.
     deviations = torch.where(filtered, smoothing[:, None], 1.0)
     widened = torch.where(filtered, torch.sqrt(scales**2 + deviations**2), scales)
     shrinkage = torch.where(filtered, scales / torch.where(filtered, widened, 1.0), 1.0)
@@ -253,11 +251,11 @@ def _to_pixels(points: Tensor, camera: Camera) -> Tensor:
 def _ellipses(
     points: Tensor, quaternions: Tensor, scales: Tensor, camera: Camera, dilation: float
 ) -> Ellipses:
-    """What the linearised projection makes of N Gaussians.
+    """Ellipses of N Gaussians by the linearized projection.
 
-    With M = J W R S the covariance is M M^T + d I. Its determinant ac - b^2 would lose all its digits
-    for a long needle; as |u x v|^2 + d (|u|^2 + |v|^2) + d^2, where u and v are the rows of M
-    (Cauchy-Binet), nothing cancels and it stays positive.
+    With M = J W R S the covariance is M M^T + d I. Its determinant ac - b^2 would lose all digits for long
+    needles; |u x v|^2 + d (|u|^2 + |v|^2) + d^2, with u and v the rows of M (Cauchy-Binet), does not cancel
+    and stays positive.
     """
     axes = rotation_matrices(quaternions) * scales[:, None, :]  # R S: its columns are the axes
     axes = camera.world_to_camera[:3, :3] @ axes
@@ -271,8 +269,8 @@ def _ellipses(
 def _projection_jacobians(points: Tensor, camera: Camera) -> Tensor:
     """Derivative of the pixel position with respect to the camera coordinates, `[N, 2, 3]`.
 
-    Far outside the image the linearisation would stretch a Gaussian without bound. So the
-    direction at which it is taken stops a little beyond the image's edge, and has no gradient there.
+    Far outside the image the linearization would stretch a Gaussian without bound. So its direction is
+    clamped a little beyond the image's edge, where it has no gradient.
     """
     x, y, z = points.unbind(1)
     half_width, half_height = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
@@ -312,7 +310,7 @@ def rotation_matrices(quaternions: Tensor) -> Tensor:
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
     """Half sides `[M, 2]` (pixels) of the box around the ellipse where alpha = ALPHA_MIN.
 
-    opacity * exp(-r^2 / 2) = ALPHA_MIN gives r in standard deviations, up to 3.33 of them.
+    opacity * exp(-r^2 / 2) = ALPHA_MIN gives r <= 3.33 in standard deviations.
     """
     standard_deviations = torch.sqrt(2 * torch.log(opacities / ALPHA_MIN))
     sides = torch.stack((covariances[:, 0, 0], covariances[:, 1, 1]), dim=1).sqrt()
@@ -322,7 +320,7 @@ def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
 def _touching(
     centers: Tensor, reach: Tensor, left: int, right: int, top: int, bottom: int
 ) -> Tensor:
-    """Positions, in order of depth, of the ellipses whose box meets the tile."""
+    """Positions, in order of depth, of the ellipses whose box intersects the tile."""
     low, high = centers - reach, centers + reach
     meets = (high[:, 0] >= left) & (low[:, 0] <= right)
     meets &= (high[:, 1] >= top) & (low[:, 1] <= bottom)
@@ -349,7 +347,7 @@ def _composite_tile(
 
     light_after = torch.cumprod(1 - alphas, dim=1)
     light_before = torch.cat((torch.ones_like(light_after[:, :1]), light_after[:, :-1]), dim=1)
-    # Light only falls along the ray: once a Gaussian would leave too little, so would all behind it.
+    # Transmittance only falls along the ray: all Gaussians behind the stop fail the test too.
     weights = torch.where(light_after > TRANSMITTANCE_MIN, alphas * light_before, 0.0)
 
     features = torch.cat(
@@ -366,7 +364,7 @@ def _composite_tile(
 def _alphas(
     offsets: Tensor, covariances: Tensor, determinants: Tensor, opacities: Tensor
 ) -> Tensor:
-    """What share of the light each Gaussian takes at each pixel, `[pixels, chosen]`."""
+    """Alpha of each Gaussian at each pixel, `[pixels, chosen]`."""
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     dx, dy = offsets.unbind(-1)
     squared_distances = (c * dx * dx - 2 * b * dx * dy + a * dy * dy) / determinants

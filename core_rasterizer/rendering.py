@@ -1,4 +1,4 @@
-"""What a render returns."""
+"""The result of a render."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """One rendered view; three tensors on the CPU that take part in autograd.
+    """One rendered view: three tensors on the CPU that take part in autograd.
 
-    What the engine renders stays on its device: each image is fetched when it is first asked for, and
-    `photometric_loss` fetches none.
+    Renders of the engine stay on the device: each image is copied on first access, and
+    `photometric_loss` copies none.
 
-    With alpha_i the opacity that Gaussian i has at a pixel and T_i the light that the Gaussians in
-    front of it let through, each field sums over the Gaussians in order of depth.
+    With alpha_i the opacity of Gaussian i at a pixel and T_i the transmittance of the Gaussians in front
+    of it, each image is a sum over the Gaussians.
 
     Args:
-        rgb: `[H, W, 3]`, the sum of colour * alpha_i * T_i, plus the background times what light is
-            left. Linear in the colours, at least 0, not clamped above.
-        depth: `[H, W]`, the sum of z_i * alpha_i * T_i in world units, where z is the distance along
-            the camera's axis. It is not divided by `alpha`: 0 where nothing was hit.
+        rgb: `[H, W, 3]`, the sum of colour * alpha_i * T_i, plus the background times the remaining
+            transmittance. Linear in the colours, >= 0, not clamped above.
+        depth: `[H, W]`, the sum of z_i * alpha_i * T_i in world units, with z_i the z-depth. Not divided
+            by `alpha`: 0 where nothing was hit.
         alpha: `[H, W]`, the sum of alpha_i * T_i, from 0 (nothing hit) to 1 (opaque).
-        coverage: where `visible` is read from; None if it was not the engine that rendered this.
+        coverage: source of `visible`; None if the engine did not render this.
     """
 
     rgb: Tensor
@@ -48,11 +48,11 @@ class Rendering:
         images: Images,
         coverage: Coverage,
     ) -> Rendering:
-        """A rendering of the engine's.
+        """A rendering by the engine.
 
         Args:
-            rgb, depth, alpha, loss: what autograd made of `Images.outputs`.
-            images: where the device keeps them.
+            rgb, depth, alpha, loss: `Images.outputs` as returned by the autograd function.
+            images: on the device.
         """
         from .raster import Outputs
 
@@ -63,19 +63,19 @@ class Rendering:
 
     @classmethod
     def lazy(cls, image: Callable[[str], Tensor], coverage: Coverage | None = None) -> Rendering:
-        """A rendering whose images are made when they are first asked for.
+        """A rendering whose images are computed on first access.
 
         Args:
-            image: makes "rgb", "depth" or "alpha".
+            image: returns "rgb", "depth" or "alpha".
         """
         rendering = object.__new__(cls)
         vars(rendering).update(coverage=coverage, image=image)
         return rendering
 
-    if not TYPE_CHECKING:  # a type checker is to find misspelt names
+    if not TYPE_CHECKING:  # so that type checkers find misspelt names
 
         def __getattr__(self, name: str) -> Any:
-            # Called only for what is not there yet.
+            # Called only for attributes that are not set yet.
             if name not in ("rgb", "depth", "alpha") or "image" not in vars(self):
                 raise AttributeError(f"a Rendering has no {name!r}", name=name, obj=self)
             made = vars(self)[name] = vars(self)["image"](name)
@@ -83,34 +83,33 @@ class Rendering:
 
     @property
     def fetched(self) -> dict[str, Tensor]:
-        """The images that somebody has asked for, by name."""
+        """The images that have been accessed, by name."""
         return {name: vars(self)[name] for name in ("rgb", "depth", "alpha") if name in vars(self)}
 
     @property
     def device_outputs(self) -> Outputs | None:
-        """The images on the device that rendered them, in autograd; None if it was no device."""
+        """The images on the device, in autograd; None if the engine did not render this."""
         outputs: Outputs | None = vars(self).get("outputs")
         return outputs
 
     def detach(self) -> Rendering:
-        """The same images without gradients; writing into them is writing into these."""
+        """The same images without gradients; they share memory."""
         return Rendering.lazy(lambda name: getattr(self, name).detach(), self.coverage)
 
     @property
     def visible(self) -> Tensor:
         """Which Gaussians reached the image, bool `[N]`.
 
-        Those that are not culled, and whose ellipse of alpha >= 1/255 reaches a pixel's centre in a
-        tile of the image; whether nearer Gaussians hide them does not matter. Read from the device
-        when asked for, and right for as long as this object lives, whatever is rendered after it.
+        True if not culled and the ellipse of alpha >= 1/255 contains a pixel centre of the image, even
+        if nearer Gaussians hide it. Copied from the device on access; later renders do not change it.
 
         Raises:
-            ExplainedError: this was not rendered by the engine but put together by hand.
+            ExplainedError: the engine did not render this.
         """
         if self.coverage is None:
             raise ExplainedError(
-                "which Gaussians this rendering shows is not known",
+                "the visible Gaussians of this rendering are unknown",
                 where="Rendering.visible",
-                fix="ask a rendering that `render` or `rasterize` returned",
+                fix="use a rendering returned by `render` or `rasterize`",
             )
         return self.coverage.visible()

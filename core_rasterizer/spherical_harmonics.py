@@ -1,7 +1,6 @@
 """Real spherical harmonics up to degree 3: the colour of a Gaussian seen from a direction.
 
-Order and signs are those of 3D Gaussian Splatting (Kerbl et al. 2023), so that scenes can be
-exchanged with other programs.
+Order and signs are those of 3D Gaussian Splatting (Kerbl et al. 2023), for scenes of other programs.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ SH_C3 = (
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """The basis functions at directions on the unit sphere.
+    """Evaluate the basis functions at directions on the unit sphere.
 
     Args:
         directions: `[N, 3]` unit vectors (x, y, z), from the camera to the Gaussian, world axes.
@@ -66,14 +65,13 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def band_weights(sh_degree: float, coefficients: int) -> Tensor:
-    """How much each coefficient counts: whole bands, then one band by a fraction, then nothing.
+    """Weights of the coefficients for a fractional degree: 1.5 is bands 0 and 1 and half of band 2.
 
-    Bands can fade in one after another, as the frequencies of FreeNeRF do (Yang et al. 2023): 1.5 is
-    bands 0 and 1 in full and half of band 2. A whole degree cuts the series off behind its band.
+    Bands can fade in one after another, as the frequencies of FreeNeRF do (Yang et al. 2023).
 
     Args:
         sh_degree: >= 0.
-        coefficients: how many there are, 1, 4, 9 or 16.
+        coefficients: number of coefficients, 1, 4, 9 or 16.
 
     Returns:
         `[coefficients]` float64, in [0, 1].

@@ -150,3 +150,45 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
         if file != Path(__file__) and any(p in file.read_text("utf-8") for p in places)
     ]
     assert guilty == []
+
+
+def module_graph(package: str) -> dict[str, set[str]]:
+    """Modules of a package and the modules of it that each imports, anywhere in its file.
+
+    Lazy facades, packages that import only under TYPE_CHECKING to re-export, have no edges.
+    """
+    files = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+        for file in FILES
+        if file.relative_to(ROOT).parts[0] == package
+    }
+    return {
+        module: set()
+        if "names_on_first_use(__name__)" in file.read_text("utf-8")
+        else {name for name in imports(file) if name in files and name != module}
+        for module, file in files.items()
+    }
+
+
+def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Strongly connected components of more than one module."""
+    reached = {module: {module} for module in graph}
+    for start, found in reached.items():
+        pending = [start]
+        while pending:
+            new = graph[pending.pop()] - found
+            found |= new
+            pending += new
+    groups = {tuple(sorted(b for b in reached[a] if a in reached[b])) for a in reached}
+    return sorted(list(group) for group in groups if len(group) > 1)
+
+
+@pytest.mark.parametrize(
+    "package",
+    [
+        pytest.param(package, marks=pytest.mark.xfail(strict=True) if package == "registry" else ())
+        for package in MAY_IMPORT
+    ],
+)
+def test_imports_have_no_cycle(package: str) -> None:
+    assert cycles(module_graph(package)) == []

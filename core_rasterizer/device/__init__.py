@@ -1,10 +1,9 @@
 """OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
 
-from .array import DeviceArray
-from .choice import list_devices, open_device
-from .device import CORRECT_CPU_NAME, Device, Kind, Variant
+from .array import DeviceArray, Scratch
+from .device import Device, Kind, Variant, list_devices, open_device
+from .memory import CORRECT_CPU_NAME
 from .program import Program
-from .scratch import Scratch
 
 __all__ = [
     "CORRECT_CPU_NAME",

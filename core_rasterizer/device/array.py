@@ -1,18 +1,17 @@
-"""Arrays on a device, which are torch tensors where memory is shared."""
+"""Arrays on a device; where memory is shared they are torch tensors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from .device import Device
+from .memory import DeviceMemory
 
 _NUMPY_TYPES = {
     torch.float32: np.float32,
@@ -27,18 +26,18 @@ _NUMPY_TYPES = {
 class DeviceArray:
     """A contiguous array on a device.
 
-    On a device that shares memory the array *is* a torch tensor (`tensor`), and `read` and `write`
-    cost no copy of their own; elsewhere they move bytes, which `Device.bytes_moved` counts.
+    On a device that shares memory the array is backed by a torch tensor, and `read` and `write` need
+    no extra copy; elsewhere they copy, counted by `DeviceMemory.bytes_moved`.
 
     Args:
-        shape: of the array; a dimension may be zero.
+        shape: of the array; dimensions may be zero.
         dtype: float32, float64, int32, int64, uint8 or uint16.
-        over: wrap this CPU tensor instead of allocating; only where memory is shared.
+        over: CPU tensor to wrap instead of allocating; only where memory is shared.
     """
 
     def __init__(
         self,
-        device: Device,
+        device: DeviceMemory,
         shape: tuple[int, ...],
         dtype: torch.dtype = torch.float32,
         *,
@@ -47,7 +46,7 @@ class DeviceArray:
         self.device = device
         self.shape = shape
         self.dtype = dtype
-        # OpenCL has no empty buffers, so an empty array keeps one element in reserve.
+        # OpenCL has no empty buffers.
         elements = max(1, math.prod(shape))
         self.buffer, self._host = device.allocate(elements, dtype, over)
         if self._host is None:
@@ -60,20 +59,20 @@ class DeviceArray:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that the array's elements take."""
+        """Size of the elements in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @property
     def writes_through_torch(self) -> int:
-        """How often the contents were written to as a tensor; 0 where no tensor shares them."""
+        """Number of in-place writes through the shared tensor; 0 where no tensor shares the memory."""
         if self._host is None or self._host.is_inference():
             return 0
         return self._host._version
 
     def read(self, first: int = 0, last: int | None = None) -> Tensor:
-        """Wait for the device and return rows `[first, last)` of the contents; by default all.
+        """Wait for the device and return rows `[first, last)`; by default all.
 
-        Where memory is shared this is a view that later kernels will change; elsewhere a copy.
+        Where memory is shared this is a view that later kernels change; elsewhere a copy.
         """
         shape, begin, end = self._rows(first, last)
         if self._host is not None:
@@ -88,7 +87,7 @@ class DeviceArray:
         return result
 
     def write(self, values: Tensor, first: int = 0, last: int | None = None) -> None:
-        """Replace rows `[first, last)`; `values` has their shape and is converted to the array's type."""
+        """Replace rows `[first, last)` by `values` of the same shape, converted to the array's type."""
         shape, begin, end = self._rows(first, last)
         values = values.detach().to("cpu", self.dtype).reshape(shape).contiguous()
         if not values.numel():
@@ -103,10 +102,10 @@ class DeviceArray:
             self.device.bytes_moved += values.nbytes
 
     def hand_over(self, values: Tensor, first: int = 0) -> None:
-        """Replace rows from `first` on without waiting, where memory is not shared.
+        """Replace rows from `first` on, without waiting where memory is not shared.
 
         Args:
-            values: on the CPU, of the array's type, contiguous; nobody may write to it any more.
+            values: contiguous CPU tensor of the array's type; the caller must not write to it again.
         """
         if self._host is not None:
             self.write(values, first, first + len(values))
@@ -135,11 +134,11 @@ class DeviceArray:
             cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, begin, end - begin)
 
     def begin_reading(self) -> Callable[[], Tensor]:
-        """Ask for the contents as they are after what is enqueued so far, without waiting for them.
+        """Enqueue a read of the contents as left by the work enqueued so far.
 
         Returns:
-            What waits until they are there and returns them, as `read` does. What is enqueued
-            meanwhile is not waited for.
+            A function that waits for this read, not for work enqueued later, and returns the contents
+            like `read`.
         """
         if self._host is not None:
             host, event = self._host.reshape(self.shape), self._enqueue_map(cl.map_flags.READ)
@@ -155,22 +154,18 @@ class DeviceArray:
         return result
 
     def _rows(self, first: int, last: int | None) -> tuple[tuple[int, ...], int, int]:
-        """Shape of a range of rows, and where its elements begin and end."""
+        """Shape of a range of rows, and its first and last (exclusive) element."""
         last = self.shape[0] if last is None else last
         row = math.prod(self.shape[1:])
         return (last - first, *self.shape[1:]), first * row, last * row
 
     def _map(self, flags: Any) -> None:
-        """Make the host's view current; only mapping promises that, though it copies nothing."""
+        """Make the host's view current; OpenCL guarantees that only after mapping."""
         self._enqueue_map(flags)
         self.device.finish()
 
     def _enqueue_map(self, flags: Any) -> Any:
-        """The same, once the device has finished. It costs half of a call that waits itself.
-
-        Returns:
-            The event of it.
-        """
+        """Enqueue a map without waiting, which costs half of a blocking map. Return its event."""
         mapped: Any
         elements, dtype = max(1, math.prod(self.shape)), np.dtype(_NUMPY_TYPES[self.dtype])
         mapped, event = cl.enqueue_map_buffer(
@@ -178,3 +173,34 @@ class DeviceArray:
         )
         mapped.base.release()
         return event
+
+
+class Scratch:
+    """Named arrays that are reused; each is as large as its largest use so far, with undefined contents."""
+
+    def __init__(self, device: DeviceMemory) -> None:
+        self._device = device
+        self._arrays: dict[str, DeviceArray] = {}
+
+    def __getitem__(self, name: str) -> DeviceArray:
+        return self._arrays[name]
+
+    def all(self, *names: str) -> list[DeviceArray]:
+        """The arrays of these names."""
+        return [self._arrays[name] for name in names]
+
+    def __setitem__(self, name: str, array: DeviceArray) -> None:
+        self._arrays[name] = array
+
+    def give_away(self, *names: str) -> None:
+        """Forget arrays whose ownership passes to the caller."""
+        for name in names:
+            self._arrays.pop(name, None)
+
+    def reserve(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
+        """Return an array of at least `elements` elements; it grows with a margin, so rarely."""
+        array = self._arrays.get(name)
+        if array is None or array.shape[0] < elements:
+            margin = elements // 8 if array is not None else 0
+            array = self._arrays[name] = DeviceArray(self._device, (elements + margin,), dtype)
+        return array

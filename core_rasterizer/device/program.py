@@ -1,11 +1,10 @@
-"""Kernels: found, built and run."""
+"""Kernels: source, build and launch."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyopencl as cl
@@ -13,30 +12,29 @@ import pyopencl as cl
 from ..errors import DeviceError
 from ..layout import KERNEL_MACROS
 from .array import DeviceArray
-
-if TYPE_CHECKING:
-    from .device import Device
+from .memory import DeviceMemory
 
 _PACKAGE = __package__.rpartition(".")[0]
-"""The engine, whose folders hold the kernels."""
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-no-signed-zeros")
 
 
 class Program:
-    """Kernels built from one set of sources; each `cl.Kernel` is made once and kept."""
+    """Kernels built from one set of sources; each `cl.Kernel` is created once."""
 
-    def __init__(self, device: Device, sources: Sequence[str], macros: Mapping[str, float]) -> None:
+    def __init__(
+        self, device: DeviceMemory, sources: Sequence[str], macros: Mapping[str, float]
+    ) -> None:
         text = "\n".join(_source(name) for name in ("device/lanes", *sources))
         macros = {**KERNEL_MACROS, **macros}
         options = [*_BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         try:
             with warnings.catch_warnings():
-                # Some compilers report every build, successful ones too; errors are raised below.
+                # Some compilers warn on every build, successful ones too; errors are raised below.
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 program = cl.Program(device.context, text).build(options=options)
         except cl.Error as error:
             raise DeviceError(
-                f"the OpenCL compiler of {device.name!r} refused the kernels {', '.join(sources)}",
+                f"the OpenCL compiler of {device.name!r} failed on the kernels {', '.join(sources)}",
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
                 fix="update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
             ) from error
@@ -53,18 +51,18 @@ class Program:
         """Enqueue a kernel. Arrays are passed as buffers, scalars as numpy scalars.
 
         Raises:
-            DeviceError: the driver refused to run it.
+            DeviceError: the driver rejected the launch.
         """
         device = self._device
         values = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
         try:
-            # A kernel object holds its arguments, so that two threads must not set them at once.
+            # A kernel object stores its arguments, so only one thread at a time may set them.
             with device.lock:
                 self._kernels[kernel](device.queue, global_size, local_size, *values)
                 device.retired.kernel_enqueued()
         except cl.Error as error:
             raise DeviceError(
-                f"the device {device.name!r} did not run the kernel {kernel}: {error}",
+                f"the device {device.name!r} could not run the kernel {kernel}: {error}",
                 where=f"{device.platform}, driver {device.driver}",
                 fix="choose another device; `stereogs doctor` tests them",
             ) from error

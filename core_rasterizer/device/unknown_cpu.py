@@ -1,16 +1,15 @@
-"""Tells an old PoCL which processor it builds kernels for, where its compiler is too old to know.
+"""Corrects the processor name of an old PoCL whose compiler does not know the processor.
 
-PoCL asks its LLVM for the name of the host's processor. An LLVM older than the processor answers
-"generic", which the same LLVM then refuses as a target, so every build fails (seen with the PoCL 3.0
-that pip installs, LLVM 14, on Zen 5); or it takes the processor for its predecessor, so that half of
-the registers lie idle (Zen 4, taken for Zen 3: `raster_backward` took a third longer). PoCL has
-no setting for the name, but keeps it as a C string on the heap, reachable from the device's handle;
-writing the name of an older processor with the same instruction sets over it is enough. Memory is
-only touched through /proc/self/mem, which answers a bad address with an error instead of a crash, and
-only if exactly one such string is found.
+PoCL uses the processor name that its LLVM detects. An LLVM older than the processor detects "generic",
+which it then rejects as a target, so every build fails (PoCL 3.0 from pip, LLVM 14, on Zen 5). Or it
+detects the predecessor and uses half of the registers (Zen 4 as Zen 3: `raster_backward` took a third
+longer). PoCL has no setting for the name but keeps it as a C string on the heap, reachable from the
+device's handle. This module overwrites it with an older processor of the same instruction sets, through
+/proc/self/mem, where a bad address is an error and not a crash, and only if exactly one such string is
+found.
 
-That is another program's memory, so it happens only after a build has failed for such a name, or for
-speed when STEREOGS_CORRECT_CPU_NAME asks for it.
+Because this is another library's memory, it happens only after a build has failed for such a name, or
+for speed if STEREOGS_CORRECT_CPU_NAME=1.
 """
 
 from __future__ import annotations
@@ -24,25 +23,25 @@ import pyopencl as cl
 
 _UNKNOWN = b"generic\0"
 _WITHOUT_AVX512 = b"znver3\0"
-"""What LLVM 14 calls Zen 4, too."""
+"""LLVM 14 also reports this for Zen 4."""
 _MEMORY = Path("/proc/self/mem")
 _HANDLE_BYTES = 4096
-"""How much of the driver's device structure is searched for a pointer to the name."""
-_told: dict[int, str] = {}
-"""What stands in the driver's memory since we wrote it, by the device's handle."""
+"""Length of the driver's device structure that is searched for a pointer to the name."""
+_written: dict[int, str] = {}
+"""Names that we wrote, by the device's handle."""
 _AVX512 = frozenset(("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "clwb", "adx"))
 _AVX2 = frozenset(("avx2", "fma", "bmi1", "bmi2", "movbe", "f16c"))
 
 
 def correct_cpu_name(device: cl.Device, *, only_unknown: bool = False) -> bool:
-    """Give a PoCL device whose processor LLVM does not know the name of a known one.
+    """Replace the processor name of a PoCL device by one that LLVM knows.
 
     Args:
-        only_unknown: leave a name alone that LLVM can build for, though it says too little.
+        only_unknown: If True, keep a name that LLVM can build for.
 
     Returns:
-        Whether a name was replaced. False on other drivers, on processors that PoCL knows, and
-        wherever the string is not found beyond doubt.
+        True if the name was replaced. False on other drivers, for processors that PoCL knows, and if
+        the string is not found unambiguously.
     """
     try:
         found = _name_to_replace(device)
@@ -51,14 +50,14 @@ def correct_cpu_name(device: cl.Device, *, only_unknown: bool = False) -> bool:
         with FileIO(_MEMORY, "r+b") as memory:
             memory.seek(found.address)
             memory.write(found.better)
-    except OSError:  # the system does not allow it; building will say what is wrong
+    except OSError:  # not permitted; the build will report its error
         return False
-    _told[device.int_ptr] = _text(found.better)
+    _written[device.int_ptr] = _text(found.better)
     return True
 
 
 def better_cpu_name(device: cl.Device) -> str | None:
-    """The processor that `correct_cpu_name` would write down; None where it would leave the name alone."""
+    """The name that `correct_cpu_name` would write, or None."""
     try:
         found = _name_to_replace(device)
     except OSError:
@@ -66,13 +65,13 @@ def better_cpu_name(device: cl.Device) -> str | None:
     return None if found is None else _text(found.better)
 
 
-def told_cpu_name(device: cl.Device) -> str | None:
-    """The processor that `correct_cpu_name` wrote down for this device, None where it never did."""
-    return _told.get(device.int_ptr)
+def written_cpu_name(device: cl.Device) -> str | None:
+    """The name that `correct_cpu_name` wrote for this device, or None."""
+    return _written.get(device.int_ptr)
 
 
 class _Found(NamedTuple):
-    """Where the driver keeps a name, and the one that should stand there; both names are C strings."""
+    """Address of the driver's name, the name and its replacement, as C strings."""
 
     address: int
     name: bytes
@@ -80,10 +79,10 @@ class _Found(NamedTuple):
 
 
 def _name_to_replace(device: cl.Device) -> _Found | None:
-    """The driver's name of the processor, if it is found beyond doubt and another one says more.
+    """The driver's processor name, if it is found unambiguously and a better one exists.
 
     Raises:
-        OSError: the system does not let us look.
+        OSError: reading the memory is not permitted.
     """
     if "Portable Computing Language" not in device.platform.name or not _MEMORY.exists():
         return None
@@ -101,10 +100,10 @@ def _text(name: bytes) -> str:
 
 
 def better_name(name: bytes, flags: frozenset[str]) -> bytes | None:
-    """A name that LLVM 14 knows, no longer than `name`, for a processor with these instruction sets.
+    """A name known to LLVM 14, no longer than `name`, for a processor with these instruction sets.
 
     Returns:
-        A C string, or None where `name` says as much.
+        A C string, or None if `name` is as good.
     """
     if flags >= _AVX512:
         return b"skx\0"
@@ -114,7 +113,7 @@ def better_name(name: bytes, flags: frozenset[str]) -> bytes | None:
 
 
 def _processor_flags() -> frozenset[str]:
-    """Linux's names of this machine's instruction sets."""
+    """Linux's names for this machine's instruction sets."""
     for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
         if line.startswith("flags"):
             return frozenset(line.partition(":")[2].split())
@@ -122,7 +121,7 @@ def _processor_flags() -> frozenset[str]:
 
 
 def names_reachable_from(memory: FileIO, handle: int) -> list[tuple[int, bytes]]:
-    """Addresses of names that say too little, of those that the structure at `handle` points to."""
+    """Addresses of replaceable names that the structure at `handle` points to, with these names."""
     structure = _peek(memory, handle, _HANDLE_BYTES)
     pointers = {value for (value,) in struct.iter_unpack("<Q", structure)}
     found = []

@@ -1,22 +1,19 @@
-"""Copies on a device of what does not change on the host, such as photographs."""
+"""Device copies of tensors that do not change on the host, such as photographs."""
 
 from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from .array import DeviceArray
-
-if TYPE_CHECKING:
-    from .device import Device
+from .memory import DeviceMemory
 
 SHARE = 8
-"""Copies may take this part of a device's memory, one in so many; those longest unused go first."""
+"""Copies may use 1/SHARE of a device's memory; the least recently used are dropped first."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,7 @@ class _Copy:
     array: DeviceArray
 
     def is_of(self, tensor: Tensor, dtype: torch.dtype) -> bool:
-        """Whether it is a copy of this tensor as it is now."""
+        """Whether this is an up-to-date copy of the tensor."""
         return (
             self.reference() is tensor
             and self.version == tensor._version
@@ -35,16 +32,13 @@ class _Copy:
 
 
 class Uploads:
-    """Sends a tensor once for as long as it lives and is not written to.
+    """Copies a tensor to the device once, until the tensor is freed or written to.
 
-    Where memory is shared nothing is sent or kept. torch counts the writes; one past torch, through
-    numpy or `.data`, goes unnoticed.
-
-    Args:
-        device: whose memory the copies take.
+    Where memory is shared, tensors are wrapped instead. Writes are detected by torch's version counter;
+    writes through numpy or `.data` are not detected.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: DeviceMemory) -> None:
         self._device = device
         self._copies: OrderedDict[int, _Copy] = OrderedDict()
 
@@ -52,16 +46,16 @@ class Uploads:
         return len(self._copies)
 
     def of(self, tensor: Tensor, dtype: torch.dtype) -> DeviceArray:
-        """The tensor's values on the device, converted to `dtype`; not to be written to."""
+        """Return a read-only array of the tensor's values, converted to `dtype`."""
         values = tensor.detach().to("cpu", dtype).contiguous()
         if self._device.shares_memory:
             return DeviceArray(self._device, tuple(values.shape), dtype, over=values)
-        if tensor.is_inference():  # torch does not count the writes into these
+        if tensor.is_inference():  # has no version counter
             return self._sent(values)
         copies, key = self._copies, id(tensor)
         known = copies.pop(key, None)
         if known is None or not known.is_of(tensor, dtype):
-            # The copy goes with the tensor, before another one is given the same address.
+            # The copy is dropped with the tensor, before its id can be reused.
             reference = weakref.ref(tensor, lambda _: copies.pop(key, None))
             known = _Copy(reference, tensor._version, self._sent(values))
         copies[key] = known

@@ -1,4 +1,4 @@
-"""Dense matching on a device: cost volumes, their semi-global aggregation, the best plane."""
+"""Dense matching on a device: cost volumes, semi-global aggregation, plane sweeps, PatchMatch."""
 
 from typing import TYPE_CHECKING
 

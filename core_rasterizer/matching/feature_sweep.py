@@ -1,4 +1,4 @@
-"""Matching costs of posed views over planes parallel to the image, by feature vectors."""
+"""Plane sweep of posed views by feature vectors, over planes parallel to the image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .sweep_geometry import SweepGeometry
 
 
 class FeatureSweep:
-    """Costs by the dot product of a pixel's feature vector with that of the pixel it lands on.
+    """Costs by the dot product of the feature vectors of corresponding pixels.
 
     Args:
         device: where to compute.
@@ -26,7 +26,7 @@ class FeatureSweep:
         second_share: see `ZnccSweep`.
 
     Raises:
-        ValueError: features are not of their camera's size, or of another number of channels; no plane.
+        ValueError: features have another size than their camera, or differ in channels; no plane.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""One scale of PatchMatch on a device: images, planes, and a step that improves them."""
+"""One scale of PatchMatch on a device: images, planes, and the step that improves them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .limits import MOST_PATCH_SOURCES
 from .sweep_geometry import plane_transfer
 
 GREY_LEVELS = 8191
-"""Grey values are kept as whole numbers up to this, and so are the steps between neighbours."""
+"""Largest absolute grey value and step between neighbours, as whole numbers."""
 
 _KERNELS = tuple(
     f"matching/{name}"
@@ -24,7 +24,7 @@ _KERNELS = tuple(
 
 
 class PatchLevel:
-    """Views at one scale, each with a plane a pixel.
+    """Views at one scale, with one plane per pixel.
 
     Args:
         device: where to compute.
@@ -47,7 +47,7 @@ class PatchLevel:
     ) -> None:
         self._device, self.cameras, self._seed = device, tuple(cameras), seed
         self.nearness = nearness
-        # Work-items of a group of many would each take their room on the stack at once.
+        # On a CPU, larger groups would need stack memory for all their work-items at once.
         self._group = (1, 1) if device.variant == "cpu" else None
         self._defines = {
             "RADIUS": radius,
@@ -64,7 +64,7 @@ class PatchLevel:
         self._launches = 0
 
     def draw(self, view: int) -> None:
-        """Give one view random planes, of unknown cost."""
+        """Set one view's planes to random ones of unknown cost."""
         camera = self.cameras[view]
         self._program().run(
             "draw_planes",
@@ -77,7 +77,7 @@ class PatchLevel:
         )
 
     def costs(self, view: int, sources: Sequence[int]) -> Tensor:
-        """What one view's planes cost in other views: `[S, H, W]`, 1 - NCC, 2 where they are unseen."""
+        """Costs of one view's planes in other views: `[S, H, W]`, 1 - NCC, or 2 where not visible."""
         camera = self.cameras[view]
         costs = DeviceArray(self._device, (len(sources), camera.height, camera.width))
         self._program().run(
@@ -93,12 +93,12 @@ class PatchLevel:
     def improve(
         self, view: int, sources: Sequence[int], *, good_cost: float, agreement: float
     ) -> None:
-        """Let every pixel of one view take the best plane of its own, its neighbours', and some changes.
+        """Replace every pixel's plane by the best of its own, its neighbours' and random changes.
 
         Args:
-            good_cost: a source view of lower cost counts as one that matches.
-            agreement: cost of each pixel by which the view and a source view disagree about the depth
-                that was last shared (`share_depths`); 0 asks no other depth.
+            good_cost: source views of lower cost count as matching.
+            agreement: cost per pixel of reprojection error between the view's depth and that last shared
+                by the source view (`share_depths`); 0 ignores other depths.
         """
         camera = self.cameras[view]
         places = self._sources(view, sources)
@@ -115,7 +115,7 @@ class PatchLevel:
             )
 
     def share_depths(self) -> None:
-        """Show all views each other's depths as they are now."""
+        """Make the current depths of all views available to the others."""
         depths = [planes.read(0, 1).flatten() for planes in self.planes]
         self._known.write(torch.cat(depths))
 
@@ -139,7 +139,7 @@ class PatchLevel:
         return grey
 
     def _sources(self, view: int, sources: Sequence[int]) -> tuple[DeviceArray, DeviceArray]:
-        """Ways there and back `[S, 24]`, and where images and depths are `[S, 4]`; see the kernel."""
+        """Projections there and back `[S, 24]`, and offsets and sizes `[S, 4]`; see the kernel."""
         here, rows, places = self.cameras[view], [], []
         for index in sources:
             there = self.cameras[index]
@@ -158,7 +158,7 @@ class PatchLevel:
         return tuple(np.float32(value) for value in (*self.nearness, *parts))
 
     def _key(self, view: int) -> np.uint32:
-        """Of the random numbers of the next launch."""
+        """Key of the random numbers of the next launch."""
         self._launches += 1
         mixed = 0x9E3779B1 * self._seed + 0x85EBCA77 * view + 0xC2B2AE3D * self._launches
         return np.uint32(mixed % 2**32)

@@ -1,9 +1,9 @@
 """Depth and normal of every pixel of posed views, by PatchMatch over slanted planes.
 
-Planes spread over a checkerboard (Gipuma: Galliani et al., ICCV 2015) from the best of eight regions
-about a pixel to views chosen for each pixel (ACMH and ACMM: Xu and Tao, CVPR 2019). Windows are compared
-by bilaterally weighted correlation (COLMAP: Schönberger et al., ECCV 2016), from coarse images to fine
-ones, and depths of different views are drawn towards each other.
+Planes propagate on a checkerboard (Gipuma: Galliani et al., ICCV 2015) from eight regions around a pixel,
+with views selected per pixel (ACMH and ACMM: Xu and Tao, CVPR 2019). Windows are compared by bilaterally
+weighted correlation (COLMAP: Schönberger et al., ECCV 2016), from coarse to fine images, with a cost for
+depths that disagree between views.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from .limits import MOST_PATCH_SOURCES
 from .patch_level import PatchLevel
 
 SMALLEST_SIDE = 24
-"""Pixels; a scale whose images are smaller in one direction is left out, but for the finest."""
+"""Pixels; scales with smaller images are skipped, except the finest."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """What is done with every view before depths are shared again.
+    """Steps for every view between two exchanges of depths.
 
     Args:
-        shrink: the images are so many times smaller than given.
-        steps: how often every plane is improved.
-        agreement: cost of a pixel by which views disagree; see `PatchLevel.improve`.
+        shrink: factor by which the images are reduced.
+        steps: number of improvements of every plane.
+        agreement: see `PatchLevel.improve`.
     """
 
     shrink: int
@@ -46,17 +46,17 @@ SCHEDULE = (
     Round(1, 2, 0.05),
     Round(1, 1, 0.05),
 )
-"""At first without other views' depths, which are random; most of the search is done where it is cheap."""
+"""The first round ignores other views' depths, which are random; most of the search is at coarse scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneMap:
-    """What is seen at each pixel of a view.
+    """Depth, normal and cost at each pixel of a view.
 
     Args:
         depth: `[H, W]` float32 z-depth, world units, > 0.
         normal: `[H, W, 3]` float32 in the camera's axes, unit length, towards the camera.
-        cost: `[H, W]` float32, 0 = best: 1 - NCC and the disagreement, over the views that count.
+        cost: `[H, W]` float32, 0 = best: weighted mean of 1 - NCC plus disagreement.
     """
 
     depth: Tensor
@@ -65,18 +65,18 @@ class PlaneMap:
 
 
 class PatchMatch:
-    """Planes for all views of a set.
+    """Estimates planes for all views of a set.
 
     Args:
         device: where to compute.
         images: a grey image `[H, W]` in [0, 1] for each camera, of the camera's size.
         cameras: of any sizes and principal points.
-        bounds: (near, far) z-depth between which surfaces are looked for, world units, 0 < near < far.
+        bounds: (near, far) z-depth of surfaces, world units, 0 < near < far.
         radius: of the windows, pixels.
-        seed: of the random numbers; the same seed and device give the same bits.
+        seed: of the random numbers; results are bit-identical for the same seed and device.
 
     Raises:
-        ValueError: an image is not of its camera's size, or the bounds hold no depth.
+        ValueError: an image has another size than its camera, or the bounds are invalid.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class PatchMatch:
         self._schedule = [
             r for r in SCHEDULE if r.shrink == 1 or smallest >= SMALLEST_SIDE * r.shrink
         ]
-        if self._schedule[0].agreement:  # nothing is known yet that views could agree with
+        if self._schedule[0].agreement:  # no depths are known yet
             self._schedule.insert(0, Round(self._schedule[0].shrink, SCHEDULE[0].steps, 0.0))
         self._levels = {}
         for shrink in {r.shrink: None for r in self._schedule}:
@@ -117,14 +117,13 @@ class PatchMatch:
             )
 
     def maps(self, sources: Sequence[Sequence[int]]) -> list[PlaneMap]:
-        """A plane for every pixel of every view.
+        """Estimate a plane for every pixel of every view.
 
         Args:
-            sources: for each view the indices of those to compare it with, one to
-                `MOST_PATCH_SOURCES`.
+            sources: for each view the indices of its source views, 1 to `MOST_PATCH_SOURCES`.
 
         Raises:
-            ValueError: a view has no source or too many.
+            ValueError: a view has too few or too many sources.
         """
         for index, others in enumerate(sources):
             if not 1 <= len(others) <= MOST_PATCH_SOURCES:
@@ -147,7 +146,7 @@ class PatchMatch:
         return [_plane_map(p.read(), c) for p, c in zip(level.planes, level.cameras, strict=True)]
 
     def _start(self, sources: Sequence[Sequence[int]]) -> PatchLevel:
-        """The coarsest level with random planes, each as good as its two best views say."""
+        """The coarsest level with random planes; their cost is the mean of the two best views."""
         level = self._levels[self._schedule[0].shrink]
         for view, others in enumerate(sources):
             level.draw(view)
@@ -169,13 +168,13 @@ def _shrunk(camera: Camera, shrink: int) -> Camera:
 
 
 def _resized(image: Tensor, camera: Camera) -> Tensor:
-    """The mean over the area of each pixel of a smaller image."""
+    """Reduce an image to the camera's size by area averaging."""
     size = (camera.height, camera.width)
     return torch.nn.functional.adaptive_avg_pool2d(image[None, None].double(), size)[0, 0].float()
 
 
 def _upsampled(planes: Tensor, camera: Camera) -> Tensor:
-    """Planes `[4, H, W]` for a larger image of the same view: those of the pixel that covers each one."""
+    """Planes `[4, H, W]` for a larger image of the same view, from the pixel that covers each one."""
     height, width = planes.shape[1:]
     u, v = camera.pixel_centers()
     u, v = u * width / camera.width, v * height / camera.height

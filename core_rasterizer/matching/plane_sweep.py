@@ -1,4 +1,4 @@
-"""Matching costs of posed views over planes parallel to the image (Collins, CVPR 1996), by ZNCC."""
+"""Plane sweep of posed views by ZNCC, over planes parallel to the image (Collins, CVPR 1996)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .sweep_geometry import SweepGeometry
 
 _CPU_TILE, _GPU_TILE = (64, 64), (16, 16)
 _GPU_GROUP = 16
-"""Work-items of a group on a GPU: neighbouring planes; a volume's planes are a multiple."""
+"""Work-items per group on a GPU, one per plane; a volume's planes are a multiple."""
 
 
 class ZnccSweep:
     """Costs by zero-mean normalized cross-correlation of square windows.
 
-    A window is cut off at the border of the reference image; beyond the border of a source image
-    its border pixels go on. Where an image is flat, ZNCC approaches 0.
+    Windows are cropped at the border of the reference image; source images are padded with their edge
+    values. Where an image is flat, ZNCC approaches 0.
 
     Args:
         device: where to compute.
@@ -32,13 +32,13 @@ class ZnccSweep:
         cameras: of any sizes and principal points.
         inverse_depths: `[P]` > 0; 1 / z-depth of the planes in the reference camera, world units^-1.
         radius: of the window, pixels, 1 .. `MAX_SWEEP_RADIUS`.
-        noise: the standard deviation of grey values that counts as no texture, in (0, 1].
+        noise: standard deviation of grey values that counts as no texture, in (0, 1].
         second_share: weight in [0, 1] of the source view that matches second best; the best has the
-            rest, others have none, since a surface may be hidden from them.
+            rest. Others have none, because the surface may be hidden from them.
 
     Raises:
-        ValueError: an image is not of its camera's size; no plane; the radius or the
-            noise is out of range.
+        ValueError: an image has another size than its camera; no plane; the radius or the noise is out
+            of range.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ZnccSweep:
         self._on_cpu = device.variant == "cpu"
         self._tile = _CPU_TILE if self._on_cpu else _GPU_TILE
         self._planes_an_item = PLANE_MULTIPLE if self._on_cpu else 1
-        # No sum of squares over a window exceeds 2^24; see the kernel.
+        # So that sums of squares over a window are at most 2^24; see the kernel.
         levels = 2**12 // (2 * radius + 1)
         self._weights = (np.float32((2 * levels * noise) ** 2), np.float32(second_share))
         self._images = device.program("matching/sweep_images", dtype=torch.float32, RADIUS=radius)
@@ -81,12 +81,12 @@ class ZnccSweep:
             sources: indices of the views to compare it with, at least one.
 
         Returns:
-            uint8 `[H, W, D]` as `semi_global` describes it, D the number of planes rounded up: 127.5
-            (1 - ZNCC), and 128 where no source view sees the pixel on that plane.
+            uint8 `[H, W, D]` as in `semi_global`: 127.5 (1 - ZNCC), and 128 where no source view sees
+            the pixel on that plane.
 
         Raises:
-            ValueError: there is no source.
-            MemoryBudgetError: the volume and the work on it would take more than half of the memory.
+            ValueError: `sources` is empty.
+            MemoryBudgetError: see `semi_global.empty_volume`.
         """
         numbers, layout = self._geometry.sources(reference, sources)
         costs = self._geometry.empty_volume(reference)
@@ -110,7 +110,7 @@ class ZnccSweep:
         return costs
 
     def _load(self, image: Tensor, camera: Camera, start: int, levels: int) -> DeviceArray:
-        """One view's grey levels; also packed into the array that samples are taken from."""
+        """Return one view's grey levels; also pack them into the array for sampling."""
         height, width = camera.height, camera.width
         if tuple(image.shape) != (height, width):
             raise ValueError(
@@ -131,7 +131,7 @@ class ZnccSweep:
             dtype=torch.float32,
             SOURCES=sources,
             RADIUS=self._radius,
-            LANES=0 if self._on_cpu else 1,  # as many as a CPU has registers for
+            LANES=0 if self._on_cpu else 1,  # 0: chosen from the processor's registers
             PLANES_PER_ITEM=self._planes_an_item,
             TILE_WIDTH=self._tile[0],
             TILE_HEIGHT=self._tile[1],

@@ -1,11 +1,10 @@
 """Cost volumes of rectified pairs: plane d of a volume is the disparity of d pixels.
 
-The left image's pixel (u, v) is compared with the right image's (u - d, v). Costs are 127.5 times one
-minus a correlation, rounded, or 255 times a share of differing signs. Where u - d is outside the image
-they are `UNSEEN_CORRELATION` or `UNSEEN_CENSUS`: a surface that the other image cannot show should cost
-more than a good match and less than a wrong one. On real pairs that beats 255.
-All volumes are `DeviceArray` uint8 `[H, W, D]` as `semi_global` describes them, D being `planes`
-rounded up.
+The left image's pixel (u, v) is compared with the right image's (u - d, v). Costs are 127.5 * (1 -
+correlation), rounded, or 255 times the share of differing signs. Where u - d is outside the image they are
+`UNSEEN_CORRELATION` or `UNSEEN_CENSUS`: more than a good match and less than a wrong one, which on real
+pairs is more accurate than 255. Volumes are uint8 `[H, W, D]` as in `semi_global`, with `planes` rounded up
+to D.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ from .limits import MAX_RADIUS
 from .semi_global import empty_volume
 
 UNSEEN_CORRELATION = 128
-"""A correlation of 0, as windows without texture have."""
+"""Correlation 0, like windows without texture."""
 UNSEEN_CENSUS = 96
-"""Measured; flat windows match perfectly in census, so that it does not invite them to be unseen."""
+"""Measured. Flat windows match perfectly in census, so they prefer a match despite the low value."""
 _NOISE = 0.002
-"""Deviation of grey values, of a range of 1, that counts as no texture."""
+"""Standard deviation of grey values in [0, 1] that counts as no texture."""
 _CENSUS_COLUMNS, _CENSUS_ROWS = 9, 7
 _ROWS_OF_ITEM = 64
-"""Rows that a work-item walks down; it first adds up the rows of one window."""
+"""Rows per work-item, which first sums the rows of one window."""
 
 
 def zncc_costs(
@@ -35,16 +34,16 @@ def zncc_costs(
 ) -> DeviceArray:
     """Zero-mean normalized cross-correlation of square windows.
 
-    Windows without texture correlate to 0, cost 128. Images go on beyond their edge as at it.
+    Windows without texture have correlation 0, cost 128. Images are padded with their edge values.
 
     Args:
         left, right: `[H, W]` grey in [0, 1].
         planes: disparities 0 .. planes - 1.
-        radius: the window's side is 2 radius + 1, 1 <= radius <= `MAX_RADIUS`.
+        radius: of the window, pixels, 1 <= radius <= `MAX_RADIUS`; its side is 2 radius + 1.
 
     Raises:
         ValueError: the images differ in size, or `planes` or `radius` is out of range.
-        MemoryBudgetError: see `empty_volume`; also from the other costs.
+        MemoryBudgetError: see `empty_volume`; also for the other costs.
     """
     _check(left, right, planes)
     if not 1 <= radius <= MAX_RADIUS:
@@ -86,7 +85,7 @@ def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> De
         planes: disparities 0 .. planes - 1.
 
     Raises:
-        ValueError: the images differ in size, or there is no plane.
+        ValueError: the images differ in size, or `planes` < 1.
     """
     _check(left, right, planes)
     height, width = left.shape
@@ -106,14 +105,14 @@ def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> De
 
 
 def feature_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> DeviceArray:
-    """One minus the dot product of feature vectors, for example of a neural network.
+    """Dot product of feature vectors, for example of a neural network.
 
     Args:
-        left, right: `[C, H, W]` float32, vectors over C of length 1 (or 0, cost 128).
+        left, right: `[C, H, W]` float32, of length 1 over C (or 0, cost 128).
         planes: disparities 0 .. planes - 1.
 
     Raises:
-        ValueError: the maps differ in size, or there is no plane.
+        ValueError: the maps differ in size, or `planes` < 1.
     """
     _check(left, right, planes, dimensions=3)
     channels, height, width = left.shape
@@ -129,7 +128,7 @@ def feature_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> D
 
 
 def right_costs(device: Device, costs: DeviceArray) -> DeviceArray:
-    """The right image's volume: the same matches, in the order of its own pixels.
+    """The right image's volume: the same matches, by pixel of the right image.
 
     Args:
         costs: the left image's volume.
@@ -146,7 +145,7 @@ def _check(left: Tensor, right: Tensor, planes: int, dimensions: int = 2) -> Non
     if left.ndim != dimensions or left.shape != right.shape or not left.numel():
         raise ValueError(f"a pair has the shapes {tuple(left.shape)} and {tuple(right.shape)}")
     if planes < 1:
-        raise ValueError(f"{planes} planes are none")
+        raise ValueError(f"planes is {planes}; it must be at least 1")
 
 
 def _on_device(device: Device, values: Tensor, dtype: torch.dtype) -> DeviceArray:
@@ -161,14 +160,14 @@ def _whole_levels(grey: Tensor, levels: int) -> Tensor:
 
 
 def _window_sums(padded: Tensor, radius: int) -> Tensor:
-    """Sums over square windows; exact, since the summands are whole numbers."""
+    """Sums over square windows; exact, because values are whole numbers."""
     side = 2 * radius + 1
     sums = pad(padded, (1, 0, 1, 0)).cumsum(0).cumsum(1)
     return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
 def _census(grey: Tensor) -> Tensor:
-    """`[H, W]` int64: a bit for each neighbour, set where it is darker than the centre."""
+    """`[H, W]` int64: one bit per neighbour, set if it is darker than the centre."""
     across, down = _CENSUS_COLUMNS // 2, _CENSUS_ROWS // 2
     height, width = grey.shape
     padded = pad(grey[None], (across, across, down, down), mode="replicate")[0]

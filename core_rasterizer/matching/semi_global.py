@@ -1,8 +1,7 @@
-"""Semi-global aggregation of a cost volume (Hirschmüller, PAMI 2008) and the choice of the best plane.
+"""Semi-global aggregation of a cost volume (Hirschmüller, PAMI 2008) and selection of the best plane.
 
 A cost volume is a uint8 `DeviceArray [H, W, D]`: the cost of D planes (disparities, depths) at each
-pixel, 0 = best, 255 = worst or unknown. D is a multiple of `PLANE_MULTIPLE`; planes that only fill it
-up carry the cost 255.
+pixel, 0 = best, 255 = worst or unknown. D is a multiple of `PLANE_MULTIPLE`; padding planes cost 255.
 """
 
 from __future__ import annotations
@@ -21,21 +20,21 @@ from .limits import LARGEST_PENALTY
 CostVolume: TypeAlias = DeviceArray
 """uint8 `[H, W, D]`, as above."""
 PLANE_MULTIPLE = 16
-"""Volumes have so many planes or a multiple: one vector of costs."""
+"""Vector width in planes."""
 _BYTES_A_CELL = 4
-"""A volume of costs, its sums in two bytes, and the costs of another image beside it."""
+"""One byte of costs, two of sums, and one for the costs of a second image."""
 _CPU_BAND = 8
-"""Neighbouring lines that one work-item walks together on a CPU, where pixels share cache lines."""
+"""Adjacent lines per work-item on a CPU, where neighbouring pixels share cache lines."""
 
 
 @dataclass(frozen=True)
 class Penalties:
-    """What a path pays for changing the plane between two pixels.
+    """Penalties of a path for changing the plane between two pixels.
 
     Args:
         small: P1, for a change of one plane.
-        large: P2, for any larger change where the image is flat. Where the grey value changes by
-            g of 255 levels, P2 is large / max(1, g), and never below P1.
+        large: P2, for larger changes where the image is flat. Where the grey value changes by g of
+            255 levels, P2 is large / max(1, g), but at least P1.
 
     Raises:
         ValueError: not 0 <= small <= large <= `LARGEST_PENALTY`.
@@ -57,15 +56,15 @@ class Penalties:
 
 
 def padded_planes(planes: int) -> int:
-    """The number of planes that a volume of `planes` planes is stored with."""
+    """Number of planes of a volume including padding."""
     return -(-planes // PLANE_MULTIPLE) * PLANE_MULTIPLE
 
 
 def empty_volume(device: Device, height: int, width: int, planes: int) -> DeviceArray:
-    """Room for the costs of so many planes, uint8 `[H, W, D]`.
+    """Allocate the costs of `planes` planes, uint8 `[H, W, D]`.
 
     Raises:
-        MemoryBudgetError: the work on it would take more than half of the device's memory.
+        MemoryBudgetError: processing it needs more than half of the device's memory.
     """
     depth = padded_planes(planes)
     needed, limit = height * width * depth * _BYTES_A_CELL, device.memory_bytes // 2
@@ -86,19 +85,17 @@ def aggregate(
 
     Args:
         costs: uint8 `[H, W, D]`, see above.
-        image_gray: `[H, W]` in [0, 1]; the image whose edges make jumps cheap.
+        image_gray: `[H, W]` in [0, 1]; jumps are cheaper at its edges.
 
     Returns:
         uint16 `[H, W, D]`, at most 8 (255 + penalties.large).
 
     Raises:
-        ValueError: D is no multiple of `PLANE_MULTIPLE`, or the image has another size.
+        ValueError: D is not a multiple of `PLANE_MULTIPLE`, or the image has another size.
     """
     height, width, planes = costs.shape
     if planes % PLANE_MULTIPLE or tuple(image_gray.shape) != (height, width):
-        raise ValueError(
-            f"costs {costs.shape} and image {tuple(image_gray.shape)} do not make a volume"
-        )
+        raise ValueError(f"costs {costs.shape} do not match the image {tuple(image_gray.shape)}")
     sums = DeviceArray(device, costs.shape, torch.uint16)
     if not height * width * planes:
         return sums
@@ -120,21 +117,21 @@ def pick(device: Device, aggregated: DeviceArray, planes: int) -> tuple[Tensor, 
 
     Args:
         aggregated: uint16 `[H, W, D]` from `aggregate`.
-        planes: the first so many planes are real, 1 <= planes <= D; the others are padding.
+        planes: number of planes without padding, 1 <= planes <= D.
 
     Returns:
-        index: `[H, W]` float32; plane and fraction: where two lines of opposite slopes through the
-            lowest cost and its two neighbours meet (Shimizu and Okutomi, 2005), on real pairs nearer
-            to the truth than a parabola. The first and the last plane have no fraction.
+        index: `[H, W]` float32; plane and fraction: the intersection of two lines of opposite slopes
+            through the lowest cost and its two neighbours (Shimizu and Okutomi, 2005), on real pairs
+            more accurate than a parabola. The first and the last plane have no fraction.
         confidence: `[H, W]` float32 in [0, 1]: 1 - lowest / rival, where the rival is the lowest cost
-            more than one plane away; 0 where all planes are that near.
+            more than one plane away; 0 if there is none.
 
     Raises:
         ValueError: `planes` is out of range.
     """
     height, width, padded = aggregated.shape
     if not 1 <= planes <= padded:
-        raise ValueError(f"{planes} planes cannot be picked from {padded}")
+        raise ValueError(f"planes is {planes}; it must lie in 1 .. {padded}")
     index = DeviceArray(device, (height, width))
     confidence = DeviceArray(device, (height, width))
     if height * width:
@@ -158,7 +155,7 @@ def _directions(height: int, width: int) -> list[tuple[int, int, int, int, int, 
     ]
     lines = width + height - 1
     for slope in (1, -1):
-        # Lines that drift right enter left of the image, and the other way round.
+        # Lines that move right start left of the image, and vice versa.
         shift = -(height - 1) if slope > 0 else 0
         paths.append((lines, height, shift, 1, width + slope, shift, slope))
         paths.append((lines, height, last_row + shift, 1, -width + slope, shift, slope))

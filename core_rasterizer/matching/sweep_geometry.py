@@ -1,4 +1,4 @@
-"""What sweeps over planes share: the planes, and where each falls in a source view."""
+"""Planes of a sweep, and their projection into source views."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class SweepGeometry:
     Args:
         device: where the sweep runs.
         cameras: of any sizes and principal points.
-        starts: where each view's image or features start in the array that holds all of them.
+        starts: offset of each view's image or features in the array of all views.
         inverse_depths: `[P]` > 0; 1 / z-depth of the planes in the reference camera, world units^-1.
 
     Raises:
-        ValueError: there is no plane.
+        ValueError: `inverse_depths` is empty.
     """
 
     def __init__(
@@ -33,17 +33,17 @@ class SweepGeometry:
         inverse_depths: Tensor,
     ) -> None:
         if not len(inverse_depths):
-            raise ValueError("a plane sweep needs a plane")
+            raise ValueError("a plane sweep needs at least one plane")
         self._device, self._cameras, self._starts = device, tuple(cameras), tuple(starts)
         self.planes = padded_planes(len(inverse_depths))
-        # Planes that only fill the volume up have a depth at which no view sees anything.
+        # Padding planes have a depth at which every test for visibility is false.
         padded = torch.full((self.planes,), float("nan"))
         padded[: len(inverse_depths)] = inverse_depths
         self.inverse_depths = DeviceArray(device, (self.planes,))
         self.inverse_depths.write(padded)
 
     def empty_volume(self, reference: int) -> DeviceArray:
-        """Room for one view's costs: uint8 `[H, W, D]`.
+        """Allocate one view's costs, uint8 `[H, W, D]`.
 
         Raises:
             MemoryBudgetError: see `semi_global.empty_volume`.
@@ -52,7 +52,7 @@ class SweepGeometry:
         return empty_volume(self._device, camera.height, camera.width, self.planes)
 
     def sources(self, reference: int, sources: Sequence[int]) -> tuple[DeviceArray, DeviceArray]:
-        """How to find the source views' pixels from the reference's.
+        """Projections from the reference view to the source views.
 
         Returns:
             numbers: float32 `[S, 12]`: A = K_s R K_r^-1 row by row, then b = K_s t. The pixel x at
@@ -60,10 +60,10 @@ class SweepGeometry:
             layout: int32 `[S, 3]`: start, width and height.
 
         Raises:
-            ValueError: there is no source.
+            ValueError: `sources` is empty.
         """
         if not sources:
-            raise ValueError("a plane sweep needs a source view")
+            raise ValueError("a plane sweep needs at least one source view")
         numbers = DeviceArray(self._device, (len(sources), 12))
         layout = DeviceArray(self._device, (len(sources), 3), torch.int32)
         here = self._cameras[reference]
@@ -77,26 +77,22 @@ class SweepGeometry:
 
 
 def plane_transfer(reference: Camera, source: Camera) -> tuple[Tensor, Tensor]:
-    """A `[3, 3]` and b `[3]`, float64, of which A x + b / z is the pixel x of depth z in `source`."""
+    """A `[3, 3]` and b `[3]`, float64: pixel x at depth z appears in `source` at A x + b / z."""
     relative = source.world_to_camera @ reference.camera_to_world
     turned = source.intrinsics @ relative[:3, :3] @ torch.linalg.inv(reference.intrinsics)
     return turned, source.intrinsics @ relative[:3, 3]
 
 
 def seen_by_any(depth: Tensor, reference: Camera, sources: Sequence[Camera]) -> Tensor:
-    """Which pixels' points lie in the image of a source view.
+    """Which pixels' points project into the image of a source view.
 
     Args:
         depth: `[H, W]` z-depth in the reference camera, > 0.
 
     Returns:
-        `[H, W]` bool. A point that another surface hides counts as seen.
+        `[H, W]` bool. Occlusion is not tested.
     """
-    y, x = torch.meshgrid(
-        torch.arange(reference.height, dtype=torch.float64) + 0.5,
-        torch.arange(reference.width, dtype=torch.float64) + 0.5,
-        indexing="ij",
-    )
+    x, y = reference.pixel_centers()
     seen = torch.zeros_like(depth, dtype=torch.bool)
     for source in sources:
         turned, moved = plane_transfer(reference, source)

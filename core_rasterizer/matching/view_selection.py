@@ -1,8 +1,7 @@
-"""Which other views a view is matched with: those that see the same from a little to the side.
+"""Selection of source views: those that see the same part of the scene at a small angle.
 
 The score follows MVSNet (Yao et al., ECCV 2018, section 4.1), which sums a weight of the triangulation
-angle over reconstructed points. Here nothing is reconstructed yet, so points all over the part of the
-scene that the view sees stand in for them.
+angle over reconstructed points. Without a reconstruction, it uses points throughout the view's frustum.
 """
 
 from __future__ import annotations
@@ -15,30 +14,30 @@ from torch import Tensor
 from ..camera import Camera
 
 SMALLEST_BASELINE = 1e-4
-"""Relative to the near bound: a camera that stands closer to another sees no parallax."""
+"""Relative to the near bound; closer cameras have no parallax."""
 BEST_ANGLE = 5.0
-"""Degrees between the rays of two views: less leaves the depth vague, more changes the appearance."""
+"""Degrees between the rays of two views: less makes depth inaccurate, more changes the appearance."""
 ANGLE_BELOW, ANGLE_ABOVE = 1.0, 10.0
 """Standard deviations of the weight below and above the best angle, degrees."""
 GRID, DEPTHS = 8, 8
-"""Points a row and column of the image, and how many at each pixel, evenly in inverse depth."""
+"""Points per row and column of the image, and depths per point, evenly in inverse depth."""
 
 
 def source_views(
     cameras: Sequence[Camera], reference: int, count: int, bounds: tuple[float, float]
 ) -> list[int]:
-    """The views to match one view with.
+    """Select the views to match one view with.
 
     Args:
         cameras: of all views.
         reference: index of the view.
-        count: how many others at most.
+        count: largest number of views.
         bounds: (near, far) z-depth of the scene's content, world units.
 
     Returns:
-        Indices of views in other places, the nearest first: all of them if there are no more than
-        `count`, else those of the highest `matching_scores`, and of these none that sees nothing of
-        the same part of the scene, unless no view does. None where all cameras stand in one place.
+        Indices of views at other positions, nearest first: all if there are at most `count`, else those
+        with the highest `matching_scores`, without scores of 0 unless all are 0. Empty if all cameras
+        share one position.
     """
     here = cameras[reference].center
     distances = [float((camera.center - here).norm()) for camera in cameras]
@@ -55,23 +54,22 @@ def source_views(
 def matching_scores(
     reference: Camera, others: Sequence[Camera], bounds: tuple[float, float]
 ) -> Tensor:
-    """How well other views are suited to find the depths of one.
+    """Score views by their suitability for the depths of one view.
 
     Args:
-        reference: the camera whose depths are looked for.
-        others: `[V]`, in other places.
+        reference: the view whose depths are wanted.
+        others: V cameras at other positions.
         bounds: (near, far) z-depth of what the reference sees, world units.
 
     Returns:
-        `[V]` float64 in [0, 1]: the mean over the visible part of space of the weight of the
-        triangulation angle, which is 0 where the other view sees nothing and 1 at the best angle.
+        `[V]` float64 in [0, 1]: mean weight of the triangulation angle over the reference's frustum; the
+        weight is 0 where the other view does not see the point, and 1 at the best angle.
     """
     points = _visible_points(reference, bounds)
     towards = torch.nn.functional.normalize(points - reference.center, dim=-1)
     scores = torch.zeros(len(others), dtype=torch.float64)
     for index, other in enumerate(others):
-        u, v, z = other.project(points)
-        seen = (z > 0) & (u >= 0) & (v >= 0) & (u <= other.width) & (v <= other.height)
+        seen = other.contains(*other.project(points), border=True)
         away = torch.nn.functional.normalize(points - other.center, dim=-1)
         angle = torch.rad2deg(torch.acos((towards * away).sum(dim=-1).clamp(-1, 1)))
         off = angle - BEST_ANGLE
@@ -81,7 +79,7 @@ def matching_scores(
 
 
 def _visible_points(camera: Camera, bounds: tuple[float, float]) -> Tensor:
-    """World points `[P, 3]` at which an image of the content between the bounds may show something."""
+    """World points `[P, 3]` throughout the frustum between the bounds."""
     cells = (torch.arange(GRID, dtype=torch.float64) + 0.5) / GRID
     nearness = torch.linspace(1 / bounds[1], 1 / bounds[0], DEPTHS, dtype=torch.float64)
     v, u, w = torch.meshgrid(cells * camera.height, cells * camera.width, nearness, indexing="ij")

@@ -1,12 +1,10 @@
-"""Gaussians that live on a device while they are optimized: model, loss, Adam, topology."""
+"""Training on a device: model, loss, Adam, edits."""
 
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
-from .model import GaussianModel
-from .model_reader import ModelReader
+from .model import GaussianModel, ModelReader
 from .photometric import photometric_loss
-from .relocation import shared_among_copies
-from .topology import apply_edit
+from .topology import apply_edit, shared_among_copies
 
 __all__ = [
     "Adam",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,42 +13,40 @@ from ..device import DeviceArray
 from ..errors import ExplainedError, GaussianError
 from ..finite import undefined_places
 from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count
-
-if TYPE_CHECKING:
-    from .model import GaussianModel
+from .storage import GaussianStorage
 
 _BETA1, _BETA2 = 0.9, 0.999
 _CPU_SPAN = 4096
-"""Neighbouring columns that a work-item of a CPU steps through."""
+"""Adjacent columns per work-item on a CPU."""
 _GPU_GROUP = 64
 _LARGEST_RATE = 1e37
-"""Over the first bias correction, which is a tenth at first, it is still a number."""
+"""Stays finite when divided by the first bias correction, 0.1 at the first step."""
 
 
 class Adam:
     """Adam (Kingma & Ba 2015) for the parameters of a `GaussianModel`.
 
-    Its betas are 0.9 and 0.999 and its epsilon is 1e-15, as in 3DGS. Moments start at zero and are
+    As in 3DGS the betas are 0.9 and 0.999 and epsilon is 1e-15. Moments start at zero and are
     bias-corrected as in `torch.optim.Adam`.
 
     Attributes:
-        first_moments, second_moments: `[rows, capacity]`, in the layout of `model.parameters`. An
-            edit of the Gaussians replaces them.
+        first_moments, second_moments: `[rows, capacity]`, in the layout of `model.parameters`.
+            `apply_edit` replaces them.
     """
 
-    def __init__(self, model: GaussianModel) -> None:
+    def __init__(self, model: GaussianStorage) -> None:
         self._model = model
         self.program = model.device.program("optimization/adam", dtype=model.dtype)
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
         self._undefined = DeviceArray(model.device, (1,), torch.int32)
-        self._told: Callable[[], Tensor] | None = None
+        self._read_undefined: Callable[[], Tensor] | None = None
         self._steps = dict.fromkeys(PARAMETER_GROUPS, 0)
 
     @property
     def steps(self) -> int:
-        """How many steps were taken by the groups that were skipped least."""
+        """Number of steps of the group that was skipped least."""
         return max(self._steps.values())
 
     def step(
@@ -62,17 +59,16 @@ class Adam:
         """Update the model's parameters from its gradients.
 
         Args:
-            learning_rates: one for each name in `PARAMETER_GROUPS`; 0 leaves a group where it is, but
-                its moments take the step.
-            active_sh_degree: SH bands above it are skipped; one that counts by a fraction is not.
-                That is exact as long as they never had a gradient, because their moments are then zero.
-            skip: groups that this step leaves entirely alone, as torch does with what has no gradient:
-                parameters, moments, and the count of steps that corrects the moments' bias. "sh" is
-                short for both of its groups.
+            learning_rates: one for each name in `PARAMETER_GROUPS`; with 0 the values stay, but the
+                moments are updated.
+            active_sh_degree: SH bands above it, rounded up, are skipped. That is exact while they have
+                never had a gradient, because their moments are then zero.
+            skip: groups whose parameters, moments and step count this step does not change, as torch
+                treats parameters without a gradient. "sh" means both of its groups.
 
         Raises:
-            ExplainedError: a group without a learning rate, a rate for an unknown group, one that is
-                not below 1e37, or an unknown group to skip.
+            ExplainedError: missing or unknown groups in `learning_rates`, a rate not below 1e37, or an
+                unknown group in `skip`.
         """
         if set(learning_rates) != set(PARAMETER_GROUPS):
             wrong = sorted(set(learning_rates) ^ set(PARAMETER_GROUPS))
@@ -90,11 +86,11 @@ class Adam:
                 )
         moving = _groups_without(skip)
         model = self._model
-        model.settle_gradients()
+        model.gradients.settle()
         for name in moving:
             self._steps[name] += 1
         real = np.float64 if model.dtype == torch.float64 else np.float32
-        # A group that has never moved is not touched below, whatever is made of its zero.
+        # The kernel skips groups without a step, so their correction only has to be finite.
         steps = {name: max(1, taken) for name, taken in self._steps.items()}
         rates = (learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS)
         corrections = ((1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS)
@@ -108,7 +104,7 @@ class Adam:
             (items, rows),
             (group, 1),
             model.parameters,
-            model.gradients,
+            model.gradients.rows,
             self.first_moments,
             self.second_moments,
             *(real(rate) for rate in rates),
@@ -119,18 +115,18 @@ class Adam:
             np.int32(span),
             self._undefined,
         )
-        self._told = self._undefined.begin_reading()
+        self._read_undefined = self._undefined.begin_reading()
 
     def check_parameters(self) -> None:
-        """Refuse parameters that a step so far has left undefined.
+        """Raise if a step has produced a parameter that is not finite.
 
-        Each step looks at the numbers that it moves and sends one of its own, so that this costs nothing
-        once the device has been waited for; else it waits for the last step.
+        Waits for the last step. If the device has been waited for since, this costs nothing: each step
+        checks the values that it changes and transfers one flag.
 
         Raises:
             GaussianError: a parameter is not finite; names the first.
         """
-        if self._told is None or not int(self._told()):
+        if self._read_undefined is None or not int(self._read_undefined()):
             return
         for name in PARAMETERS:
             undefined = undefined_places(self._model.read(name))
@@ -139,18 +135,18 @@ class Adam:
                     f"{len(undefined)} values are not finite after the optimizer's step",
                     field=name,
                     index=int(undefined[0, 0]),
-                    fix="lower the learning rate, or what else moves this parameter",
+                    fix="lower the learning rate of this parameter",
                 )
 
     def reset_moments(self, name: str) -> None:
-        """Set both moments of one group to zero; 3DGS does so when it resets opacities.
+        """Set both moments of one group to zero, as 3DGS does when it resets opacities.
 
         Raises:
-            ExplainedError: there is no such group.
+            ExplainedError: unknown group.
         """
         if name not in PARAMETER_GROUPS:
             raise ExplainedError(
-                f"there is no parameter group {name!r}",
+                f"unknown parameter group {name!r}",
                 where="Adam.reset_moments",
                 fix=f"use one of {', '.join(PARAMETER_GROUPS)}",
             )
@@ -159,11 +155,11 @@ class Adam:
             moments.fill(0, first, last)
 
     def state(self) -> dict[str, Tensor]:
-        """Everything needed to continue: copies on the host, for a checkpoint.
+        """The optimizer's state for a checkpoint, copied to the host.
 
         Returns:
-            "first_moments" and "second_moments", each `[rows, N]`; "steps", int64 `[6]`, which each
-            group has taken.
+            "first_moments" and "second_moments", each `[rows, N]`; "steps", int64 `[6]`, one for each
+            group.
         """
         count = self._model.count
         return {
@@ -173,10 +169,10 @@ class Adam:
         }
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Continue from what `state` returned, for a model with as many Gaussians.
+        """Continue from `state`, for a model with the same number of Gaussians.
 
         Raises:
-            ExplainedError: an entry is missing or has another shape; nothing is changed then.
+            ExplainedError: an entry is missing or has the wrong shape; nothing changes then.
         """
         model = self._model
         shapes = {
@@ -190,7 +186,7 @@ class Adam:
                 raise ExplainedError(
                     f"the optimizer state {name!r} has the shape {actual}, expected {expected}",
                     where="Adam.restore",
-                    fix="restore it together with the Gaussians that it was saved with",
+                    fix="restore it together with its Gaussians",
                 )
         for name in ("first_moments", "second_moments"):
             full = torch.zeros(model.rows, model.capacity, dtype=model.dtype)
@@ -202,10 +198,10 @@ class Adam:
 
 
 def _groups_without(skip: Collection[str]) -> list[str]:
-    """The groups that a step moves."""
+    """The groups that a step changes."""
     if unknown := sorted(set(skip) - {*PARAMETER_GROUPS, "sh"}):
         raise ExplainedError(
-            f"there is no parameter group {', '.join(map(repr, unknown))}",
+            f"unknown parameter group {', '.join(map(repr, unknown))}",
             where="Adam.step: skip",
             fix=f"use sh, {', '.join(PARAMETER_GROUPS)}",
         )

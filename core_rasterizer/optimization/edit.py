@@ -1,4 +1,4 @@
-"""What a policy wants done to the set of Gaussians, and where those after it come from."""
+"""Edits of the set of Gaussians, and the mapping from old to new ones."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from ..gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class Relocation:
-    """Gaussians that are put to better use elsewhere (3DGS-MCMC: Kheradmand et al. 2024, section 4).
+    """Dead Gaussians that become copies of others (3DGS-MCMC: Kheradmand et al. 2024, section 4).
 
-    Each target becomes a copy of its source. A source and its copies then share what the source was:
-    their opacities and scales are those of the paper's equation 9, so that the picture stays nearly the
-    same. The optimizer's moments of sources and targets start anew.
+    A source and its copies get the opacities and scales of the paper's equation 9, so that the image
+    stays nearly the same. The optimizer's moments of sources and targets are reset.
 
     Args:
-        source: `[M]` int64, indices of the Gaussians to copy; one may occur several times.
-        target: `[M]` int64, indices of the Gaussians to overwrite, the dead; each once.
+        source: `[M]` int64, indices of the Gaussians to copy; repeats are allowed.
+        target: `[M]` int64, indices of the Gaussians to overwrite, without repeats.
     """
 
     source: Tensor
@@ -31,20 +30,20 @@ class Relocation:
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """What a policy wants; masks are boolean `[N]` over the current Gaussians, None means none.
+    """Changes to the Gaussians; masks are boolean `[N]` over the current ones, None selects none.
 
-    Relocation comes first, and the masks then speak of the Gaussians as it leaves them.
+    Relocation is applied first; the masks select Gaussians after it.
 
     Args:
         clone: add an exact copy.
-        split: replace by smaller ones, drawn from the Gaussian itself.
-        prune: remove; wins over the other two.
-        split_into: how many children a split one has, at least 2 (3DGS: 2).
-        shrink: what the scales of children are divided by, positive. 3DGS: 1.6, which is 0.8 times
-            the number of children.
-        add: M Gaussians from elsewhere, with as many SH bands as the model.
-        parents: `[M]` int64, required with `add`: the current Gaussian whose per-Gaussian state in
-            plugins each added one takes over.
+        split: replace by smaller Gaussians, drawn from the Gaussian itself.
+        prune: remove; overrides the other two.
+        split_into: number of children of a split, >= 2 (3DGS: 2).
+        shrink: divisor of the children's scales, > 0. 3DGS: 1.6, which is 0.8 times the number of
+            children.
+        add: M new Gaussians of the model's SH degree.
+        parents: `[M]` int64, required with `add`: the current Gaussian whose per-Gaussian plugin state
+            each added one inherits.
         relocate: Gaussians to overwrite by copies of others.
     """
 
@@ -59,7 +58,7 @@ class Edit:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing would change."""
+        """Whether the edit changes nothing."""
         masks = (self.clone, self.split, self.prune)
         return (
             not any(mask is not None and bool(mask.any()) for mask in masks)
@@ -68,16 +67,16 @@ class Edit:
         )
 
     def mask(self, name: str, count: int) -> Tensor:
-        """A mask of one's own, `[N]` bool: "clone", "split" or "prune"; pruned ones are not in others."""
+        """A copy of the mask "clone", "split" or "prune", `[N]` bool; the first two without pruned ones."""
         mask: Tensor | None = getattr(self, name)
         chosen = torch.zeros(count, dtype=torch.bool) if mask is None else mask.clone()
         return chosen if name == "prune" or self.prune is None else chosen & ~self.prune
 
     def check(self, count: int) -> None:
-        """Refuse what cannot be done to so many Gaussians.
+        """Raise if the edit does not fit `count` Gaussians.
 
         Raises:
-            GaussianError: naming the field, and the index where there is one.
+            GaussianError: names the field and, if any, the index.
         """
         for name in ("clone", "split", "prune"):
             mask = getattr(self, name)
@@ -85,13 +84,13 @@ class Edit:
                 _check_tensor(name, mask, torch.bool, count)
         if not isinstance(self.split_into, int) or self.split_into < 2:
             raise GaussianError(
-                f"a split into {self.split_into} is asked for",
+                f"split_into is {self.split_into}",
                 field="split_into",
                 fix="use a whole number of children, at least 2",
             )
         if not (math.isfinite(self.shrink) and self.shrink > 0):
             raise GaussianError(
-                f"children are to shrink by {self.shrink}",
+                f"shrink is {self.shrink}",
                 field="shrink",
                 fix="use a positive number, such as 1.6",
             )
@@ -120,22 +119,22 @@ class Edit:
             _check_tensor(field, indices, torch.int64, moved)
             _check_indices(field, indices, count)
             if self.prune is not None:
-                _refuse(field, indices, self.prune[indices], "is to be pruned too")
+                _refuse(field, indices, self.prune[indices], "is also pruned")
         times = torch.bincount(move.target, minlength=count)
         _refuse("relocate.target", move.target, times[move.target] > 1, "is a target twice")
         copied = torch.zeros(count, dtype=torch.bool)
         copied[move.source] = True
-        _refuse("relocate.target", move.target, copied[move.target], "is a source too")
+        _refuse("relocate.target", move.target, copied[move.target], "is also a source")
 
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """Where the Gaussians after an edit come from.
+    """Origin of the Gaussians after an edit.
 
     Args:
-        source: `[N_new]` int64, the index before the edit; of a relocated Gaussian that of the one
-            that it was copied from, of an added one its parent.
-        fresh: `[N_new]` bool, True for clones, children, added ones and relocated ones.
+        source: `[N_new]` int64, index before the edit: of a relocated Gaussian its source, of an added
+            one its parent.
+        fresh: `[N_new]` bool, True for clones, children, added and relocated Gaussians.
     """
 
     source: Tensor
@@ -156,11 +155,11 @@ def _check_tensor(field: str, values: Tensor, dtype: torch.dtype, length: int) -
 
 def _check_indices(field: str, indices: Tensor, count: int) -> None:
     outside = (indices < 0) | (indices >= count)
-    _refuse(field, indices, outside, f"is not among the {count:,} that there are")
+    _refuse(field, indices, outside, f"is not one of the {count:,} Gaussians")
 
 
 def _refuse(field: str, indices: Tensor, wrong: Tensor, why: str) -> None:
-    """Refuse the first Gaussian of a list of indices for which something is wrong."""
+    """Raise for the first index that is wrong."""
     if wrong.any():
         place = int(wrong.nonzero()[0])
         raise GaussianError(f"Gaussian {int(indices[place])} {why}", field=field, index=place)

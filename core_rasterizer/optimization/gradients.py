@@ -1,4 +1,4 @@
-"""The gradient of every parameter: what renders wrote on the device, and what losses on parameters add."""
+"""Parameter gradients: those of renders, on the device, and those of losses on parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _ALL_BANDS = 3
 
 
 class Gradients:
-    """Gradient rows `[rows, capacity]` that are zeroed for nothing.
+    """Gradient rows `[rows, capacity]` that are zeroed at no cost.
 
-    Renders write their gradients on the device. Those of losses on parameters come from the host and
-    wait there until an optimizer wants the sum, so that the rows tell until then which Gaussians the
-    renders touched. Sums have a fixed order: renders first, as autograd runs them, then the others.
+    Renders write their gradients on the device. Gradients of losses on parameters wait on the host until
+    `settle`, so that `of_renders` shows which Gaussians the renders touched. Sums have a fixed order:
+    renders in autograd's order, then the others.
 
     Attributes:
         rows: `[rows, capacity]` on the device.
@@ -31,34 +31,34 @@ class Gradients:
         self._waiting: dict[tuple[int, int], Tensor] = {}
 
     def forget(self) -> None:
-        """Make all zero. Costs nothing: the next backward pass overwrites them."""
+        """Set all gradients to zero, lazily: the next backward pass overwrites them."""
         self._forgotten = True
         self._waiting.clear()
 
     def make_ready(self, sh_degree: int) -> bool:
-        """Prepare for a backward pass that writes SH bands up to a degree; `written` must follow it.
+        """Prepare for a backward pass that writes SH bands up to a degree; call `written` after it.
 
         Returns:
-            Whether the pass is to add to the rows, instead of replacing them.
+            True if the pass must add to the rows, False if it must overwrite them.
         """
         if self._forgotten and sh_degree < self._written_degree:
-            self.rows.fill(0)  # bands that this pass will not overwrite hold older values
-        # Adding needs every row to hold something; a higher band than before holds zeros already.
+            self.rows.fill(0)  # bands that this pass does not overwrite hold older values
+        # Adding needs valid rows; bands above the degree written so far hold zeros.
         return not self._forgotten
 
     def written(self, sh_degree: int) -> None:
-        """Note that a backward pass has written SH bands up to a degree."""
+        """Record that a backward pass has written SH bands up to a degree."""
         before = 0 if self._forgotten else self._written_degree
         self._written_degree = max(sh_degree, before)
         self._forgotten = False
 
     def of_renders(self, first: int, last: int | None) -> Tensor:
-        """Rows `[first, last)` of what the renders wrote."""
-        self._write_promised_zeros()
+        """Rows `[first, last)` of the renders' gradients."""
+        self._write_pending_zeros()
         return self.rows.read(first, last)
 
     def total(self, first: int, last: int) -> Tensor:
-        """Rows `[first, last)` of the sum."""
+        """Rows `[first, last)` of all gradients."""
         values = self.of_renders(first, last)
         waiting = self._waiting.get((first, last))
         return values if waiting is None else values + waiting
@@ -92,15 +92,15 @@ class Gradients:
         self._waiting[rows][:, : values.shape[1]] += values
 
     def settle(self) -> None:
-        """Bring the rows on the device up to date, for an optimizer that reads them there."""
-        self._write_promised_zeros()
+        """Update `rows` with pending zeros and gradients, for an optimizer on the device."""
+        self._write_pending_zeros()
         for rows, values in self._waiting.items():
             self.rows.write(self.rows.read(*rows) + values, *rows)
             if rows[0] == ROWS_BEFORE_SH:
                 self._written_degree = _ALL_BANDS
         self._waiting.clear()
 
-    def _write_promised_zeros(self) -> None:
+    def _write_pending_zeros(self) -> None:
         if self._forgotten:
             self.rows.fill(0)
             self._written_degree = 0

@@ -1,4 +1,4 @@
-"""Gaussians that live on an OpenCL device; images cross to torch and take part in autograd."""
+"""Gaussians that are trained on an OpenCL device, and a read-only view of them."""
 
 from __future__ import annotations
 
@@ -9,41 +9,27 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from ..device import Device, DeviceArray, open_device
+from ..device import Device, open_device
 from ..errors import GaussianError
-from ..finite import undefined_places
 from ..gaussians import Gaussians
-from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count, rows_of
-from ..raster import (
-    DILATION,
-    NEAR_PLANE,
-    Block,
-    Footprint,
-    Frame,
-    Renderer,
-    RenderRequest,
-    pack,
-    unpack,
-)
+from ..layout import PARAMETERS, padded
+from ..raster import DILATION, NEAR_PLANE, Footprint, Renderer, RenderRequest, pack
 from ..rendering import Rendering
-from .gradients import Gradients
-from .model_reader import ModelReader
-from .parameter import ACTIVATED, stored_name, values_in_autograd
-from .render_function import RenderFunction
-from .screen_statistics import ScreenStatistics
+from .autograd import ACTIVATED, ParameterFunction, RenderFunction
+from .storage import GaussianStorage
 
 
-class GaussianModel:
-    """N Gaussians on a device: parameters, gradients, and what densification counts.
+class GaussianModel(GaussianStorage):
+    """N Gaussians on a device that render differentiable images.
 
     Args:
-        gaussians: the starting parameters; must be finite.
-        device: where they live; None chooses (`open_device`).
+        gaussians: initial parameters; must be finite.
+        device: where they are stored; None chooses (`open_device`).
         dtype: torch.float32, or torch.float64 for tests.
         dilation: added to the variances of every ellipse on the image, square pixels, >= 0.
-        compensate_dilation: let the opacity fall as dilation widens the ellipse, as the 2D filter of
-            Mip-Splatting does (Yu et al. 2024, eq. 10). Both hold for every render, so that Gaussians are
-            looked at as they were trained.
+        compensate_dilation: If True, lower the opacity as dilation widens the ellipse, like the 2D filter
+            of Mip-Splatting (Yu et al. 2024, eq. 10). Both settings hold for every render of the model,
+            so that Gaussians are viewed as they were trained.
 
     Raises:
         GaussianError: a parameter or the dilation is not finite, or the dilation is negative.
@@ -59,98 +45,12 @@ class GaussianModel:
         compensate_dilation: bool = False,
     ) -> None:
         gaussians.check_finite()
-        self.device = device or open_device()
-        self.dtype = dtype
-        self.sh_degree = gaussians.sh_degree
+        count, device = len(gaussians), device or open_device()
         footprint = Footprint(dilation, compensate_dilation)
-        self.renderer = Renderer(self.device, dtype, footprint=footprint)
+        self.renderer = Renderer(device, dtype, footprint=footprint)
         self._anchor = torch.zeros((), requires_grad=True)
-        self.adopt(pack(gaussians, dtype, padded(len(gaussians))), len(gaussians))
-
-    @property
-    def rows(self) -> int:
-        """Scalar parameters of one Gaussian."""
-        return row_count(self.sh_degree)
-
-    @property
-    def capacity(self) -> int:
-        """Columns of `parameters`: `count`, padded."""
-        return self.parameters.shape[1]
-
-    @property
-    def block(self) -> Block:
-        """The parameters as the rasterizer takes them."""
-        return Block(self.parameters, self.count, activated=False)
-
-    def adopt(self, parameters: Tensor | DeviceArray, count: int) -> None:
-        """Take new parameters `[rows, capacity]`, of which `count` columns are Gaussians.
-
-        Gradients and statistics start anew.
-        """
-        if isinstance(parameters, Tensor):
-            array = DeviceArray(self.device, tuple(parameters.shape), self.dtype)
-            array.write(parameters)
-            parameters = array
-        gradients = Gradients(self.device, parameters.shape, self.dtype)
-        self._statistics = ScreenStatistics(self.device, count, parameters.shape[1], self.dtype)
-        self._gradients = gradients
-        self.parameters = parameters
-        self.count = count
-
-    @property
-    def gradients(self) -> DeviceArray:
-        """Gradient rows on the device, in the layout of `parameters`; see `settle_gradients`."""
-        return self._gradients.rows
-
-    def read(self, name: str) -> Tensor:
-        """A snapshot of one parameter.
-
-        Args:
-            name: "means" `[N, 3]`, "log_scales" `[N, 3]`, "quaternions" `[N, 4]`, "opacity_logits"
-                `[N]` or "sh" `[N, K, 3]`.
-        """
-        return self._unpack(self.parameters.read(*self._rows_of(name)), name)
-
-    def write(self, name: str, values: Tensor) -> None:
-        """Replace one parameter; `values` has the shape that `read` returns.
-
-        Raises:
-            GaussianError: the shape differs, or a value is not finite.
-        """
-        first, last = self._rows_of(name)
-        expected = tuple(self._unpack(torch.empty(last - first, self.count), name).shape)
-        if tuple(values.shape) != expected:
-            raise GaussianError(
-                f"the shape is {tuple(values.shape)}, expected {expected}", field=name
-            )
-        values = values.to(self.dtype).reshape(self.count, last - first)
-        undefined = undefined_places(values)
-        if len(undefined):
-            raise GaussianError("a value is not finite", field=name, index=int(undefined[0, 0]))
-        updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
-        # numpy, because torch takes twenty times as long to copy what is transposed.
-        updated.numpy()[:, : self.count] = values.detach().numpy().T
-        self.parameters.hand_over(updated, first)
-
-    def gradient(self, name: str) -> Tensor:
-        """The gradient of one parameter, summed over the backward passes since `zero_gradients`."""
-        return self._unpack(self._gradients.total(*self._rows_of(name)), name)
-
-    def touched(self) -> Tensor:
-        """Which Gaussians touched a pixel in the renders since `zero_gradients`, bool `[N]`.
-
-        Known from the backward pass to the optimizer's step: those with a gradient of position, opacity
-        or constant colour that is not zero. Opacity alone would miss Gaussians as opaque as the
-        rasterizer lets them be. A render that detaches all three counts for nothing, and so do losses
-        on parameters.
-        """
-        groups = [PARAMETER_GROUPS[name] for name in ("means", "opacity_logits", "sh_constant")]
-        gradients = torch.cat([self._gradients.of_renders(*rows) for rows in groups])
-        return (gradients[:, : self.count] != 0).any(dim=0)
-
-    def settle_gradients(self) -> None:
-        """Bring `gradients` up to date: promised zeros, and the gradients of losses on parameters."""
-        self._gradients.settle()
+        rows = pack(gaussians, dtype, padded(count))
+        super().__init__(device, dtype, gaussians.sh_degree, rows, count)
 
     def opacities(self) -> Tensor:
         """Activated opacities `[N]` in (0, 1)."""
@@ -161,95 +61,37 @@ class GaussianModel:
         return ACTIVATED["scales"].activate(self.read("log_scales"))
 
     def parameter(self, name: str) -> Tensor:
-        """The values of one parameter, in autograd, for losses on parameters.
+        """One parameter in autograd, for losses on parameters.
 
-        After `loss.backward()` their gradient is part of `gradient` and of the optimizer's next step.
-
-        Args:
-            name: one that `read` knows; or "opacities" `[N]` or "scales" `[N, 3]`, activated.
-
-        Returns:
-            A tensor of its own, in the shape that `read` returns. The backward pass raises a
-            GaussianError where the loss has a gradient that is not finite, or where Gaussians came or
-            went in between.
-
-        Raises:
-            GaussianError: there is no such parameter.
-        """
-        if name not in ACTIVATED:
-            self._rows_of(name)
-        return values_in_autograd(self, self._anchor, name)
-
-    def add_gradient(self, name: str, gradient: Tensor) -> None:
-        """Add to the gradient of one parameter.
+        `loss.backward()` adds to `gradient` and so to the optimizer's next step. It raises a
+        GaussianError if a gradient is not finite, or if Gaussians were added or removed in between.
 
         Args:
-            name: as in `parameter`.
-            gradient: of the stored values (`stored_name`), in the shape that `read` returns for them.
-
-        Raises:
-            GaussianError: a value is not finite; nothing is added then.
-        """
-        first, _ = self._rows_of(stored_name(name))
-        rows = gradient.to(self.dtype).reshape(self.count, -1).T
-        self._gradients.add(name, first, rows)
-
-    def reader(self) -> ModelReader:
-        """These Gaussians for those who may look and not touch."""
-        return ModelReader(self)
-
-    def zero_gradients(self) -> None:
-        """Forget the gradients. Costs nothing: the next backward pass overwrites them."""
-        self._gradients.forget()
-
-    def screen_gradient(self) -> Tensor:
-        """Mean NDC norm of the screen-space mean gradient over the renders that saw a Gaussian, `[N]`.
-
-        Counted in renders made with `collect_statistics`, since `reset_statistics`; 0 if never seen.
-        NDC gradients are pixel gradients times half the image width and height (3DGS), so published
-        thresholds hold.
-        """
-        return self._statistics.mean()
-
-    def absolute_screen_gradient(self) -> Tensor:
-        """`screen_gradient` without cancellation between pixels, `[N]` (AbsGS, Ye et al. 2024).
-
-        The absolute values of what each pixel contributes to the two components are summed before the
-        norm is taken. Counted in renders made with `collect_absolute`, and a mean over the same renders
-        as `screen_gradient`.
-
-        Raises:
-            GaussianError: no render has collected it since the Gaussians were made or edited.
-        """
-        return self._statistics.absolute_mean()
-
-    def reset_statistics(self) -> None:
-        """Start counting screen gradients anew."""
-        self._statistics.reset()
-
-    def statistics(self) -> Tensor:
-        """What screen gradients are made of, for checkpoints.
+            name: as in `read`; or "opacities" `[N]` or "scales" `[N, 3]`, activated.
 
         Returns:
-            `[2, N]`: summed norms, and times seen; where absolute gradients are collected `[3, N]`, their
-            summed norms last.
-        """
-        return self._statistics.sums()
+            A new tensor in the shape that `read` returns.
 
-    def restore_statistics(self, statistics: Tensor) -> None:
-        """Take back what `statistics` returned."""
-        self._statistics.restore(statistics)
+        Raises:
+            GaussianError: unknown name.
+        """
+        values: Tensor = ParameterFunction.apply(self._anchor, self, name)
+        return values
 
     def gaussians(self) -> Gaussians:
         """A copy on the host."""
         return Gaussians(**{name: self.read(name).clone().contiguous() for name in PARAMETERS})
 
     def digest(self) -> str:
-        """SHA-256 of all parameters, as hexadecimal: equal digests mean equal bits."""
+        """SHA-256 of all parameters, hexadecimal; equal digests mean equal bits."""
         digest = hashlib.sha256()
         for name in PARAMETERS:
             digest.update(self.read(name).contiguous().numpy().tobytes())
         return digest.hexdigest()
+
+    def reader(self) -> ModelReader:
+        """A read-only view of this model."""
+        return ModelReader(self)
 
     def render(
         self,
@@ -266,29 +108,29 @@ class GaussianModel:
     ) -> Rendering:
         """Render one camera.
 
-        The images take part in autograd: `loss.backward()` adds to the parameters' gradients on the
-        device, and gives `camera.world_to_camera` its own where that requires one (`rasterize`). Under
-        `torch.no_grad()` nothing is kept for a backward pass.
+        The images take part in autograd: `loss.backward()` adds to the gradients on the device, and to
+        that of `camera.world_to_camera` if it requires one (see `rasterize`). Under `torch.no_grad()`
+        nothing is kept for a backward pass.
 
         Args:
-            camera: what to look through.
-            background: colour behind the scene, three numbers.
-            sh_degree: bands to use, 0 to the stored degree, the last by a fraction: 1.5 is bands 0 and 1
-                and half of band 2. None uses all.
-            opacity_scale: `[N]` factors >= 0 of the activated opacities. No gradient flows to them.
+            camera: the view.
+            background: three numbers, the colour behind the scene.
+            sh_degree: bands to use, 0 to the stored degree; a fraction weights the last band: 1.5 is
+                bands 0 and 1 and half of band 2. None uses all.
+            opacity_scale: `[N]` factors >= 0 of the activated opacities, without gradient.
             smoothing: `[N]` standard deviations >= 0, world units, of the 3D filter of Mip-Splatting (Yu
-                et al. 2024, eq. 9): scales become sqrt(s^2 + f^2) and the opacity shrinks by the product
-                of s / sqrt(s^2 + f^2). No gradient flows to them.
-            collect_statistics: let the backward pass of this render count for `screen_gradient`.
-            collect_absolute: where statistics are collected, count for `absolute_screen_gradient` too.
+                et al. 2024, eq. 9), without gradient: scales become sqrt(s^2 + f^2), and the opacity is
+                multiplied by s / sqrt(s^2 + f^2) for each axis.
+            collect_statistics: If True, the backward pass adds to `statistics`.
+            collect_absolute: If True, statistics include absolute gradients.
             near: z-depth below which Gaussians are culled, world units, > 0.
-            detach: names of parameters, as in `read`, to whose gradient this render adds nothing.
-                Statistics are collected all the same.
+            detach: names of parameters, as in `read`, whose gradient this render leaves unchanged.
+                Statistics are still collected.
 
         Raises:
-            GaussianError: opacity factors, smoothing, a background, a degree or a name that do not fit.
+            GaussianError: invalid opacity factors, smoothing, background, degree or parameter name.
             CameraError: the image is too large to address, or `near` is not positive.
-            MemoryBudgetError: the image or the tiles that the Gaussians cover would not fit.
+            MemoryBudgetError: the image or the lists of Gaussians per tile exceed the budget.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         if opacity_scale is not None and tuple(opacity_scale.shape) != (self.count,):
@@ -297,72 +139,107 @@ class GaussianModel:
                 field="opacity_scale",
             )
         for name in detach:
-            self._rows_of(name)
+            self.rows_of(name)
         request = RenderRequest(camera, tuple(background), degree, near, opacity_scale, smoothing)
         return Rendering.on_device(
             *RenderFunction.apply(
                 self._anchor,
                 camera.world_to_camera,
                 self,
+                self.renderer,
                 request,
                 (collect_statistics, collect_statistics and collect_absolute),
                 frozenset(detach),
             )
         )
 
-    def add_gradients(
-        self,
-        frame: Frame,
-        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
-        collect: tuple[bool, bool],
-        detach: frozenset[str],
-    ) -> Tensor | None:
-        """Run the backward pass of one render into `gradients`.
+
+class ModelReader:
+    """A read-only view of a `GaussianModel`.
+
+    It follows the model: each call returns the current state. Returned tensors are copies.
+    """
+
+    def __init__(self, model: GaussianModel) -> None:
+        self._model = model
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians, N."""
+        return self._model.count
+
+    @property
+    def device(self) -> Device:
+        """Device that stores them."""
+        return self._model.device
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the stored spherical harmonics, 0 to 3."""
+        return self._model.sh_degree
+
+    def read(self, name: str) -> Tensor:
+        """One parameter.
 
         Args:
-            collect: whether to collect screen gradients, and absolute ones.
-
-        Returns:
-            The gradient of the camera's pose, `[4, 4]` float64, if it requires one.
-        """
-        degree = frame.request.bands
-        wanted, absolute = collect
-        pose_gradient = self.renderer.backward(
-            frame,
-            self.block,
-            image_gradients,
-            self.gradients,
-            accumulate=self._gradients.make_ready(degree),
-            statistics=self._statistics.rows(absolute) if wanted else None,
-            detach=detach,
-        )
-        self._gradients.written(degree)
-        return pose_gradient
-
-    def check_unedited(self, parameters: DeviceArray) -> None:
-        """Refuse a backward pass for Gaussians that are no more.
-
-        Args:
-            parameters: those of the model when the forward pass ran.
+            name: "means" `[N, 3]`, "log_scales" `[N, 3]`, "quaternions" `[N, 4]`, "opacity_logits"
+                `[N]` or "sh" `[N, K, 3]`.
 
         Raises:
-            GaussianError: they were replaced since.
+            GaussianError: unknown name.
         """
-        if parameters is not self.parameters:
-            raise GaussianError(
-                "the Gaussians were added to or removed between a render and its backward pass",
-                field="means",
-                fix="call backward before editing the Gaussians",
-            )
+        return self._model.read(name).clone()
 
-    def _rows_of(self, name: str) -> tuple[int, int]:
-        if name not in PARAMETERS:
-            raise GaussianError(
-                f"there is no parameter {name!r}",
-                field=name,
-                fix=f"use one of {', '.join(PARAMETERS)}",
-            )
-        return rows_of(name, self.sh_degree)
+    def gradient(self, name: str) -> Tensor:
+        """The gradient of one parameter after a backward pass, in the shape of `read`."""
+        return self._model.gradient(name).clone()
 
-    def _unpack(self, rows: Tensor, name: str) -> Tensor:
-        return unpack(rows, name, self.count)
+    def parameter(self, name: str) -> Tensor:
+        """One parameter in autograd, for losses on parameters; see `GaussianModel.parameter`."""
+        return self._model.parameter(name)
+
+    def opacities(self) -> Tensor:
+        """Activated opacities `[N]` in (0, 1)."""
+        return self._model.opacities()
+
+    def scales(self) -> Tensor:
+        """Activated scales `[N, 3]`: standard deviations, world units."""
+        return self._model.scales()
+
+    def screen_gradient(self) -> Tensor:
+        """Mean NDC norm of the screen-space gradient `[N]`; see `ScreenStatistics.screen_gradient`."""
+        return self._model.statistics.screen_gradient()
+
+    def absolute_screen_gradient(self) -> Tensor:
+        """The same without cancellation between pixels, `[N]` (AbsGS).
+
+        Raises:
+            GaussianError: no render has collected it; see `ScreenStatistics`.
+        """
+        return self._model.statistics.absolute_screen_gradient()
+
+    def touched(self) -> Tensor:
+        """Which Gaussians contributed to a pixel, bool `[N]`; see `GaussianModel.touched`."""
+        return self._model.touched()
+
+    def render(self, camera: Camera, *, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Rendering:
+        """Render a camera as for evaluation: without gradients, colours clamped to [0, 1].
+
+        Args:
+            background: three numbers in [0, 1], the colour behind the Gaussians.
+        """
+        with torch.no_grad():
+            rendering = self._model.render(camera, background=background)
+
+        def image(name: str) -> Tensor:
+            return rendering.rgb.clamp(0, 1) if name == "rgb" else getattr(rendering, name)
+
+        return Rendering.lazy(image)
+
+    def gaussians(self) -> Gaussians:
+        """A copy of all Gaussians on the host."""
+        return self._model.gaussians()
+
+    def digest(self) -> str:
+        """SHA-256 of all parameters, hexadecimal; equal digests mean equal bits."""
+        return self._model.digest()

@@ -18,21 +18,21 @@ from ..raster import Images, Outputs
 from ..rendering import Rendering
 
 SSIM_WEIGHT = 0.2
-"""The share of D-SSIM in the loss of 3DGS."""
+"""Weight of D-SSIM in the loss of 3DGS."""
 
 _CHANNELS = 3
 _BORDER = 5 * _CHANNELS
-"""Zeros before and after each row of a filtered map, as in the kernels."""
+"""Zeros before and after each row of a filtered map; see the kernel."""
 _SCRATCH_ROWS = 2 * 4 + 12 * 3
-"""Rows of scratch memory a band: lines and ring, as in the kernel."""
+"""Rows of scratch memory per band: lines and ring; see the kernel."""
 _GPU_GROUP = 64
-"""Work-items that share an image row on a GPU."""
+"""Work-items per image row on a GPU."""
 _GPU_BAND = 16
-"""Image rows a band on a GPU: enough bands for every unit, at the price of computing 26 rows for 16."""
+"""Image rows per band on a GPU: enough bands for every unit, although each computes 26 rows for 16."""
 _BANDS_A_CORE = 2
-"""On a CPU: few, because each computes ten rows of its neighbours too; two even out a late start."""
+"""Bands per core on a CPU: few, because each computes ten extra rows; two balance a late start."""
 _WORKSPACES = 4
-"""Image sizes whose scratch memory is kept."""
+"""Number of image sizes whose scratch memory is cached."""
 
 
 def photometric_loss(
@@ -43,27 +43,27 @@ def photometric_loss(
     l1_weight: float | None = None,
     device: Device | None = None,
 ) -> Tensor:
-    """l1_weight * mean |rgb - target| + ssim_weight * (1 - SSIM), as one number.
+    """Return l1_weight * mean |rgb - target| + ssim_weight * (1 - SSIM).
 
-    SSIM is Wang et al.'s (2004) as 3DGS computes it: an 11x11 Gaussian window of sigma 1.5, zeros
-    beyond the border, biased moments, C1 = 0.01^2 and C2 = 0.03^2, averaged over all pixels and
-    channels. Equal images give exactly 0, with a gradient of exactly 0.
+    SSIM (Wang et al. 2004) as in 3DGS: an 11x11 Gaussian window of sigma 1.5, zeros beyond the border,
+    biased moments, C1 = 0.01^2 and C2 = 0.03^2, averaged over all pixels and channels. For equal images
+    the loss and its gradient are exactly 0.
 
     Args:
         rgb: `[H, W, 3]`, float32 or float64 on the CPU; nominally in [0, 1], not clamped. Or a rendering
-            of the engine's, whose colours and their gradient then stay on its device.
-        target: `[H, W, 3]`, the photograph; no gradient flows to it. A device with memory of its own
-            keeps a copy for as long as the tensor lives and is not written to.
-        ssim_weight: in [0, 1]; beside an `l1_weight` any number from 0.
-        l1_weight: any number from 0; None is 1 - ssim_weight, as in 3DGS.
-        device: where to compute; None is where it was rendered, or else chooses (`open_device`).
+            by the engine, whose colours and gradient then stay on the device.
+        target: `[H, W, 3]`, the photograph, without gradient. A device that does not share memory caches
+            a copy until the tensor is freed or modified.
+        ssim_weight: in [0, 1]; with `l1_weight` any number >= 0.
+        l1_weight: any number >= 0; None is 1 - ssim_weight, as in 3DGS.
+        device: where to compute; None is the device of the rendering, else chooses (`open_device`).
 
     Returns:
-        A scalar of the type of `rgb`. Its gradient with respect to `rgb` is computed together with
-        the value; differentiating twice is not supported.
+        A scalar of the type of `rgb`. The gradient is computed together with the value; second
+        derivatives are not supported.
 
     Raises:
-        ExplainedError: shapes, types or weights are not as above.
+        ExplainedError: invalid shapes, types or weights.
     """
     weights = _weights(l1_weight, ssim_weight)
     if isinstance(rgb, Rendering):
@@ -76,7 +76,7 @@ def photometric_loss(
         raise ExplainedError(
             f"the images have the shapes {tuple(rgb.shape)} and {tuple(target.shape)}",
             where="photometric_loss",
-            fix="give two images of the same shape (height, width, 3)",
+            fix="pass two images of the same shape (height, width, 3)",
         )
     if rgb.dtype not in (torch.float32, torch.float64):
         raise ExplainedError(
@@ -87,22 +87,22 @@ def photometric_loss(
 
 
 def _on_device(rendering: Rendering, target: Tensor, device: Device | None) -> Outputs | None:
-    """What a render left on the device that is to compute its loss, if it can do so there."""
+    """The rendering's images on the device, if the loss can be computed there."""
     outputs = rendering.device_outputs
     if outputs is None or tuple(target.shape) != (*outputs.images.size, _CHANNELS):
         return None
-    # There is room for the gradient of one loss.
+    # Only one loss can store its gradient.
     fits = device in (None, outputs.images.device) and outputs.images.loss_gradient is None
     return outputs if fits else None
 
 
 def _weights(l1_weight: float | None, ssim_weight: float) -> tuple[float, float]:
-    """Both weights, checked."""
+    """Return both weights, checked."""
     if l1_weight is None and ssim_weight > 1:
         raise ExplainedError(
             f"ssim_weight is {ssim_weight}; it must lie in [0, 1]",
             where="photometric_loss",
-            fix="give l1_weight too, if they are not to add up to 1",
+            fix="pass l1_weight as well if they do not add up to 1",
         )
     l1_weight = 1 - ssim_weight if l1_weight is None else l1_weight
     for name, weight in (("ssim_weight", ssim_weight), ("l1_weight", l1_weight)):
@@ -130,13 +130,13 @@ class _PhotometricLoss(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
         (gradient,) = ctx.saved_tensors
-        if float(upstream) != 1.0:  # an unweighted loss saves a pass over the image
+        if float(upstream) != 1.0:  # saves a pass over the image
             gradient = gradient * upstream
         return gradient, None, None, None
 
 
 class _LossOnDevice(torch.autograd.Function):
-    """The gradient waits beside the images for the render's backward pass, which is told its factor."""
+    """The gradient stays with the images; `backward` passes on its factor to the render's backward pass."""
 
     @staticmethod
     def forward(
@@ -156,11 +156,11 @@ class _LossOnDevice(torch.autograd.Function):
 
 
 class _Workspace:
-    """Kernels and scratch memory for one image size; a run allocates nothing but its result."""
+    """Kernels and scratch memory for one image size; a run allocates only its result."""
 
     def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
         row = _CHANNELS * width
-        # An image narrower than a vector (one or two pixels) goes real by real.
+        # An image row narrower than a vector (one or two pixels) is processed real by real.
         lanes = device.lanes if row >= device.lanes else 1
         self._items = 1 if device.variant == "cpu" else _GPU_GROUP
         self._program = device.program(
@@ -180,7 +180,7 @@ class _Workspace:
     def run_on_host_image(
         self, rgb: Tensor, target: Tensor, weights: tuple[float, float], with_gradient: bool
     ) -> tuple[float, Tensor | None]:
-        """`run` for an image on the host, with its gradient there too if that is asked for."""
+        """`run` for an image on the host; returns the gradient there if `with_gradient`."""
         with self._device.lock:  # threads take turns
             image = self._sent(rgb.detach().to("cpu", self._dtype).contiguous())
             if not with_gradient:
@@ -196,7 +196,7 @@ class _Workspace:
         weights: tuple[float, float],
         gradient: DeviceArray | None,
     ) -> float:
-        """The loss with weights of L1 and of D-SSIM; its gradient is left in `gradient`, if given."""
+        """Return the loss; write its gradient to `gradient`, if given. Weights are of L1 and D-SSIM."""
         l1_weight, ssim_weight = weights
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
@@ -226,7 +226,7 @@ class _Workspace:
         return array
 
     def _room(self, name: str) -> DeviceArray:
-        """For a result: memory of its own where that is handed out as a tensor."""
+        """An array for a result: new memory where it becomes a tensor, else scratch."""
         values = math.prod(self._shape)
         if self._device.shares_memory:
             memory = torch.empty(values, dtype=self._dtype)
@@ -235,7 +235,7 @@ class _Workspace:
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
-    """What made the loss a value that is not finite."""
+    """The error for a loss that is not finite."""
     for name, image in (("rgb", rgb), ("target", target)):
         bad = undefined_places(image)
         if len(bad):
@@ -247,7 +247,7 @@ def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
     return ExplainedError(
         f"the loss overflows: the images reach {max(rgb.abs().max(), target.abs().max()):g}",
         where="photometric_loss",
-        fix="give images with values near [0, 1]",
+        fix="pass images with values near [0, 1]",
     )
 
 

@@ -1,4 +1,4 @@
-"""How strongly renders pull at the Gaussians on the image, summed on the device for densification."""
+"""Screen-space gradients of the Gaussians, summed on the device for densification."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ..errors import GaussianError
 
 
 class ScreenStatistics:
-    """Sums over the renders that are collected: norms of screen-space gradients, and times seen.
+    """Sums over the renders with `collect_statistics` since `reset`.
 
     Args:
-        device: where the sums live.
-        count: Gaussians, N.
-        capacity: columns of the sums, at least N.
+        device: where the sums are stored.
+        count: number of Gaussians, N.
+        capacity: columns of the sums, >= N.
         dtype: torch.float32 or torch.float64.
     """
 
@@ -23,32 +23,48 @@ class ScreenStatistics:
         self._count = count
         self._sums = DeviceArray(device, (2, capacity), dtype)
 
-    def mean(self) -> Tensor:
-        """See `GaussianModel.screen_gradient`."""
+    def screen_gradient(self) -> Tensor:
+        """Mean NDC norm of the screen-space gradient of the mean over the renders that saw it, `[N]`.
+
+        0 for Gaussians never seen. NDC gradients are pixel gradients times half the image width and
+        height (3DGS), so published thresholds apply.
+        """
         sums = self._read()
         return sums[0] / sums[1].clamp(min=1)
 
-    def absolute_mean(self) -> Tensor:
-        """See `GaussianModel.absolute_screen_gradient`."""
+    def absolute_screen_gradient(self) -> Tensor:
+        """`screen_gradient` without cancellation between pixels, `[N]` (AbsGS, Ye et al. 2024).
+
+        The absolute values of the pixels' contributions to both components are summed before the norm is
+        taken. Collected by renders with `collect_absolute`, averaged over the renders of `screen_gradient`.
+
+        Raises:
+            GaussianError: no render has collected it since the Gaussians were created or edited.
+        """
         sums = self._read()
         if len(sums) < 3:
             raise GaussianError(
                 "no render has collected absolute screen gradients",
                 field="means",
-                fix="render with collect_absolute=True; a policy says so with `absolute_gradients`",
+                fix="render with collect_absolute=True; a policy sets `absolute_gradients`",
             )
         return sums[2] / sums[1].clamp(min=1)
 
     def reset(self) -> None:
-        """Start counting anew."""
+        """Set all sums to zero."""
         self._sums.fill(0)
 
     def sums(self) -> Tensor:
-        """A copy of what means are made of; see `GaussianModel.statistics`."""
+        """A copy of the sums, for checkpoints.
+
+        Returns:
+            `[2, N]`: sums of norms and number of renders that saw the Gaussian; `[3, N]` with the sums of
+            absolute norms if they are collected.
+        """
         return self._read().clone()
 
     def restore(self, sums: Tensor) -> None:
-        """Take back what `sums` returned."""
+        """Continue from `sums`."""
         old = self._sums
         full = torch.zeros(len(sums), old.shape[1], dtype=old.dtype)
         full[:, : self._count] = sums
@@ -56,11 +72,7 @@ class ScreenStatistics:
         self._sums.write(full)
 
     def rows(self, absolute: bool) -> DeviceArray:
-        """Where a backward pass adds; with a row for absolute gradients from the first on.
-
-        Args:
-            absolute: whether that pass collects absolute gradients.
-        """
+        """The array that a backward pass adds to, with a third row if `absolute`."""
         wanted = 3 if absolute else 2
         if self._sums.shape[0] != wanted:
             before = self._read()

@@ -1,4 +1,4 @@
-"""One place where Gaussians come, go and move, with all that belongs to them."""
+"""Edits of the set of Gaussians, with the optimizer's moments."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from ..raster import pack
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .model import GaussianModel
-from .relocation import shared_among_copies
 
 _GROUP = 64
+_LARGEST_LOGIT = 16.0
+"""Logits are clamped to it: the opacity is then 1 to seven digits, and the alternating sum of
+`shared_among_copies` keeps nine."""
 
 
 def apply_edit(
     model: GaussianModel, optimizer: Adam, edit: Edit, generator: torch.Generator
 ) -> Carried:
-    """Carry out an edit on the parameters and the optimizer's moments.
+    """Apply an edit to the parameters and the optimizer's moments.
 
-    The Gaussians that stay keep their order, relocated ones among them; clones follow, then the children
-    of splits, then those that were added. New ones start with zero moments, as do the sources of
-    relocations, and gradients and densification statistics start anew for all. An edit that is refused
-    changes nothing.
+    The order afterwards: Gaussians that stay, relocated ones included, in their old order; clones;
+    children of splits; added ones. Moments are zero for new Gaussians and for the sources of relocations;
+    gradients and densification statistics are reset. An invalid edit changes nothing.
 
     Args:
         generator: draws the children's offsets from N(0, covariance of the parent).
 
     Raises:
-        GaussianError: an edit that does not fit the Gaussians (`Edit.check`), that adds ones with
-            other SH bands, or that leaves none.
+        GaussianError: the edit does not fit the Gaussians (`Edit.check`), adds ones of another SH
+            degree, or removes all.
     """
     edit.check(model.count)
     added = edit.add if edit.add is not None and len(edit.add) else None
@@ -63,12 +64,12 @@ def apply_edit(
 
 
 class _Plan:
-    """Where each Gaussian after an edit comes from.
+    """Origin of each Gaussian after an edit.
 
     Attributes:
         source, fresh: as in `Carried`.
-        restarted: `[N_new]` bool, whose moments become zero.
-        children, first_child: how many children there are, and where they begin.
+        restarted: `[N_new]` bool, True where moments become zero.
+        children, first_child: number of children of splits, and the index of the first.
     """
 
     def __init__(self, edit: Edit, count: int) -> None:
@@ -98,7 +99,7 @@ class _Plan:
 
 
 def _share(model: GaussianModel, move: Relocation, plan: _Plan, parameters: DeviceArray) -> None:
-    """Give the sources and their copies the opacities and scales of copies."""
+    """Set the opacities and scales of relocation sources and their copies."""
     copies = 1 + torch.bincount(move.source, minlength=model.count)
     shared = (copies > 1).nonzero()[:, 0]
     logits, log_scales = (model.read(n).clone() for n in ("opacity_logits", "log_scales"))
@@ -112,8 +113,37 @@ def _share(model: GaussianModel, move: Relocation, plan: _Plan, parameters: Devi
         parameters.write(rows, first, last)
 
 
+def shared_among_copies(opacity_logits: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacities and scales of n coinciding Gaussians that replace one (3DGS-MCMC, equation 9).
+
+    Kheradmand et al. 2024: the opacity becomes o' = 1 - (1 - o)^(1/n), and all scales are multiplied by
+    o / sum over i = 1..n and k = 0..i-1 of C(i-1, k) (-1)^k o'^(k+1) / sqrt(k + 1).
+
+    Args:
+        opacity_logits: `[M]`, of the Gaussian that is replaced.
+        copies: `[M]` int64, n >= 1.
+
+    Returns:
+        The logit of o' `[M]`, and the logarithm of the factor of the scales `[M]`; both float64.
+    """
+    n = copies.double()
+    logits = opacity_logits.double().clamp(-_LARGEST_LOGIT, _LARGEST_LOGIT)
+    # ln(1 - o') is accurate for o near 0 and near 1.
+    transparency = torch.nn.functional.logsigmoid(-logits) / n
+    opacity = -torch.expm1(transparency)
+    # The sum over i is C(0, k) + ... + C(n-1, k) = C(n, k+1), which leaves one sum over m = k + 1; its
+    # terms are 0 for m > n.
+    term, total = -torch.ones_like(n), torch.zeros_like(n)
+    for m in range(1, int(copies.max()) + 1 if len(copies) else 1):
+        term = term * -opacity * (n - m + 1) / m
+        total = total + term / m**0.5
+        if (term.abs() <= 1e-17 * total.abs()).all():
+            break
+    return opacity.log() - transparency, torch.log(torch.sigmoid(logits) / total)
+
+
 class _Mover:
-    """Gathers columns of device arrays as a plan says, and changes those that are new."""
+    """Gathers columns of device arrays by a plan, and initializes new ones."""
 
     def __init__(self, model: GaussianModel, plan: _Plan) -> None:
         self._device, self._dtype = model.device, model.dtype
@@ -125,7 +155,7 @@ class _Mover:
         self._none = self._array(torch.zeros(plan.count), torch.int32)
 
     def move(self, values: DeviceArray, zero: Tensor | None = None) -> DeviceArray:
-        """The gathered columns; those in the mask `zero`, `[N_new]`, are zero instead."""
+        """Return the gathered columns, with zeros where the mask `zero` `[N_new]` is set."""
         target = DeviceArray(self._device, (values.shape[0], self._capacity), self._dtype)
         self._run(
             "gather_columns",
@@ -142,7 +172,7 @@ class _Mover:
         return target
 
     def spread(self, parameters: DeviceArray, noise: Tensor, first: int, shrink: float) -> None:
-        """Set children, of which the first is column `first`, apart by standard normal noise."""
+        """Move the children, columns from `first` on, apart by standard normal noise."""
         self._run(
             "spread_children",
             noise.shape[0],
@@ -155,7 +185,7 @@ class _Mover:
         )
 
     def append(self, parameters: DeviceArray, gaussians: Gaussians, first: int) -> None:
-        """Write Gaussians from elsewhere to the columns from `first` on."""
+        """Write new Gaussians to the columns from `first` on."""
         rows = pack(gaussians, self._dtype, len(gaussians))
         self._run(
             "append_columns",

@@ -1,12 +1,10 @@
-"""From Gaussians on a device to images, and from gradients of images back to gradients of Gaussians."""
+"""Rendering of Gaussians on a device, forward and backward."""
 
 from .block import Block, pack, unpack, unpack_all
-from .coverage import Coverage
-from .footprint import DILATION, Footprint
 from .frame import Frame
-from .images import Images, Outputs
+from .images import Coverage, Images, Outputs
 from .renderer import Renderer
-from .request import NEAR_PLANE, RenderRequest
+from .request import DILATION, NEAR_PLANE, Footprint, RenderRequest
 
 __all__ = [
     "DILATION",

@@ -1,4 +1,4 @@
-"""Gaussians as the kernels take them: one array of parameter rows."""
+"""Gaussians as input of the kernels: one array of parameter rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Block:
     parameters: DeviceArray
     count: int
     activated: bool
-    """Scales and opacities are stored as such, not as logarithms and logits."""
+    """If True, rows hold scales and opacities, not logarithms and logits."""
 
     @property
     def capacity(self) -> int:
@@ -27,7 +27,7 @@ class Block:
 
 
 def pack(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:
-    """Parameters as rows `[rows, capacity]`, zero beyond the Gaussians."""
+    """Return parameters as rows `[rows, capacity]`, padded with zeros."""
     values = [getattr(gaussians, name) for name in PARAMETERS]
     rows = torch.cat([value[:, None].flatten(1).T for value in values])
     result = torch.zeros(rows.shape[0], capacity, dtype=dtype)
@@ -36,7 +36,7 @@ def pack(gaussians: Gaussians, dtype: torch.dtype, capacity: int) -> Tensor:
 
 
 def unpack(rows: Tensor, name: str, count: int) -> Tensor:
-    """The rows of one parameter, `[width, capacity]`, in the shape that it has for the user."""
+    """Return the rows of one parameter, `[width, capacity]`, in its public shape."""
     values = rows[:, :count]
     if name == "opacity_logits":
         return values[0]
@@ -46,7 +46,7 @@ def unpack(rows: Tensor, name: str, count: int) -> Tensor:
 
 
 def unpack_all(rows: Tensor, count: int, sh_degree: int) -> dict[str, Tensor]:
-    """Every parameter of an array `[rows, capacity]` by name, each contiguous."""
+    """Return every parameter of an array `[rows, capacity]` by name, contiguous."""
     result = {}
     for name in PARAMETERS:
         first, last = rows_of(name, sh_degree)

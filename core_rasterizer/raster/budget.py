@@ -1,4 +1,4 @@
-"""How much memory a render may take: estimated before anything is allocated, refused with numbers."""
+"""Memory limit of a render, checked before anything is allocated."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from .frame import Frame
 from .pose import POSE_NUMBERS
 
 RECORD = 16
-"""Numbers in a Gaussian's record, and in a pair's sums."""
+"""Numbers in a Gaussian's record, and in the sums of a pair."""
 PAIR_LIMIT = 3 * 2**30
-"""Pairs that 32-bit indices can count, with room for the margin of growing arrays."""
+"""Largest number of pairs for 32-bit indices, with room for the margin of growing arrays."""
 
 
 class Budget:
-    """The memory of one render and its backward pass.
+    """Memory of one render and its backward pass.
 
     Args:
         limit: bytes.
         dtype: of the kernels.
-        table: entries of one row of the tables of counts, the number of tiles aside.
+        table: smallest row length of the tables of counts; the number of tiles may exceed it.
         chunks: rows of those tables.
-        lanes: Gaussians of a block.
+        lanes: Gaussians per block.
     """
 
     def __init__(self, limit: int, dtype: torch.dtype, table: int, chunks: int, lanes: int) -> None:
@@ -33,22 +33,22 @@ class Budget:
 
     @property
     def bytes_of_pair(self) -> int:
-        """A pair takes 8 bytes in the list and a record of sums in the backward pass."""
+        """8 bytes in the list and a record of sums in the backward pass."""
         return 8 + RECORD * self._real
 
     def pair_limit(self, frame: Frame, block: Block) -> int:
-        """How many (tile, Gaussian) pairs fit beside the image and the Gaussians.
+        """Number of (tile, Gaussian) pairs that fit next to the image and the Gaussians.
 
         Raises:
-            MemoryBudgetError: not even the image and the Gaussians fit.
+            MemoryBudgetError: the image and the Gaussians alone do not fit.
         """
         camera = frame.request.camera
-        # Three images, the transmittance, and five numbers a pixel of gradients.
+        # Three images (5 numbers per pixel), the transmittance, and 5 numbers of gradients.
         pixels = camera.width * camera.height * 11 * self._real
-        # Record, cover, sort keys and orders, slots; the tables of counts, a row a chunk.
+        # Record, cover, sort keys and orders, slots; one row of the tables of counts per chunk.
         gaussians = block.capacity * (RECORD * self._real + 16 + 5 * 4 + 2 * 4 + 1)
         counts = 4 * self._chunks * max(self._table, frame.tiles[0] * frame.tiles[1])
-        # What each block adds to the gradient of the pose.
+        # Each block's share of the pose gradient.
         posed = frame.request.wants_pose_gradient
         poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
         needed = pixels + gaussians + counts + poses
@@ -59,10 +59,10 @@ class Budget:
         return min(PAIR_LIMIT, (self.limit - needed) // self.bytes_of_pair)
 
     def grown(self, frame: Frame, block: Block) -> int:
-        """Room to make for the pairs that a render turned out to have, with a margin.
+        """New capacity for the pairs that a render has, with a margin.
 
         Raises:
-            MemoryBudgetError: they are more than the limit.
+            MemoryBudgetError: they exceed the limit.
         """
         if frame.pairs > frame.pair_limit:
             needed = frame.pair_limit * self.bytes_of_pair / 2**20
@@ -70,7 +70,7 @@ class Budget:
                 frame,
                 block,
                 f"has more than {frame.pair_limit:,} (tile, Gaussian) pairs, which need {needed:,.0f} MB "
-                "beside the images",
+                "next to the images",
             )
         return min(frame.pairs + frame.pairs // 4, frame.pair_limit)
 

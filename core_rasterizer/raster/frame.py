@@ -1,4 +1,4 @@
-"""What a render leaves for its backward pass, and how that memory is used again."""
+"""Arrays that a render keeps for its backward pass, and their reuse."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ import weakref
 import torch
 
 from ..device import Device, Scratch
-from .coverage import Coverage
-from .images import KEPT, Images
+from .images import KEPT, Coverage, Images
 from .request import RenderRequest
 
 
 class Frame:
-    """What the backward pass needs of one render; its arrays are reused by later renders."""
+    """Arrays of one render for its backward pass; reused by later renders."""
 
     def __init__(self, device: Device) -> None:
         self.arrays = Scratch(device)
@@ -27,20 +26,20 @@ class Frame:
         self._images: weakref.ref[Images] | None = None
 
     def new_images(self, dtype: torch.dtype) -> Images:
-        """Room for the images of the request."""
+        """Allocate the images of the request."""
         camera = self.request.camera
         images = Images(self._device, self.arrays, (camera.height, camera.width), dtype)
         self._images = weakref.ref(images)
         return images
 
     def coverage(self, count: int) -> Coverage:
-        """Which of so many Gaussians the render shows; right for as long as somebody keeps it."""
+        """Coverage of the render's `count` Gaussians; stays valid while it is referenced."""
         coverage = Coverage(self.arrays["slot_count"], count)
         self._coverage = weakref.ref(coverage)
         return coverage
 
-    def leave(self) -> None:
-        """Before the frame is used again: what somebody still keeps of the last render becomes theirs."""
+    def release(self) -> None:
+        """Prepare for reuse: results of the last render that are still referenced keep their arrays."""
         if self._coverage is not None and self._coverage() is not None:
             self.arrays.give_away("slot_count")
         if self._images is not None and self._images() is not None:
@@ -49,12 +48,12 @@ class Frame:
 
 
 class Lease:
-    """Holds a frame and hands it back to the pool when nobody needs the render any more."""
+    """Takes a frame from a pool and returns it when the lease is freed."""
 
     def __init__(self, pool: list[Frame], device: Device) -> None:
         self._pool = pool
         self.frame = pool.pop() if pool else Frame(device)
-        self.frame.leave()
+        self.frame.release()
 
     def __del__(self) -> None:
         self._pool.append(self.frame)

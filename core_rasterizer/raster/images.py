@@ -1,4 +1,4 @@
-"""The images of a render: on the device until somebody asks for one, and in autograd all the same."""
+"""Results of a render that stay on the device until they are read, but take part in autograd."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
 
 CHANNELS = {"rgb": (3,), "depth": (), "alpha": ()}
-"""The images by name, and what follows height and width in their shapes."""
+"""Images by name, with the dimensions after height and width."""
 KEPT = (*CHANNELS, "loss_gradient")
-"""Arrays of a frame that belong to whoever still holds the images."""
+"""Arrays of a frame that the images own while they are referenced."""
 
 
 class Images:
     """Colours, depth and alpha of one render.
 
     Args:
-        device: where they are.
-        arrays: of the frame that the render leases; where memory is not shared they are used again.
+        device: where they are stored.
+        arrays: of the render's frame; reused by later renders where memory is not shared.
         size: height and width.
         dtype: of the images.
 
     Attributes:
-        loss_gradient: the gradient of a loss that was computed on the device, `[H, W, 3]`.
+        loss_gradient: `[H, W, 3]`, gradient of a loss computed on the device.
     """
 
     def __init__(
@@ -48,18 +48,18 @@ class Images:
         return self._read(self._arrays[name], CHANNELS[name])
 
     def room_for_loss_gradient(self) -> DeviceArray:
-        """Where a loss on the device may leave the gradient of the colours.
+        """Return an array for the colour gradient of a loss computed on the device.
 
-        To be asked for once, while the render is in autograd: later the frame is somebody else's.
+        Call this at most once, while the render is in autograd; later the frame may be reused.
         """
         self.loss_gradient = self._room("loss_gradient", (*self.size, 3))
         return self.loss_gradient
 
     def outputs(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """What stands for the images and for a loss on the device in autograd; no value is ever read.
+        """Placeholders in autograd for the images and a loss on the device; their values are never read.
 
         Returns:
-            Three tensors in the shapes of the images, that take no memory, and a scalar.
+            Three tensors in the images' shapes, which take no memory, and a scalar.
         """
         shapes = [(*self.size, *rest) for rest in CHANNELS.values()]
         rgb, depth, alpha = (torch.zeros((), dtype=self.dtype).expand(shape) for shape in shapes)
@@ -70,16 +70,15 @@ class Images:
     ) -> tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None]:
         """The gradients of the images, from those of `outputs`.
 
-        The gradient of a loss on the device stays there unless there is something to add to it, or to
-        multiply it with.
+        The gradient of a loss on the device stays there unless it must be scaled or added to.
 
         Raises:
-            ExplainedError: an image that the backward pass reads was written to.
+            ExplainedError: an image that the backward pass reads was modified.
         """
         for name in ("rgb", "depth"):
             if self._arrays[name].writes_through_torch != self._writes[name]:
                 raise ExplainedError(
-                    f"the image {name!r} of a render was written to before its backward pass",
+                    f"the image {name!r} of a render was modified before its backward pass",
                     where=f"backward of a render: {name}",
                     fix="work on a copy (`tensor.clone()`)",
                 )
@@ -100,10 +99,26 @@ class Images:
         arrays = self._frame_arrays
         if not self.device.shares_memory:
             return arrays.reserve(name, self.dtype, math.prod(shape))
-        # What is handed out as a tensor may live on, so it cannot be used again.
+        # Tensors that share this memory may outlive the frame, so it cannot be reused.
         memory = torch.empty(shape, dtype=self.dtype)
         arrays[name] = DeviceArray(self.device, (memory.numel(),), self.dtype, over=memory)
         return arrays[name]
+
+
+class Coverage:
+    """Number of tiles that each Gaussian of a render covers; read only on demand.
+
+    Args:
+        tiles_covered: `[capacity]` int32, or longer; not written to while this object exists.
+        count: number of Gaussians, N.
+    """
+
+    def __init__(self, tiles_covered: DeviceArray, count: int) -> None:
+        self._tiles_covered, self._count = tiles_covered, count
+
+    def visible(self) -> Tensor:
+        """Which Gaussians cover a tile, bool `[N]`."""
+        return self._tiles_covered.read(0, self._count) > 0
 
 
 class Outputs:
@@ -111,7 +126,7 @@ class Outputs:
 
     Args:
         images: on the device.
-        tensors: what autograd made of `Images.outputs`.
+        tensors: `Images.outputs` as returned by the autograd function.
     """
 
     def __init__(self, images: Images, tensors: tuple[Tensor, Tensor, Tensor, Tensor]) -> None:
@@ -122,7 +137,7 @@ class Outputs:
     def fetch(self, name: str) -> Tensor:
         """An image as a tensor on the CPU."""
         stand_in = self._stand_ins[name]
-        # Whoever is the first to ask, perhaps just to look, decides nothing for those who follow.
+        # The first read may happen under `no_grad`; later ones must not depend on it.
         with torch.set_grad_enabled(stand_in.requires_grad):
             image: Tensor = _Fetch.apply(stand_in, self.images, name)
         return image

@@ -1,4 +1,4 @@
-"""The gradient of the camera's pose, from what the kernels add up. See `kernels/pose.cl`."""
+"""The gradient of the camera's pose, from the sums of `kernels/pose.cl`."""
 
 from __future__ import annotations
 
@@ -9,22 +9,20 @@ from torch import Tensor
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program, Scratch
 from .block import Block
+from .request import LARGEST
 
 POSE_NUMBERS = 16
-"""Numbers that a block of Gaussians adds up: rotation 9, translation 3, view directions 3, none."""
+"""Numbers per block of Gaussians: rotation 9, translation 3, view directions 3, unused 1."""
 _CHUNKS = 256
-"""Runs of blocks that are added up side by side; fixed, so that the order of the sum is too."""
-
-_LARGEST = 1e37
-"""What reaches it is no gradient and becomes 0, as in the kernels."""
+"""Runs of blocks that are summed in parallel; constant, for a fixed order of summation."""
 
 
 class PoseSums:
-    """Room for what blocks of Gaussians say of the pose, and the sum of it.
+    """Sums of the pose gradient over blocks of Gaussians.
 
     Args:
         device: where the kernels run.
-        wide: the type of the sums, that of the kernels' `wide`.
+        wide: type of the sums, `wide` of the kernels.
     """
 
     def __init__(self, device: Device, wide: torch.dtype) -> None:
@@ -32,12 +30,12 @@ class PoseSums:
         self._scratch = Scratch(device)
 
     def parts(self, block: Block) -> DeviceArray:
-        """Where the projection's backward pass writes, a row of `POSE_NUMBERS` a block of Gaussians."""
+        """Output of the projection's backward pass: `POSE_NUMBERS` per block of Gaussians."""
         rows = block.capacity // self._device.lanes
         return self._scratch.reserve("parts", self._wide, rows * POSE_NUMBERS)
 
     def gradient(self, program: Program, block: Block, camera: Camera) -> Tensor:
-        """The gradient of `world_to_camera`, `[4, 4]` float64, from what stands in `parts`."""
+        """The gradient of `world_to_camera`, `[4, 4]` float64, from `parts`."""
         sums = self._scratch.reserve("sums", self._wide, _CHUNKS * POSE_NUMBERS)
         program.run(
             "sum_poses",
@@ -52,10 +50,10 @@ class PoseSums:
 
 
 def _through_center(sums: Tensor, camera: Camera) -> Tensor:
-    """The gradient of the twelve numbers of the pose, each taken on its own.
+    """The gradient of the twelve entries of the pose, treated as independent.
 
-    The camera centre c = -R^T t is where colours are seen from. With h the sum of dL/d(mean) along the
-    view directions, dL/dc = -h, so that t h^T is added to dL/dR and R h to dL/dt.
+    Colours depend on the camera centre c = -R^T t. With h the sum of dL/d(mean) through the view
+    directions, dL/dc = -h, which adds t h^T to dL/dR and R h to dL/dt.
 
     Args:
         sums: `[POSE_NUMBERS]` over all Gaussians.
@@ -69,4 +67,4 @@ def _through_center(sums: Tensor, camera: Camera) -> Tensor:
     gradient = torch.zeros(4, 4, dtype=torch.float64)
     gradient[:3, :3] = rotation_sum.reshape(3, 3) + torch.outer(translation, view_sum)
     gradient[:3, 3] = translation_sum + rotation @ view_sum
-    return torch.where(gradient.abs() < _LARGEST, gradient, 0.0)
+    return torch.where(gradient.abs() < LARGEST, gradient, 0.0)

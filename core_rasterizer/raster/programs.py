@@ -1,4 +1,4 @@
-"""The rendering kernels of one device: which sources and macros each job needs, and how it is launched."""
+"""The rendering kernels of one device: their sources, macros and launches."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import torch
 
 from ..device import Device, Program
 from ..errors import ExplainedError
-from .footprint import Footprint
-from .request import RenderRequest
+from .request import Footprint, RenderRequest
 from .tile_lists import TileLists
 
 _PROJECTION = (
@@ -22,7 +21,7 @@ _PROJECTION = (
 )
 _BACKWARD = "raster/project_backward"
 _ABSOLUTE = "ABSOLUTE"
-"""Macro of kernels that also sum what pixels pull at means, without signs."""
+"""Macro of kernels that also sum the absolute screen gradients."""
 
 OVERRIDES = frozenset(
     (
@@ -35,25 +34,25 @@ OVERRIDES = frozenset(
         "TILE_WIDTH",
     )
 )
-"""Macros of the kernels that a `Renderer` may be built with instead of their defaults."""
+"""Kernel macros that a `Renderer` may override."""
 
 
 class RasterPrograms:
-    """Kernels that project Gaussians and blend them, built when they are asked for first.
+    """Kernels that project and blend Gaussians, built on first use.
 
     Args:
-        device: where to run; `device.variant` decides which raster kernels and tile size.
+        device: where to run; `device.variant` selects raster kernels and tile size.
         dtype: torch.float32, or torch.float64 where the device supports it.
-        lists: whose kernels are built together with those that project.
-        footprint: what is added to a Gaussian's ellipse on the image.
-        overrides: values of macros in `OVERRIDES`, instead of their defaults.
+        lists: whose kernels are built together with the projection.
+        footprint: the filter on the image.
+        overrides: values of macros in `OVERRIDES`.
 
     Attributes:
         tile: width and height of a tile, pixels.
-        base: kernels that project for a render with no `RenderRequest.features`, and those of `lists`.
+        base: projection kernels for a render without `RenderRequest.features`, and those of `lists`.
 
     Raises:
-        ExplainedError: an override that no kernel knows.
+        ExplainedError: an unknown override.
     """
 
     def __init__(
@@ -66,17 +65,17 @@ class RasterPrograms:
     ) -> None:
         if unknown := sorted(set(overrides) - OVERRIDES):
             raise ExplainedError(
-                f"no kernel has the setting {', '.join(unknown)}",
+                f"unknown kernel settings: {', '.join(unknown)}",
                 where="Renderer: overrides",
                 fix=f"use {', '.join(sorted(OVERRIDES))}",
             )
         self._device = device
         self._dtype = dtype
         self._on_cpu = device.variant == "cpu"
-        # A CPU with few cores wants large tiles (less overlap), one with many wants enough of them.
+        # Few cores: large tiles, for less overlap. Many cores: enough tiles for all.
         few_cores = self._on_cpu and device.compute_units <= 4
         width, height = ((64, 32) if few_cores else (32, 32)) if self._on_cpu else (16, 16)
-        # No number of lanes: as many as the processor has registers for.
+        # RASTER_LANES 0: chosen by the kernels from the processor's registers.
         macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self._group = 16 if self._on_cpu else 64
@@ -91,10 +90,10 @@ class RasterPrograms:
         )
         lanes = macros["RASTER_LANES"] if self._on_cpu else 1
         self._raster_macros: dict[str, Any] = {**macros, "LANES": lanes}
-        self.raster()  # the first render need not wait for the compiler
+        self.raster()  # build now, so that the first render does not wait
 
     def projection(self, request: RenderRequest) -> Program:
-        """The kernels that project, for what a render asks for."""
+        """The projection kernels for the options of a render."""
         if not request.features:
             return self.base
         return self._device.program(
@@ -107,10 +106,10 @@ class RasterPrograms:
         )
 
     def raster(self, *, absolute: bool = False) -> Program:
-        """The kernels that blend.
+        """The blending kernels.
 
         Args:
-            absolute: the backward pass also collects absolute screen gradients.
+            absolute: If True, the backward pass also collects absolute screen gradients.
         """
         return self._device.program(
             "raster/scene",
@@ -122,7 +121,7 @@ class RasterPrograms:
         )
 
     def run_on_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
-        """Run a kernel that takes `capacity` Gaussians, a device's lanes in each work-item."""
+        """Run a kernel over `capacity` Gaussians, `device.lanes` per work-item."""
         blocks = capacity // self._device.lanes
         size = -(-blocks // self._group) * self._group
         program.run(kernel, (size,), (self._group,), *arguments)
@@ -130,6 +129,6 @@ class RasterPrograms:
     def run_on_tiles(
         self, program: Program, kernel: str, tiles: tuple[int, int], *arguments: Any
     ) -> None:
-        """Run a kernel over so many tiles across and down: a work-item each on a CPU, else one a pixel."""
+        """Run a kernel over tiles (across, down): one work-item per tile on a CPU, else per pixel."""
         local = 1 if self._on_cpu else self.tile[0] * self.tile[1]
         program.run(kernel, (tiles[0] * tiles[1] * local,), (local,), *arguments)

@@ -1,11 +1,11 @@
-"""The rendering pipeline on a device: project, sort, bin, blend; and back again.
+"""The rendering pipeline on a device: project, sort, bin, blend, and the backward pass.
 
-This module knows buffers and kernels. Autograd lives in `optimization/render_function.py` (device-resident
-Gaussians) and `rasterize.py` (plain torch tensors).
+Autograd is in `optimization/autograd.py` (Gaussians on the device) and `functional.py` (torch tensors).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -18,32 +18,30 @@ from ..finite import undefined_places
 from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
-from .footprint import Footprint
 from .frame import Frame, Lease
-from .images import Images
+from .images import CHANNELS, Images
 from .pose import PoseSums
 from .programs import RasterPrograms
-from .request import RenderRequest
+from .request import Footprint, RenderRequest
 from .tile_lists import BUCKETS, TileLists, chunks_of
 
 PAIRS_AT_FIRST = 1 << 14
-"""Room for (tile, Gaussian) pairs before a render has shown how many there are."""
+"""Initial capacity of the list of (tile, Gaussian) pairs."""
 
 
 class Renderer:
-    """Kernels and scratch memory for one device and one number type; threads take turns.
+    """Kernels and scratch memory for one device and number type; threads take turns.
 
     Args:
-        device: where to run; `device.variant` decides which raster kernels and tile size.
+        device: where to run; `device.variant` selects raster kernels and tile size.
         dtype: torch.float32, or torch.float64 where the device supports it.
-        memory_budget: bytes that one render and its backward pass may take; None is half of the device's
-            memory.
-        footprint: what is added to a Gaussian's ellipse on the image; None is a dilation of 0.3.
-        overrides: values of macros in `programs.OVERRIDES`, for benchmarks and tests that measure what the
-            kernels' approximations cost and save.
+        memory_budget: bytes for one render and its backward pass; None is half of the device's memory.
+        footprint: the filter on the image; None is a dilation of 0.3.
+        overrides: values of macros in `programs.OVERRIDES`, for benchmarks and tests of the kernels'
+            approximations.
 
     Raises:
-        ExplainedError: an override that no kernel knows.
+        ExplainedError: an unknown override.
     """
 
     def __init__(
@@ -78,13 +76,11 @@ class Renderer:
         """Render. The device may still be blending when this returns.
 
         Returns:
-            The images on the device, and the frame that `backward` wants.
+            The images on the device, and the frame for `backward`.
 
         Raises:
-            MemoryBudgetError: the image, the Gaussians or the tiles that they cover would not fit.
-            CameraError: the image is larger than a device index can address, or the near plane is not
-                in front of the camera.
-            GaussianError: a background, an SH degree or a smoothing that `RenderRequest.check` refuses.
+            MemoryBudgetError: the image, the Gaussians or the pairs exceed the budget.
+            CameraError, GaussianError: see `RenderRequest.check`.
         """
         with self.device.lock:
             lease = Lease(self._frames, self.device)
@@ -95,8 +91,8 @@ class Renderer:
             images = frame.new_images(self.dtype)
             while True:
                 self._lists.build(self.programs.base, frame, block.count, self._capacity_of(frame))
-                # Blending is enqueued before its input's size is known, so that the device need not wait
-                # for the host. Without room for all pairs it does nothing, and is run again.
+                # Blending is enqueued before the number of pairs is known, so that the device does not
+                # wait for the host. If they do not fit, it does nothing and runs again.
                 counters = frame.arrays["counters"].begin_reading()
                 self._blend(frame, images)
                 frame.visible, frame.pairs = counters()[:2].tolist()
@@ -119,23 +115,29 @@ class Renderer:
         """Turn gradients of the images into gradients of the parameters.
 
         Args:
-            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero. One that
-                is on the device already must be finite.
+            image_gradients: of `rgb [H, W, 3]`, `depth [H, W]`, `alpha [H, W]`; None is zero. Those on
+                the device must be finite.
             gradients: `[rows, capacity]`; the rows of active SH bands are written.
-            accumulate: add to what `gradients` holds instead of replacing it.
-            statistics: `[2, capacity]`; row 0 gains the NDC norm of each visible Gaussian's
-                screen-space mean gradient, row 1 gains one for it. With a third row, that one gains what
-                row 0 would if pixels that pull in opposite directions did not cancel.
-            detach: parameters to whose gradient nothing is added.
+            accumulate: If True, add to `gradients`, else overwrite.
+            statistics: `[2, capacity]` or `[3, capacity]`. For each visible Gaussian, adds the NDC norm
+                of its screen-space gradient to row 0, 1 to row 1, and the norm without cancellation
+                between pixels to row 2.
+            detach: parameters whose gradient stays unchanged.
 
         Returns:
-            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it requires none.
+            The gradient of `camera.world_to_camera`, `[4, 4]` float64; None if it does not require one.
 
         Raises:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
-            images = self._image_gradients(frame, image_gradients)
+            camera = frame.request.camera
+            images = [
+                self._image_gradient(
+                    gradient, math.prod((camera.height, camera.width, *rest)), name
+                )
+                for gradient, (name, rest) in zip(image_gradients, CHANNELS.items(), strict=True)
+            ]
             wants_pose = frame.request.wants_pose_gradient
             if not frame.pairs:
                 if not accumulate:
@@ -148,23 +150,8 @@ class Renderer:
             pose_gradient = None
             if wants_pose:
                 program = self.programs.projection(frame.request)
-                pose_gradient = self._poses.gradient(program, block, frame.request.camera)
+                pose_gradient = self._poses.gradient(program, block, camera)
             return pose_gradient
-
-    def _image_gradients(
-        self,
-        frame: Frame,
-        gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
-    ) -> list[DeviceArray]:
-        """The gradients of `rgb`, `depth` and `alpha` on the device."""
-        camera = frame.request.camera
-        pixels = camera.width * camera.height
-        return [
-            self._image_gradient(gradient, size, name)
-            for gradient, size, name in zip(
-                gradients, (3 * pixels, pixels, pixels), ("rgb", "depth", "alpha"), strict=True
-            )
-        ]
 
     def _raster_backward(
         self,
@@ -173,20 +160,16 @@ class Renderer:
         with_depth: bool,
         with_absolute: bool,
     ) -> DeviceArray:
-        """The sums that each pair of a tile and a Gaussian hands back."""
+        """Run the blending kernels backward; return the sums of each (tile, Gaussian) pair."""
         arrays = frame.arrays
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
         self.programs.run_on_tiles(
             self.programs.raster(absolute=with_absolute),
             "raster_backward",
             frame.tiles,
-            arrays["records"],
-            arrays["pairs"],
-            arrays["tile_starts"],
-            arrays["camera"],
-            arrays["rgb"],
-            arrays["depth"],
-            arrays["transmittance"],
+            *arrays.all(
+                "records", "pairs", "tile_starts", "camera", "rgb", "depth", "transmittance"
+            ),
             *image_gradients,
             sums,
             np.int32(frame.tiles[0]),
@@ -211,11 +194,9 @@ class Renderer:
             block.capacity,
             block.parameters,
             _modifiers(frame, block),
-            arrays["camera"],
-            arrays["clamped"],
+            *arrays.all("camera", "clamped"),
             sums,
-            arrays["slot_start"],
-            arrays["slot_count"],
+            *arrays.all("slot_start", "slot_count"),
             gradients,
             statistics if statistics is not None else gradients,
             np.uint32(block.count),
@@ -230,28 +211,29 @@ class Renderer:
         )
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
-        """Make room, and send the camera, the opacity factors and the smoothing."""
+        """Allocate arrays, and send the camera, the opacity factors and the smoothing."""
         camera = request.camera
         request.check(block.count)
         width, height = self.programs.tile
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
-        frame.arrays.reserve("records", self.dtype, capacity * RECORD)
-        frame.arrays.reserve("slot_start", torch.int32, capacity)
-        frame.arrays.reserve("slot_count", torch.int32, capacity)
-        frame.arrays.reserve("clamped", torch.uint8, capacity)
-        frame.arrays.reserve("tile_starts", torch.int32, tiles + 1)
-        frame.arrays.reserve("counters", torch.int64, 4)
-        frame.arrays.reserve("transmittance", self.dtype, camera.width * camera.height)
-        frame.arrays.reserve("pairs", torch.int32, 2 * self._pair_capacity)
+        reserve = frame.arrays.reserve
+        reserve("records", self.dtype, capacity * RECORD)
+        reserve("slot_start", torch.int32, capacity)
+        reserve("slot_count", torch.int32, capacity)
+        reserve("clamped", torch.uint8, capacity)
+        reserve("tile_starts", torch.int32, tiles + 1)
+        reserve("counters", torch.int64, 4)
+        reserve("transmittance", self.dtype, camera.width * camera.height)
+        reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
         self._send(frame, "camera", request.camera_block().to(self._wide))
         if request.is_modified:
             self._send(frame, "modifiers", request.modifier_rows(capacity, self.dtype).flatten())
 
     def _send(self, frame: Frame, name: str, values: Tensor) -> None:
-        """Hand new memory to the kernels, without waiting for those that still read the last render's."""
+        """Send values in new memory, without waiting for kernels that read the last render's."""
         arrays = frame.arrays
         if self.device.shares_memory:
             shape = tuple(values.shape)
@@ -267,11 +249,9 @@ class Renderer:
             block.capacity,
             block.parameters,
             _modifiers(frame, block),
-            arrays["camera"],
-            arrays["records"],
+            *arrays.all("camera", "records"),
             self._lists.keys,
-            arrays["slot_count"],
-            arrays["clamped"],
+            *arrays.all("slot_count", "clamped"),
             self._lists.covers,
             np.uint32(block.count),
             np.uint32(block.capacity),
@@ -286,14 +266,8 @@ class Renderer:
             self.programs.raster(),
             "raster",
             frame.tiles,
-            arrays["records"],
-            arrays["pairs"],
-            arrays["tile_starts"],
-            arrays["counters"],
-            arrays["camera"],
-            images["rgb"],
-            images["depth"],
-            images["alpha"],
+            *arrays.all("records", "pairs", "tile_starts", "counters", "camera"),
+            *(images[name] for name in CHANNELS),
             arrays["transmittance"],
             np.int32(frame.tiles[0]),
             np.uint32(self._capacity_of(frame)),
@@ -319,12 +293,12 @@ class Renderer:
 
 
 def _modifiers(frame: Frame, block: Block) -> DeviceArray:
-    """Opacity factors and smoothing, or where there are none an array that is not read."""
+    """Opacity factors and smoothing; if unused, any array."""
     return frame.arrays["modifiers"] if frame.request.is_modified else block.parameters
 
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:
-    """Refuse the gradient of an image that holds a NaN or an infinity."""
+    """Raise if an image's gradient is not finite."""
     undefined = undefined_places(gradient)
     if len(undefined):
         place = ", ".join(str(index) for index in undefined[0].tolist())

@@ -1,4 +1,4 @@
-"""What is to be rendered, apart from the Gaussians."""
+"""Input of a render apart from the Gaussians, and the filter on the image."""
 
 from __future__ import annotations
 
@@ -14,20 +14,52 @@ from ..errors import CameraError, GaussianError
 
 NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
-
-_LARGEST = 1e37
-"""REAL_LARGEST of the kernels: what reaches it is not shown."""
+DILATION = 0.3
+"""Added to the variances of every ellipse (3DGS), square pixels."""
+LARGEST = 1e37
+"""REAL_LARGEST of the kernels; larger values are not rendered, larger gradients become 0."""
 _CAMERA_NUMBERS = 32
 
 
 @dataclass(frozen=True)
+class Footprint:
+    """The filter on the image; kernels are built for it.
+
+    Args:
+        dilation: added to the variances of every ellipse, square pixels, >= 0.
+        compensated: If True, the opacity falls as the ellipse grows (Mip-Splatting, Yu et al. 2024,
+            eq. 10).
+
+    Raises:
+        GaussianError: a dilation that is negative or not finite.
+    """
+
+    dilation: float = DILATION
+    compensated: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.dilation < LARGEST:
+            raise GaussianError(
+                f"the dilation is {self.dilation}; it must be at least 0 and finite",
+                field="dilation",
+                fix=f"use {DILATION}, or another small number of square pixels",
+            )
+
+    @property
+    def macros(self) -> dict[str, float]:
+        """Macros of the projection kernels."""
+        compensated = {"COMPENSATED": 1} if self.compensated else {}
+        return {"VARIANCE_ADDED": float(self.dilation), **compensated}
+
+
+@dataclass(frozen=True)
 class RenderRequest:
-    """What is to be rendered: camera, background, SH degree, opacity factors, smoothing."""
+    """Camera, background, SH degree, opacity factors and smoothing of a render."""
 
     camera: Camera
     background: Sequence[float]
     sh_degree: float
-    """Bands that count, the last by a fraction: 1.5 is bands 0 and 1 and half of band 2."""
+    """Bands to use; a fraction weights the last: 1.5 is bands 0 and 1 and half of band 2."""
     near: float = NEAR_PLANE
     modifiers: Tensor | None = None
     """`[N]` factors of the activated opacities, or None."""
@@ -36,17 +68,17 @@ class RenderRequest:
 
     @property
     def bands(self) -> int:
-        """The last SH band that is read, 0 to 3."""
+        """Last SH band that is read, 0 to 3."""
         return math.ceil(self.sh_degree)
 
     @property
     def wants_pose_gradient(self) -> bool:
-        """Whether a backward pass gives the gradient of `camera.world_to_camera`."""
+        """Whether a backward pass computes the gradient of `camera.world_to_camera`."""
         return self.camera.world_to_camera.requires_grad
 
     @property
     def features(self) -> frozenset[str]:
-        """What the projection kernels must be built with beyond what every render needs."""
+        """Macros of the projection kernels for options that not every render uses."""
         wanted = {
             "FADED": self.sh_degree != self.bands,
             "POSED": self.wants_pose_gradient,
@@ -56,11 +88,11 @@ class RenderRequest:
 
     @property
     def is_modified(self) -> bool:
-        """Whether kernels read anything of the Gaussians that is not a parameter."""
+        """Whether kernels read opacity factors or smoothing."""
         return self.modifiers is not None or self.smoothing is not None
 
     def modifier_rows(self, capacity: int, dtype: torch.dtype) -> Tensor:
-        """Opacity factors in the first row, smoothing, if there is any, in a second."""
+        """Opacity factors in the first row, smoothing, if any, in a second."""
         values = (self.modifiers,) if self.smoothing is None else (self.modifiers, self.smoothing)
         rows = torch.zeros(len(values), capacity, dtype=dtype)
         for row, value in zip(rows, values, strict=True):
@@ -69,13 +101,12 @@ class RenderRequest:
         return rows
 
     def check(self, count: int) -> None:
-        """Refuse what no image of so many Gaussians can be made of.
+        """Raise if this cannot be rendered with `count` Gaussians.
 
         Raises:
-            CameraError: the image is larger than a device index can address, or the near plane is not
-                in front of the camera.
-            GaussianError: the background is not three finite numbers, the SH degree is not from 0 to 3,
-                or the smoothing is not a finite number >= 0 for each Gaussian.
+            CameraError: the image is too large to address, or the near plane is not positive.
+            GaussianError: the background is not three finite numbers, the SH degree is not in 0 to 3, or
+                the smoothing is not one finite number >= 0 per Gaussian.
         """
         camera = self.camera
         if camera.width * camera.height >= 2**28 or max(camera.width, camera.height) > 65535:
@@ -84,7 +115,7 @@ class RenderRequest:
                 where="camera",
                 fix="render it in parts, or at a lower resolution",
             )
-        if not 0 < self.near < _LARGEST:
+        if not 0 < self.near < LARGEST:
             raise CameraError(
                 f"the near plane is at {self.near}; it must be in front of the camera",
                 where="near",
@@ -95,7 +126,7 @@ class RenderRequest:
                 f"{len(self.background)} numbers given, expected 3", field="background"
             )
         for index, value in enumerate(self.background):
-            if not abs(value) < _LARGEST:
+            if not abs(value) < LARGEST:
                 raise GaussianError(f"the value is {value}", field="background", index=index)
         if not 0 <= self.sh_degree <= 3:
             raise GaussianError(
@@ -105,11 +136,11 @@ class RenderRequest:
             _check_smoothing(self.smoothing, count)
 
     def camera_block(self) -> Tensor:
-        """The numbers that kernels read of a camera, in the order of `kernels/scene.cl`, `[32]` float64."""
+        """Camera and options in the order of `kernels/scene.cl`, `[32]` float64."""
         camera = self.camera
         pose = camera.world_to_camera.detach()
-        # Ratios x/z and y/z are clamped a little outside the image, where the linearized projection of a
-        # wide Gaussian would explode (3DGS: 1.3 times the half field of view; here off-centre too).
+        # x/z and y/z are clamped a little outside the image, where the linearized projection of a wide
+        # Gaussian diverges (3DGS: 1.3 times the half field of view; here for off-centre images too).
         margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
         values = [
             *pose[:3, :3].reshape(-1).tolist(),

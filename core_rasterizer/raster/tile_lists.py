@@ -1,4 +1,4 @@
-"""Lists, for each tile of an image, the Gaussians that can touch it, nearest first."""
+"""Lists of the Gaussians that can touch each tile of an image, nearest first."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from .frame import Frame
 _ON_CPU = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
 _ON_GPU = ("raster/scan", "raster/sort_gpu", "raster/bin_gpu")
 _GPU_CHUNK_GROUP = 64
-"""Work-items that share a chunk on a GPU: each looks at all those before it to find its place among them."""
+"""Work-items per chunk on a GPU; each counts the elements of all items before it."""
 
 _DIGIT_BITS = 11
 BUCKETS = 1 << _DIGIT_BITS
-"""Entries of the sort's tables of counts; a row a chunk, like those of the tiles."""
+"""Row length of the sort's table of counts, which has one row per chunk."""
 FEW = 1 << 14
-"""Up to so many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
-fourteen. Beyond twice as many, work shared by two cores outweighs what the launches cost."""
+"""Up to this many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
+fourteen. From twice as many on, two cores in parallel are faster despite the launches."""
 
 
 def chunks_of(device: Device) -> int:
-    """How many runs of neighbouring Gaussians are sorted and binned side by side.
+    """Number of chunks of Gaussians that are sorted and binned in parallel.
 
-    Each belongs to a work-item of a CPU, or to a work-group of a GPU. There are enough of them for every
-    unit, and few enough for the sums over them; on a GPU that is an estimate, not a measurement.
+    One per work-item of a CPU or work-group of a GPU: enough for every unit, few enough for the sums
+    over them. The number for a GPU is an estimate, not a measurement.
     """
     if device.variant == "cpu":
         return min(16, 2 * device.compute_units)
@@ -38,18 +38,18 @@ class TileLists:
     """Sorts the visible Gaussians by depth, and bins them by tile in that order.
 
     Args:
-        device: where to run; its variant decides how work is shared out.
+        device: where to run.
 
     Attributes:
-        sources: the kernels' files; they build on "raster/scene" and "raster/cover".
-        macros: what the kernels must be built with.
+        sources: the kernels' files; they need "raster/scene" and "raster/cover".
+        macros: of the kernels.
     """
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._chunks = chunks_of(device)
         on_cpu = device.variant == "cpu"
-        self._few = FEW if on_cpu else -1  # not even none
+        self._few = FEW if on_cpu else -1  # also for no Gaussians
         self._chunk_group = 1 if on_cpu else _GPU_CHUNK_GROUP
         self.sources = _ON_CPU if on_cpu else _ON_GPU
         self._group, self._items = (16, 1) if on_cpu else (64, 256)
@@ -62,7 +62,7 @@ class TileLists:
         self._scratch = Scratch(device)
 
     def reserve(self, capacity: int, tiles: int) -> None:
-        """Make room for a render's Gaussians and tiles."""
+        """Allocate scratch memory for a render's Gaussians and tiles."""
         sizes = {
             **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
             "covers": 4 * capacity,
@@ -75,18 +75,18 @@ class TileLists:
 
     @property
     def keys(self) -> DeviceArray:
-        """Sort keys, which the projection writes: `[capacity]`, 32 bits."""
+        """Sort keys, written by the projection: `[capacity]`, 32 bits."""
         return self._scratch["keys"]
 
     @property
     def covers(self) -> DeviceArray:
-        """Tiles that each Gaussian can touch, which the projection writes: `[4 * capacity]`, 32 bits."""
+        """Tiles that each Gaussian can touch, written by the projection: `[4 * capacity]`, 32 bits."""
         return self._scratch["covers"]
 
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
-        """Fill `frame.arrays["pairs"]`, unless there are more pairs than it has room for.
+        """Fill `frame.arrays["pairs"]`, unless it is too small for all pairs.
 
-        The numbers of visible Gaussians and of pairs are left in `frame.arrays["counters"]`.
+        Writes the numbers of visible Gaussians and of pairs to `frame.arrays["counters"]`.
         """
         if count <= self._few:
             self._build_alone(program, frame, count, pair_capacity)
@@ -101,15 +101,8 @@ class TileLists:
             (1,),
             (1,),
             arrays["records"],
-            *(
-                scratch[name]
-                for name in ("covers", "keys", "keys_a", "order_a", "keys_b", "order_b")
-            ),
-            scratch["counts"],
-            *(
-                arrays[name]
-                for name in ("tile_starts", "pairs", "slot_start", "slot_count", "counters")
-            ),
+            *scratch.all("covers", "keys", "keys_a", "order_a", "keys_b", "order_b", "counts"),
+            *arrays.all("tile_starts", "pairs", "slot_start", "slot_count", "counters"),
             np.uint32(count),
             np.uint32(frame.tiles[0] * frame.tiles[1]),
             np.int32(frame.tiles[0]),
@@ -118,29 +111,20 @@ class TileLists:
         )
 
     def _sort(self, program: Program, frame: Frame, count: int) -> None:
-        """Leave the visible Gaussians, nearest first, in the scratch array `order_a`."""
+        """Write the visible Gaussians, nearest first, to the scratch array `order_a`."""
         scratch, counters = self._scratch, frame.arrays["counters"]
         counts, totals = scratch["counts"], scratch["totals"]
         passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
         for number, (keys, order, out) in enumerate(passes):
-            settings = (
-                np.uint32(count),
-                np.uint32(number * _DIGIT_BITS),
-                np.uint32(number == 0),
-            )
+            numbers = (count, number * _DIGIT_BITS, number == 0)
+            settings = [np.uint32(value) for value in numbers]
             self._run_chunks(program, "count_digits", scratch[keys], counts, counters, *settings)
             self._scan(program, counts, totals, BUCKETS, counters, counter=0)
             self._run_chunks(
                 program,
                 "scatter_digits",
-                scratch[keys],
-                scratch[order],
-                scratch[f"keys_{out}"],
-                scratch[f"order_{out}"],
-                counts,
-                totals,
-                counters,
-                *settings,
+                *scratch.all(keys, order, f"keys_{out}", f"order_{out}"),
+                *(counts, totals, counters, *settings),
             )
 
     def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
@@ -152,32 +136,18 @@ class TileLists:
         self._run_chunks(
             program,
             "count_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            chunk_pairs,
-            counters,
-            *size,
-            np.uint32(frame.pair_limit),
+            *(arrays["records"], scratch["covers"], order, counts, chunk_pairs, counters),
+            *(*size, np.uint32(frame.pair_limit)),
         )
         self._scan(program, counts, arrays["tile_starts"], tiles, counters, counter=2)
         self._scan_buckets(program, chunk_pairs, self._chunks, counters, counter=1)
         self._run_chunks(
             program,
             "fill_tiles",
-            arrays["records"],
-            scratch["covers"],
-            order,
-            counts,
-            arrays["tile_starts"],
-            chunk_pairs,
-            arrays["pairs"],
-            arrays["slot_start"],
-            arrays["slot_count"],
-            counters,
-            *size,
-            np.uint32(pair_capacity),
+            *(arrays["records"], scratch["covers"], order, counts),
+            *(arrays["tile_starts"], chunk_pairs),
+            *arrays.all("pairs", "slot_start", "slot_count", "counters"),
+            *(*size, np.uint32(pair_capacity)),
         )
 
     def _scan(

@@ -61,9 +61,7 @@ def points_in_view(scene: Scene, view: View) -> int:
     if scene.points is None:
         return 0
     camera = view.camera
-    column, row, depth = camera.project(scene.points.positions)
-    inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
-    return int((inside & (depth > 0)).sum())
+    return int(camera.contains(*camera.project(scene.points.positions), border=True).sum())
 
 
 def _about_points(scene: Scene) -> Iterator[str]:

@@ -333,7 +333,9 @@ class Field:
     def _within_limit(self, edit: Edit) -> Edit:
         if self._settings.max_gaussians is None:
             return edit
-        edit, dropped = limited(edit, self._settings.max_gaussians, self.model.screen_gradient())
+        edit, dropped = limited(
+            edit, self._settings.max_gaussians, self.model.statistics.screen_gradient()
+        )
         if dropped and not self._limit_logged:
             self._limit_logged = True
             _log.warning(

@@ -83,8 +83,7 @@ def relative_errors(
 def _project(positions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
     """Return row, column and depth of the points that project into the camera's image."""
     u, v, depth = camera.project(positions)
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    seen = inside & (depth > 0)
+    seen = camera.contains(u, v, depth)
     return v[seen].long(), u[seen].long(), depth[seen]
 
 

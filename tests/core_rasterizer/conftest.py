@@ -1,4 +1,4 @@
-"""Tests of the engine run on every OpenCL device found, with both raster variants, and say which."""
+"""Tests of the engine run on every OpenCL device, with both raster variants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A device that shows when a kernel leaves its buffers."""
+"""A device that detects accesses outside buffers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class GuardedDevice(Device):
         return part, inside if self.shares_memory else None
 
     def check(self) -> int:
-        """Raise if a zone was written to; return how many buffers were looked at."""
+        """Raise if a zone was written to; return the number of buffers checked."""
         self.finish()
         for number, (buffer, _) in enumerate(self._parts):
             content = np.empty(buffer.size, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Everything that a render can be asked for beyond the default, for tests that ask for all of it."""
+"""All options of a render, for tests that combine them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plain float64 twin of what PatchMatch pays for planes, without rounding of images."""
+"""Reference costs of PatchMatch in float64, without rounding of images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOISE = 0.001
 def costs(
     images: Sequence[Floats], cameras: Sequence[Camera], planes: Floats, radius: int
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """What the first view's planes cost in all others.
+    """Costs of the first view's planes in all others.
 
     Args:
         planes: `[3, H, W]`: the inverse depth at each pixel and its steps to the right and down.

@@ -35,7 +35,7 @@ def landing(
 
 
 def interpolate(image: Floats, u: Floats, v: Floats) -> Floats:
-    """Values `[H, W, ...]` of an image between pixel centres; the border goes on outside."""
+    """Bilinear samples `[H, W, ...]` of an image, clamped at the border."""
     height, width = image.shape[:2]
     u, v = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
     left, top = np.floor(u).astype(int), np.floor(v).astype(int)
@@ -47,7 +47,7 @@ def interpolate(image: Floats, u: Floats, v: Floats) -> Floats:
 
 
 def windowed(values: Floats, radius: int) -> Floats:
-    """Mean `[H, W]` over the window around each pixel, cut off at the border."""
+    """Mean `[H, W]` over the window around each pixel, cropped at the border."""
     side = (2 * radius + 1,) * 2
     padded, inside = np.pad(values, radius), np.pad(np.ones_like(values), radius)
     sums, counts = (sliding_window_view(a, side).sum(axis=(2, 3)) for a in (padded, inside))

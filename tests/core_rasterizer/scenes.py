@@ -1,4 +1,4 @@
-"""Small scenes that the engine's tests share."""
+"""Small scenes for the engine's tests."""
 
 from __future__ import annotations
 

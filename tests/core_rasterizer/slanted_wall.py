@@ -37,7 +37,7 @@ def wall() -> tuple[list[Tensor], list[Camera], list[Tensor]]:
 
 
 def matching_digest(device: Device) -> str:
-    """Of all that PatchMatch finds there."""
+    """Digest of PatchMatch's result."""
     images, cameras, _ = wall()
     digest = hashlib.sha256()
     for found in PatchMatch(device, images, cameras, BOUNDS).maps(OTHERS):

@@ -1,4 +1,4 @@
-"""What the stress tests share: a plain camera, a render there and back, and what must hold of it."""
+"""Helpers of the stress tests: a camera, a render with its gradients, and checks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def there_and_back(
     dtype: torch.dtype = torch.float32,
     near: float = NEAR_PLANE,
 ) -> tuple[Rendering, Gradients]:
-    """Render and differentiate a loss that looks at everything. All that comes out is finite."""
+    """Render and differentiate a loss on all outputs; check that all results are finite."""
     leaves = scene.tensors(dtype)
     rendering = rasterize(*leaves, camera, BACKGROUND, near=near, device=device)
     weighted_loss(rendering, 0).backward()
@@ -52,7 +52,7 @@ def there_and_back(
 
 
 def assert_nothing_seen(rendering: Rendering, gradients: Gradients) -> None:
-    """The image is the background, and no parameter moves it."""
+    """Check that the image is the background, without gradient."""
     assert torch.equal(rendering.rgb, torch.tensor(BACKGROUND).expand_as(rendering.rgb))
     assert not rendering.depth.any()
     assert not rendering.alpha.any()
@@ -60,7 +60,7 @@ def assert_nothing_seen(rendering: Rendering, gradients: Gradients) -> None:
 
 
 def assert_invisible(scene: Scene, index: int, camera: Camera, device: Device) -> None:
-    """One Gaussian has no part in the image, no gradient, and no influence on the others' bits."""
+    """Check that one Gaussian has no effect on the image, its gradient or the others' bits."""
     rendering, gradients = there_and_back(scene, camera, device)
     others = torch.arange(len(scene.means)) != index
     fields = (getattr(scene, name)[others] for name in NAMES)

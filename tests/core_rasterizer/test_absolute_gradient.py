@@ -1,4 +1,4 @@
-"""Screen gradients whose pixels do not cancel: against the reference, and free for who does not ask."""
+"""Absolute screen gradients against the reference; no effect if not collected."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians, reference
-from core_rasterizer.optimization.model_reader import ModelReader
+from core_rasterizer.optimization import ModelReader
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 
@@ -41,7 +41,7 @@ def differentiate(model: GaussianModel, *, absolute: bool = True) -> None:
     rendering.rgb.square().sum().backward()
 
 
-def test_is_the_sum_of_every_pixels_pull(device: Device) -> None:
+def test_is_the_sum_of_absolute_pixel_gradients(device: Device) -> None:
     if not device.supports_double:
         pytest.skip("the device has no double precision")
     gaussians = parameters(COUNT)
@@ -50,36 +50,36 @@ def test_is_the_sum_of_every_pixels_pull(device: Device) -> None:
         differentiate(model)
     wanted = expected(gaussians, CAMERA)
     assert wanted.any()
-    found = model.absolute_screen_gradient()
+    found = model.statistics.absolute_screen_gradient()
     torch.testing.assert_close(found, wanted, rtol=0, atol=1e-9 * float(wanted.max()))
     # Where pixels pull against each other the signed one is smaller, and nowhere is it larger.
-    signed = model.screen_gradient()
+    signed = model.statistics.screen_gradient()
     assert (signed <= found + 1e-12).all()
     assert (signed < 0.5 * found).any()
 
 
-def test_who_does_not_ask_gets_the_same_bits(device: Device) -> None:
+def test_results_without_it_are_bit_identical(device: Device) -> None:
     plain, asked = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(plain, absolute=False)
     differentiate(asked)
     for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
         assert torch.equal(plain.gradient(name), asked.gradient(name))
-    assert torch.equal(plain.statistics(), asked.statistics()[:2])
-    assert plain.statistics().shape == (2, COUNT)
+    assert torch.equal(plain.statistics.sums(), asked.statistics.sums()[:2])
+    assert plain.statistics.sums().shape == (2, COUNT)
     with pytest.raises(GaussianError, match="no render has collected"):
         ModelReader(plain).absolute_screen_gradient()
     wanted = expected(parameters(COUNT), CAMERA)
-    found = asked.absolute_screen_gradient().double()
+    found = asked.statistics.absolute_screen_gradient().double()
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-5 * float(wanted.max()))
 
 
-def test_it_is_kept_for_checkpoints_and_forgotten_on_demand(device: Device) -> None:
+def test_it_is_restored_and_reset(device: Device) -> None:
     model, other = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(model)
-    other.restore_statistics(model.statistics())
-    first = model.absolute_screen_gradient().clone()
-    assert torch.equal(other.absolute_screen_gradient(), first)
-    model.reset_statistics()
-    assert not model.absolute_screen_gradient().any()
+    other.statistics.restore(model.statistics.sums())
+    first = model.statistics.absolute_screen_gradient().clone()
+    assert torch.equal(other.statistics.absolute_screen_gradient(), first)
+    model.statistics.reset()
+    assert not model.statistics.absolute_screen_gradient().any()
     differentiate(model)
     assert torch.equal(ModelReader(model).absolute_screen_gradient(), first)

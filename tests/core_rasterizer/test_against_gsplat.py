@@ -1,4 +1,4 @@
-"""The reference projection against gsplat's, which shares no line with it."""
+"""The reference projection against gsplat's."""
 
 from __future__ import annotations
 

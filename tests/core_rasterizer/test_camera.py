@@ -1,8 +1,9 @@
-"""The camera: geometry, and what it refuses."""
+"""The camera: geometry and validation."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import FrozenInstanceError
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def test_the_center_maps_to_the_origin_of_the_camera() -> None:
     assert torch.allclose(view.camera_to_world @ view.world_to_camera, torch.eye(4).double())
 
 
-def test_points_appear_where_the_calibration_says() -> None:
+def test_project_follows_the_calibration() -> None:
     u, v, z = camera().project(torch.tensor([[0.2, -0.1, 2.0], [0.0, 0.0, -1.0]]))
     assert (float(u[0]), float(v[0]), float(z[0])) == pytest.approx((25.0, 12.0, 2.0))
     assert z[1] == -1, "behind the camera"
@@ -53,7 +54,30 @@ def test_points_appear_where_the_calibration_says() -> None:
     assert torch.allclose(z, torch.tensor(3.0).double())
 
 
-def test_what_is_unprojected_appears_where_it_came_from() -> None:
+def test_contains_follows_the_pixel_grid_and_the_depth() -> None:
+    view = camera()
+    u = torch.tensor([0.0, 39.99, 40.0, -0.01, 20.0, 20.0, math.nan])
+    v = torch.tensor([0.0, 29.99, 15.0, 15.0, 30.0, -0.01, 15.0])
+    assert view.contains(u, v).tolist() == [True, True, *[False] * 5]
+    with_border = [True, True, True, False, True, False, False]
+    assert view.contains(u, v, border=True).tolist() == with_border
+    z = torch.tensor([1.0, 0.0, -1.0, 1.0, math.nan, 1.0, 1.0])
+    assert view.contains(u, v, z, border=True).tolist() == [True, *[False] * 6]
+
+
+def test_contains_keeps_the_shape_of_projected_points() -> None:
+    points = torch.tensor(
+        [[[0.2, -0.1, 2.0], [0.0, 0.0, -1.0]], [[9.0, 0.0, 1.0], [0.0, 0.0, 1.0]]]
+    )
+    assert camera().contains(*camera().project(points)).tolist() == [[True, False], [False, True]]
+
+
+def test_a_camera_is_immutable() -> None:
+    with pytest.raises(FrozenInstanceError):
+        camera().fx = 1.0  # type: ignore[misc]
+
+
+def test_unproject_inverts_project() -> None:
     view = camera(world_to_camera=turned(), cx=17.5)
     u, v = view.pixel_centers()
     depth = torch.rand(30, 40, generator=torch.Generator().manual_seed(0)) + 0.5
@@ -64,7 +88,7 @@ def test_what_is_unprojected_appears_where_it_came_from() -> None:
         assert torch.allclose(found, expected, rtol=0, atol=1e-12)
 
 
-def test_a_depth_for_all_pixels_is_broadcast() -> None:
+def test_unproject_broadcasts() -> None:
     points = camera().unproject(torch.tensor([20.0, 45.0]), torch.tensor(9.0), torch.tensor(2.0))
     assert torch.allclose(points, torch.tensor([[0.0, -0.2, 2.0], [1.0, -0.2, 2.0]]).double())
 
@@ -75,7 +99,7 @@ def test_pixel_centers_are_half_integers_in_rows_and_columns() -> None:
     assert v.tolist() == [[0.5] * 3, [1.5] * 3]
 
 
-def test_the_right_eye_sees_points_shifted_to_the_left() -> None:
+def test_shifted_right_moves_along_the_x_axis() -> None:
     left = camera(world_to_camera=turned())
     right = left.shifted_right(0.3)
     offset = left.world_to_camera[:3, :3] @ (right.center - left.center)
@@ -88,8 +112,8 @@ def test_resizing_keeps_the_field_of_view() -> None:
     assert (small.width, small.height) == (20, 15)
 
 
-def test_a_pose_stays_in_the_graph_of_autograd() -> None:
-    """Through every helper, and for as many backward passes as one camera is used in."""
+def test_the_pose_stays_in_autograd() -> None:
+    """Through every method, and for several backward passes."""
     pose = turned().float().requires_grad_()
     left = camera(world_to_camera=pose)
     right = left.shifted_right(0.3).resized(20, 15)
@@ -131,13 +155,13 @@ def test_a_camera_keeps_the_pose_that_it_was_given() -> None:
         ({"world_to_camera": np.diag([1.0, 1, -1, 1])}, "camera.world_to_camera", "rotation"),
     ],
 )
-def test_an_impossible_camera_is_refused(changes: dict[str, Any], field: str, message: str) -> None:
+def test_invalid_cameras_raise(changes: dict[str, Any], field: str, message: str) -> None:
     with pytest.raises(CameraError, match=message) as error:
         camera(**changes)
     assert error.value.where == field
 
 
-def test_looking_at_a_point_puts_it_in_the_middle() -> None:
+def test_look_at_centers_its_target() -> None:
     chosen = Camera.look_at((1.0, -2.0, 0.5), (0.2, 0.1, 4.0), 30.0, 40, 30)
     u, v, z = chosen.project(torch.tensor([0.2, 0.1, 4.0]))
     distance = math.dist((1.0, -2.0, 0.5), (0.2, 0.1, 4.0))
@@ -157,8 +181,8 @@ def test_a_centered_camera_has_square_pixels() -> None:
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 2.0), (0.0, 0.0, 0.0)])
-def test_no_camera_looks_along_its_own_up(up: tuple[float, float, float]) -> None:
-    with pytest.raises(CameraError, match="no camera looks"):
+def test_up_along_the_viewing_direction_raises(up: tuple[float, float, float]) -> None:
+    with pytest.raises(CameraError, match="`up` is parallel"):
         Camera.look_at((0, 0, 0), (0, 0, 5), 30.0, 40, 30, up=up)
-    with pytest.raises(CameraError, match="no camera looks"):
+    with pytest.raises(CameraError, match="`up` is parallel"):
         Camera.look_at((1, 1, 1), (1, 1, 1), 30.0, 40, 30)

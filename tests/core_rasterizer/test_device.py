@@ -12,21 +12,22 @@ import pytest
 import torch
 
 from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
-from core_rasterizer.device import DeviceArray, choice
+from core_rasterizer.device import DeviceArray
+from core_rasterizer.device import device as device_module
 from tests.core_rasterizer.test_model import parameters
 
 
 @pytest.fixture
 def no_device_opens(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A driver that lists its devices, but refuses to open any."""
+    """A driver that lists its devices, but cannot open any."""
 
     def refuse(*_: object) -> None:
         raise cl.RuntimeError("clCreateContext failed: DEVICE_NOT_AVAILABLE")
 
     monkeypatch.setattr(cl, "Context", refuse)
-    choice._devices.cache_clear()
+    device_module._devices.cache_clear()
     yield
-    choice._devices.cache_clear()
+    device_module._devices.cache_clear()
 
 
 def test_a_device_is_chosen_by_part_of_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,14 +38,14 @@ def test_a_device_is_chosen_by_part_of_its_name(monkeypatch: pytest.MonkeyPatch)
     assert open_device().platform == first.platform
 
 
-def test_an_unknown_name_lists_what_there_is() -> None:
+def test_an_unknown_name_lists_the_devices() -> None:
     with pytest.raises(DeviceError, match="no OpenCL device is named") as error:
         open_device("abacus")
     assert list_devices()[0].name in error.value.fix
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int32, torch.int64])
-def test_what_is_written_is_read(device: Device, dtype: torch.dtype) -> None:
+def test_written_values_are_read_back(device: Device, dtype: torch.dtype) -> None:
     array = DeviceArray(device, (3, 5), dtype)
     assert not array.read().any()
     values = torch.arange(15).reshape(3, 5).to(dtype)
@@ -60,13 +61,13 @@ def test_an_empty_array_is_allowed(device: Device) -> None:
     assert array.read().shape == (0, 3)
 
 
-def test_a_kernel_that_does_not_build_is_explained(device: Device) -> None:
-    with pytest.raises(DeviceError, match="refused the kernels"):
+def test_a_build_failure_is_explained(device: Device) -> None:
+    with pytest.raises(DeviceError, match="failed on the kernels"):
         device.program("raster/scan", dtype=torch.float32)  # its macros are missing
 
 
 def test_a_device_that_cannot_be_opened_is_listed_and_chosen(no_device_opens: None) -> None:
-    """Only who uses it is told, so that others can be used."""
+    """The error is raised on first use."""
     first = list_devices()[0]
     assert open_device(first.platform).name == first.name
     with pytest.raises(DeviceError, match="could not be opened") as error:
@@ -74,17 +75,17 @@ def test_a_device_that_cannot_be_opened_is_listed_and_chosen(no_device_opens: No
     assert "DEVICE_NOT_AVAILABLE" in error.value.what
 
 
-def test_what_the_driver_refuses_to_run_is_explained(device: Device) -> None:
+def test_a_launch_failure_is_explained(device: Device) -> None:
     program = device.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     array = DeviceArray(device, (16,), torch.int32)
-    with pytest.raises(DeviceError, match="did not run the kernel scan_chunks"):
+    with pytest.raises(DeviceError, match="could not run the kernel scan_chunks"):
         program.run("scan_chunks", (16,), (3,), array, array, np.uint32(15), np.uint32(1))
 
 
 def test_memory_of_an_array_lives_until_kernels_have_run(device: Device) -> None:
     if not device.shares_memory:
         pytest.skip("arrays of this device are not torch's memory")
-    alone = device.as_variant(device.variant)  # nobody else's arrays die on it meanwhile
+    alone = device.as_variant(device.variant)  # no other arrays are freed on it
     program = alone.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     array = DeviceArray(alone, (16,), torch.int32)
     totals = DeviceArray(alone, (17,), torch.int32)
@@ -97,7 +98,7 @@ def test_memory_of_an_array_lives_until_kernels_have_run(device: Device) -> None
     assert len(alone.retired) == 0
 
 
-def test_the_engine_alone_loads_nothing_that_it_does_not_use() -> None:
+def test_importing_the_engine_loads_no_optional_package() -> None:
     heavy = {"kornia", "onnxruntime", "plyfile", "pycolmap", "scipy", "skimage"}
     code = f"import sys, core_rasterizer; print(*(set(sys.modules) & {heavy!r}))"
     result = subprocess.run(

@@ -1,4 +1,4 @@
-"""Where several OpenCL runtimes are installed, they show the same picture."""
+"""All installed OpenCL runtimes render the same image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.core_rasterizer.scenes import random_camera, random_scene
 
 
 def test_devices_show_the_same_picture() -> None:
-    """At least 100 dB between any two: rounding, never a different decision of note."""
+    """At least 100 dB between any two: only rounding differs."""
     devices = list_devices()
     if len(devices) < 2:
         pytest.skip(f"only one OpenCL device is installed: {devices[0].name}")

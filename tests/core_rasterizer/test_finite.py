@@ -1,4 +1,4 @@
-"""Numbers that are not finite are found, however the sum of all comes out."""
+"""The search for values that are not finite."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_finds_every_place_in_order() -> None:
     assert undefined_places(values).tolist() == [[0, 3], [1, 0], [2, 1]]
 
 
-def test_a_sum_that_overflows_is_no_undefined_number() -> None:
+def test_an_overflowing_sum_is_not_reported() -> None:
     assert undefined_places(torch.full((4,), 3e38)).shape == (0, 1)
 
 

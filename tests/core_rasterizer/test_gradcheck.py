@@ -1,4 +1,4 @@
-"""Finite differences of the kernels themselves, built in double, on two hundred random scenes."""
+"""Gradcheck of the kernels in double on two hundred random scenes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FIRSTS = [
 
 
 def smooth_scene(generator: torch.Generator, sh_degree: int) -> Scene:
-    """Gaussians without a threshold in sight, where finite differences would take a jump for slope.
+    """Gaussians far from all thresholds, where finite differences would be wrong.
 
     They are wide enough that their 1/255 contour lies outside the small image, faint enough that no
     alpha reaches 0.99 and no pixel finishes, and bright enough that no colour is clamped at 0.
@@ -47,7 +47,7 @@ def beyond_the_clamp(scene: Scene, camera: Camera) -> None:
 
 
 def filtered(scene: Scene, generator: torch.Generator) -> dict[str, Any]:
-    """Filters that matter for Gaussians as wide as these, which grow more opaque to stay in sight."""
+    """Filters with a visible effect on these wide Gaussians, which become more opaque."""
     scene.opacities *= 1.8
     return {
         "dilation": 30.0,
@@ -59,7 +59,7 @@ def filtered(scene: Scene, generator: torch.Generator) -> dict[str, Any]:
 def images(
     device: Device, cameras: list[Camera], background: list[float], **options: Any
 ) -> Callable[..., Tensor]:
-    """Colour, depth and alpha of several renders as one output, so that one backward takes all.
+    """Colour, depth and alpha of several renders as one output, for one backward pass.
 
     The function's arguments are those of `rasterize`, and then, if they are to be checked, poses.
     """

@@ -42,7 +42,7 @@ def guarded(device: Device, pattern: int) -> GuardedDevice:
 
 
 def same_inside_zones(device: Device, work: Callable[[Device], list[Tensor]]) -> None:
-    """Zones stay untouched, and whatever lies in them, the results are those without zones."""
+    """Check that zones stay untouched and that their contents do not affect the results."""
     expected = work(device)
     assert all(torch.isfinite(values).all() for values in expected)
     for pattern in PATTERNS:
@@ -65,8 +65,8 @@ def rendered(
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_the_zones_catch_a_kernel_that_strays(device: Device, pattern: int) -> None:
-    """The instrument itself: a kernel is told that its array is one element longer than it is."""
+def test_the_zones_catch_writes_outside_a_buffer(device: Device, pattern: int) -> None:
+    """The test itself: a kernel gets a length one element too large."""
     inside = GuardedDevice(device, pattern)
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
@@ -107,10 +107,10 @@ def test_poses_and_filters(device: Device, count: int, dtype: torch.dtype) -> No
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("scale", [1e-12, 3.0, 1e6, 1e17])
-def test_specks_and_giants_at_the_edges_of_tiles(
+def test_small_and_huge_gaussians_at_tile_edges(
     device: Device, dtype: torch.dtype, scale: float
 ) -> None:
-    """Means on, and a rounding step beside, the edges of the image and of tiles of any size."""
+    """Means on, and one rounding step from, the edges of the image and of tiles."""
     edges = torch.tensor([-0.5, 0.0, 0.5, 15.5, 16.0, 32.0, 63.5, 64.0, 95.0, 96.5, 97.0])
     x, y = (values.flatten() for values in torch.meshgrid(edges, edges, indexing="ij"))
     count = len(x)
@@ -125,7 +125,7 @@ def test_specks_and_giants_at_the_edges_of_tiles(
 
 
 def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
-    """More pairs than there is room for at first; then a small render in the large buffers."""
+    """More pairs than the initial capacity; then a small render in the large buffers."""
     generator = torch.Generator().manual_seed(1)
     width, height = 300, 200
     tile_width, tile_height = Renderer(device).programs.tile
@@ -185,7 +185,7 @@ def test_adam_and_topology(device: Device, count: int, degree: int) -> None:
             ).rgb
             rgb.sum().backward()
             optimizer.step(RATES, active_sh_degree=active)
-        statistics = model.statistics()
+        statistics = model.statistics.sums()
         optimizer.reset_moments("opacity_logits")
         model.write("opacity_logits", model.opacities() - 1)
         masks = torch.rand(3, count, generator=generator) < torch.tensor([[0.5], [0.5], [0.3]])

@@ -1,4 +1,4 @@
-"""Images stay on the device until somebody asks; nothing else changes by it."""
+"""Images stay on the device until they are accessed, with the same results."""
 
 from __future__ import annotations
 
@@ -36,9 +36,7 @@ def gradients(model: GaussianModel) -> list[torch.Tensor]:
     return [model.gradient(name).clone() for name in PARAMETERS]
 
 
-def test_each_image_crosses_when_it_is_asked_for(
-    device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_are_copied_on_first_access(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     model = GaussianModel(parameters(60), device.as_discrete())
     model.render(view())
     with counted(monkeypatch) as traffic:
@@ -53,7 +51,7 @@ def test_each_image_crosses_when_it_is_asked_for(
         assert set(rendering.fetched) == {"depth", "rgb"}
 
 
-def test_a_target_crosses_once_and_again_when_it_was_written_to(
+def test_a_target_is_copied_once_and_again_after_a_write(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = GaussianModel(parameters(60), device.as_discrete())
@@ -111,7 +109,7 @@ def test_two_losses_of_one_render_add_up(model: GaussianModel) -> None:
         assert torch.allclose(ours, theirs, rtol=1e-4, atol=1e-9)
 
 
-def test_who_looks_first_without_gradients_takes_none_away(model: GaussianModel) -> None:
+def test_a_first_read_without_gradients_keeps_them(model: GaussianModel) -> None:
     rendering = model.render(view())
     with torch.no_grad():
         assert float(rendering.rgb.sum()) > 0
@@ -133,13 +131,13 @@ def test_images_survive_the_renders_that_follow(model: GaussianModel) -> None:
         assert not torch.equal(rendering.alpha, later)
 
 
-def test_an_image_that_was_written_to_is_noticed(device: Device) -> None:
+def test_a_modified_image_raises_in_backward(device: Device) -> None:
     model = GaussianModel(parameters(60), device)
     rendering = model.render(view())
     rendering.rgb.detach().mul_(2)
     if not device.shares_memory:
         pytest.skip("the device has a copy of its own")
-    with pytest.raises(ExplainedError, match="'rgb' of a render was written to"):
+    with pytest.raises(ExplainedError, match="'rgb' of a render was modified"):
         rendering.alpha.sum().backward()
 
 

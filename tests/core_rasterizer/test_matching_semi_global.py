@@ -99,31 +99,31 @@ def test_a_fraction_of_a_plane_is_found(device: Device) -> None:
     assert torch.allclose(pick(device, sums, 16)[0], true, atol=0.06)
 
 
-def test_an_edge_makes_a_jump_cheap() -> None:
+def test_jumps_are_cheaper_at_edges() -> None:
     steps = Penalties(10, 250).by_grey_step()
     assert steps[[0, 1, 2, 10, 25, 26, 255]].tolist() == [250, 250, 125, 25, 10, 10, 10]
 
 
 @pytest.mark.parametrize("wrong", [(-1, 5), (6, 5), (5, LARGEST_PENALTY + 1)])
-def test_penalties_out_of_order_are_refused(wrong: tuple[int, int]) -> None:
+def test_penalties_out_of_order_raise(wrong: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="0 <= small <= large"):
         Penalties(*wrong)
 
 
-def test_what_is_no_volume_is_refused() -> None:
+def test_invalid_volumes_raise() -> None:
     device = open_device()
     costs = np.zeros((4, 5, 16), dtype=np.int64)
-    with pytest.raises(ValueError, match="do not make a volume"):
+    with pytest.raises(ValueError, match="do not match the image"):
         aggregate(device, volume(device, costs), torch.zeros(5, 4), Penalties(1, 2))
-    with pytest.raises(ValueError, match="do not make a volume"):
+    with pytest.raises(ValueError, match="do not match the image"):
         aggregate(device, volume(device, costs[..., :9]), torch.zeros(4, 5), Penalties(1, 2))
     sums = DeviceArray(device, (4, 5, 16), torch.uint16)
     for planes in (0, 17):
-        with pytest.raises(ValueError, match="cannot be picked"):
+        with pytest.raises(ValueError, match="it must lie in 1"):
             pick(device, sums, planes)
 
 
-def test_a_volume_beyond_the_memory_is_refused() -> None:
+def test_a_volume_beyond_the_memory_raises() -> None:
     device = open_device()
     assert empty_volume(device, 3, 4, 17).shape == (3, 4, padded_planes(17)) == (3, 4, 32)
     with pytest.raises(MemoryBudgetError, match="1000 planes of 100000x100000 pixels"):

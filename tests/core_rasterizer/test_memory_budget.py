@@ -1,4 +1,4 @@
-"""What would not fit is refused with numbers, before memory is taken."""
+"""Renders beyond the memory budget raise before allocating."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def view_of(width: int, height: int) -> RenderRequest:
     return RenderRequest(random_camera(torch.Generator().manual_seed(0), width, height), BLACK, 0)
 
 
-def test_an_image_beyond_the_budget_is_refused_before_anything_is_allocated(device: Device) -> None:
+def test_an_image_beyond_the_budget_raises_before_allocating(device: Device) -> None:
     renderer = Renderer(device, memory_budget=64 * 2**20)
     block = block_of(device, 16)
     with pytest.raises(MemoryBudgetError) as error:
@@ -45,7 +45,7 @@ def test_an_image_beyond_the_budget_is_refused_before_anything_is_allocated(devi
     renderer.forward(block, view_of(100, 80))
 
 
-def test_too_many_pairs_are_refused_and_the_next_render_is_whole(device: Device) -> None:
+def test_too_many_pairs_raise_and_the_next_render_is_correct(device: Device) -> None:
     """Case 5 in small: each Gaussian fills the image, the lists outgrow a small budget."""
     large, view = block_of(device, 3000, log_scale=6.0), view_of(500, 400)
     renderer = Renderer(device, memory_budget=12 * 2**20)
@@ -58,7 +58,7 @@ def test_too_many_pairs_are_refused_and_the_next_render_is_whole(device: Device)
 
 
 def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(device: Device) -> None:
-    """The larger image leaves room for fewer pairs than there is capacity for already."""
+    """The limit of the larger image is below the existing capacity."""
     renderer = Renderer(device, memory_budget=40 * 2**20)
     small, wide = view_of(300, 200), view_of(900, 800)
     fills = block_of(device, 60 if device.variant == "cpu" else 12, log_scale=6.0)
@@ -72,8 +72,8 @@ def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(devi
         renderer.forward(many, wide)
 
 
-def test_more_than_four_thousand_million_pairs_are_refused_soon(device: Device) -> None:
-    """Case 5: the count would not fit in 32 bits. Neither a wraparound nor minutes of counting."""
+def test_more_than_2_to_the_32_pairs_raise_soon(device: Device) -> None:
+    """Case 5: the count exceeds 32 bits. It must not overflow, nor take minutes."""
     renderer = Renderer(device)
     width, height = renderer.programs.tile
     tiles = 4096 // width * 4096 // height
@@ -86,7 +86,7 @@ def test_more_than_four_thousand_million_pairs_are_refused_soon(device: Device) 
     assert f"{count:,} Gaussians" in error.value.where
 
 
-def test_an_image_beyond_any_index_is_refused(device: Device) -> None:
+def test_an_image_beyond_any_index_raises(device: Device) -> None:
     renderer, block = Renderer(device), block_of(device, 16)
     for width, height in ((65536, 1), (1, 70000), (20000, 20000)):
         with pytest.raises(CameraError, match="too large"):
@@ -110,7 +110,7 @@ def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     assert alpha.count_nonzero() == 4
 
 
-def test_memory_that_the_driver_refuses_is_explained(device: Device) -> None:
-    with pytest.raises(MemoryBudgetError, match="did not give") as error:
+def test_an_allocation_failure_is_explained(device: Device) -> None:
+    with pytest.raises(MemoryBudgetError, match="could not allocate") as error:
         DeviceArray(device.as_discrete(), (2**50,))
-    assert "in all" in error.value.where
+    assert "in total" in error.value.where

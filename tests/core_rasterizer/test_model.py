@@ -1,4 +1,4 @@
-"""Device-resident Gaussians: the same answers as the plain function, accumulation, statistics."""
+"""Gaussians on a device: agreement with `rasterize`, accumulation, statistics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def view(seed: int = 0) -> Camera:
     return random_camera(torch.Generator().manual_seed(50 + seed), 90, 60)
 
 
-def test_what_goes_in_comes_out(device: Device) -> None:
+def test_parameters_round_trip(device: Device) -> None:
     gaussians = parameters()
     model = GaussianModel(gaussians, device)
     for name in PARAMETERS:
@@ -81,7 +81,7 @@ def test_several_renders_accumulate_and_zeroing_forgets(device: Device) -> None:
     assert not model.gradient("means").any()
 
 
-def test_touched_are_those_that_a_pixel_shows(device: Device) -> None:
+def test_touched_gaussians_contribute_to_a_pixel(device: Device) -> None:
     camera = Camera(torch.eye(4), 40, 40, 16, 16, 32, 32)
     gaussians = Gaussians.from_points(
         torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [9.0, 0.0, 2.0], [0.0, 0.0, 3.0]]),
@@ -150,9 +150,11 @@ def test_screen_gradients_are_the_oracles_in_ndc(device: Device) -> None:
     for _ in range(2):  # the mean over two equal renders is that of one
         model.zero_gradients()
         model.render(camera, collect_statistics=True).rgb.square().sum().backward()
-    assert torch.allclose(model.screen_gradient().double(), expected, atol=2e-5 * expected.max())
-    model.reset_statistics()
-    assert not model.screen_gradient().any()
+    assert torch.allclose(
+        model.statistics.screen_gradient().double(), expected, atol=2e-5 * expected.max()
+    )
+    model.statistics.reset()
+    assert not model.statistics.screen_gradient().any()
 
 
 def test_without_gradients_nothing_is_kept(device: Device) -> None:
@@ -171,7 +173,7 @@ def test_equal_parameters_have_equal_digests(device: Device) -> None:
     assert one.digest() != other.digest()
 
 
-def test_backward_after_an_edit_is_refused(device: Device) -> None:
+def test_backward_after_an_edit_raises(device: Device) -> None:
     model = GaussianModel(parameters(), device)
     rendering = model.render(view())
     model.adopt(model.parameters.read().clone(), model.count)
@@ -179,14 +181,14 @@ def test_backward_after_an_edit_is_refused(device: Device) -> None:
         rendering.rgb.sum().backward()
 
 
-def test_undefined_parameters_and_unknown_names_are_refused(device: Device) -> None:
+def test_undefined_parameters_and_unknown_names_raise(device: Device) -> None:
     gaussians = parameters()
     gaussians.sh[17, 0, 1] = float("nan")
     with pytest.raises(GaussianError, match="not finite") as error:
         GaussianModel(gaussians, device)
     assert (error.value.field, error.value.index) == ("sh", 17)
     model = GaussianModel(parameters(), device)
-    with pytest.raises(GaussianError, match="no parameter"):
+    with pytest.raises(GaussianError, match="unknown parameter"):
         model.read("opacity")
     with pytest.raises(GaussianError, match="expected"):
         model.write("means", torch.zeros(3, 3))

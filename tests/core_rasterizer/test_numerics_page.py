@@ -1,4 +1,4 @@
-"""The page of promises names tests that exist."""
+"""docs/numerics.md names existing tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ HERE = Path(__file__).parent
 PAGE = HERE.parent.parent / "docs" / "numerics.md"
 
 
-def test_every_promise_names_a_test_that_exists() -> None:
+def test_every_named_test_exists() -> None:
     promises = re.findall(r"`(test_\w+\.py)(?:::(test_\w+))?`", PAGE.read_text("utf-8"))
     assert len(promises) > 20
     for file, function in promises:

@@ -63,7 +63,7 @@ def test_adam_is_torchs_adam(device: Device, dtype: torch.dtype, tolerance: floa
     leaves, twin = twin_of(model)
     for step in range(100):
         gradients = gradients_for(model, step)
-        model.gradients.write(gradients)
+        model.gradients.rows.write(gradients)
         optimizer.step(RATES, active_sh_degree=3)
         for leaf, span in zip(leaves, PARAMETER_GROUPS.values(), strict=True):
             leaf.grad = gradients[slice(*span)].clone()
@@ -77,7 +77,7 @@ def test_bands_above_the_active_degree_stay(device: Device) -> None:
     model = make_model(device, torch.float32)
     before = model.parameters.read().clone()
     optimizer = Adam(model)
-    model.gradients.write(gradients_for(model, 1))
+    model.gradients.rows.write(gradients_for(model, 1))
     optimizer.step(RATES, active_sh_degree=1)
     changed = (model.parameters.read() != before)[:, : model.count].any(dim=1)
     assert changed.tolist() == [True] * (11 + 3 * 4) + [False] * (3 * 12)
@@ -97,7 +97,7 @@ def test_skipped_groups_are_parameters_without_gradient(
     plan = [("means",), (), ("sh", "quaternions"), tuple(PARAMETER_GROUPS), ("sh_rest", "means")]
     for step in range(30):
         gradients, skip = gradients_for(model, step), plan[step % 5]
-        model.gradients.write(gradients)
+        model.gradients.rows.write(gradients)
         before, moments = model.parameters.read().clone(), optimizer.state()
         optimizer.step(RATES, active_sh_degree=3, skip=skip)
         for leaf, (name, span) in zip(leaves, PARAMETER_GROUPS.items(), strict=True):
@@ -120,7 +120,7 @@ def test_more_gaussians_than_one_work_item_takes(device: Device) -> None:
     model = make_model(device, torch.float32, count=4096 + 21, degree=0)
     before = model.parameters.read().clone()
     optimizer = Adam(model)
-    model.gradients.write(torch.ones(model.rows, model.capacity))
+    model.gradients.rows.write(torch.ones(model.rows, model.capacity))
     optimizer.step(RATES, active_sh_degree=0)
     # The first step of Adam moves every parameter by its learning rate.
     moved = (before - model.parameters.read())[:, : model.count]
@@ -132,7 +132,7 @@ def test_more_gaussians_than_one_work_item_takes(device: Device) -> None:
 def test_resetting_one_groups_moments_leaves_the_others(device: Device) -> None:
     model = make_model(device, torch.float32)
     optimizer = Adam(model)
-    model.gradients.write(gradients_for(model, 5))
+    model.gradients.rows.write(gradients_for(model, 5))
     optimizer.step(RATES, active_sh_degree=3)
     before = optimizer.state()
     optimizer.reset_moments("opacity_logits")
@@ -153,14 +153,14 @@ def test_a_restored_optimizer_continues_with_the_same_bits(device: Device) -> No
                 state = optimizer.state()
                 optimizer = Adam(model)
                 optimizer.restore(state)
-            model.gradients.write(gradients_for(model, step))
+            model.gradients.rows.write(gradients_for(model, step))
             optimizer.step(RATES, active_sh_degree=3, skip=("means",) if step == 1 else ())
         return model.parameters.read().clone()
 
     assert torch.equal(run(interrupted=True), run(interrupted=False))
 
 
-def test_wrong_names_and_states_are_refused(device: Device) -> None:
+def test_invalid_names_and_states_raise(device: Device) -> None:
     model = make_model(device, torch.float32)
     optimizer = Adam(model)
     with pytest.raises(ExplainedError, match="sh_rest"):

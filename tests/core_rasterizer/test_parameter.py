@@ -1,4 +1,4 @@
-"""Parameters in autograd: a loss on them moves the Gaussians like a loss on images."""
+"""Parameters in autograd, for losses on parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def weights_like(values: Tensor) -> Tensor:
 
 
 def loss_on(values: Tensor) -> Tensor:
-    """Something of which no derivative is constant."""
+    """A loss without constant derivatives."""
     return (weights_like(values) * (values + 0.3 * values.square())).sum()
 
 
@@ -64,7 +64,7 @@ def test_the_gradient_passes_finite_differences(device: Device, name: str) -> No
 
 
 def test_nearly_opaque_ones_keep_their_slope(device: Device) -> None:
-    """Where 1 - sigmoid(x) would be 0 in float32."""
+    """1 - sigmoid(x) would be 0 in float32."""
     model = GaussianModel(parameters(2), device)
     model.write("opacity_logits", torch.tensor([20.0, -20.0]))
     model.parameter("opacities").sum().backward()
@@ -72,7 +72,7 @@ def test_nearly_opaque_ones_keep_their_slope(device: Device) -> None:
 
 
 def test_losses_on_parameters_and_on_renders_add_up(device: Device) -> None:
-    """Whichever comes first, and in one backward pass or in several."""
+    """In any order, in one backward pass or several."""
     model = GaussianModel(parameters(40), device)
 
     def image_loss() -> Tensor:
@@ -103,7 +103,7 @@ def test_losses_on_parameters_and_on_renders_add_up(device: Device) -> None:
 
 
 def test_the_optimizer_steps_on_the_sum(device: Device) -> None:
-    """Like one whose gradient rows were given the sum."""
+    """Compared with an optimizer whose gradient rows are the sum."""
     model, plain = (GaussianModel(parameters(20), device) for _ in range(2))
     optimizer, other = Adam(model), Adam(plain)
     for _ in range(2):
@@ -111,10 +111,12 @@ def test_the_optimizer_steps_on_the_sum(device: Device) -> None:
         loss = model.render(view()).rgb.sum() + loss_on(model.parameter("means"))
         (loss + loss_on(model.parameter("scales"))).backward()
         rows = [model.gradient(name).reshape(20, -1).T for name in PARAMETERS]
-        plain.gradients.write(torch.nn.functional.pad(torch.cat(rows), (0, plain.capacity - 20)))
+        plain.gradients.rows.write(
+            torch.nn.functional.pad(torch.cat(rows), (0, plain.capacity - 20))
+        )
         optimizer.step(RATES, 3)
         other.step(RATES, 3)
-        assert torch.equal(model.gradients.read(), plain.gradients.read())
+        assert torch.equal(model.gradients.rows.read(), plain.gradients.rows.read())
     assert model.digest() == plain.digest()
 
 
@@ -125,7 +127,7 @@ def test_bands_that_only_a_loss_on_parameters_reached_are_forgotten_too(device: 
         if on_parameters:
             loss_on(model.parameter("sh")).backward()
         model.render(view(), sh_degree=0).rgb.sum().backward()
-        model.settle_gradients()
+        model.gradients.settle()
         assert model.gradient("sh")[:, 1:].any() == on_parameters
         assert model.gradient("sh")[:, 0].any()
 
@@ -143,7 +145,7 @@ def test_a_loss_on_parameters_touches_nothing(device: Device) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_undefined_gradient_is_refused_by_name(device: Device, name: str) -> None:
+def test_an_undefined_gradient_names_its_parameter(device: Device, name: str) -> None:
     model = GaussianModel(parameters(10), device)
     model.parameter("quaternions").sum().backward()
     values = model.parameter(name)
@@ -159,7 +161,7 @@ def test_an_undefined_gradient_is_refused_by_name(device: Device, name: str) -> 
 
 
 def test_an_undefined_image_gradient_leaves_zeros(device: Device) -> None:
-    """What was promised before a backward pass that failed still holds after it."""
+    """`zero_gradients` still holds after a failed backward pass."""
     model = GaussianModel(parameters(10), device)
     model.render(view()).rgb.sum().backward()
     model.zero_gradients()
@@ -168,7 +170,7 @@ def test_an_undefined_image_gradient_leaves_zeros(device: Device) -> None:
     assert not model.gradient("means").any()
 
 
-def test_an_edit_in_between_is_refused(device: Device) -> None:
+def test_an_edit_in_between_raises(device: Device) -> None:
     model = GaussianModel(parameters(10), device)
     loss = model.parameter("scales").sum()
     model.adopt(model.parameters.read().clone(), model.count)
@@ -178,9 +180,9 @@ def test_an_edit_in_between_is_refused(device: Device) -> None:
     assert not model.gradient("log_scales").any()
 
 
-def test_unknown_names_are_refused(device: Device) -> None:
+def test_unknown_names_raise(device: Device) -> None:
     model = GaussianModel(parameters(5), device)
-    with pytest.raises(GaussianError, match="no parameter 'colors'"):
+    with pytest.raises(GaussianError, match="unknown parameter 'colors'"):
         model.parameter("colors")
 
 
@@ -189,20 +191,20 @@ def test_the_same_losses_give_the_same_bits(device: Device) -> None:
         model = GaussianModel(parameters(50), device)
         loss = sum((loss_on(model.parameter(name)) for name in NAMES), torch.zeros(()))
         (loss + model.render(view()).rgb.square().sum()).backward()
-        model.settle_gradients()
-        return model.gradients.read().clone()
+        model.gradients.settle()
+        return model.gradients.rows.read().clone()
 
     assert torch.equal(outcome(), outcome())
 
 
-def test_on_a_discrete_device_only_what_is_used_crosses(device: Device) -> None:
+def test_a_discrete_device_copies_only_used_rows(device: Device) -> None:
     discrete = device.as_discrete()
     model = GaussianModel(parameters(100), discrete)
     optimizer = Adam(model)
     model.zero_gradients()
     optimizer.step(RATES, 3)
     before = discrete.bytes_moved
-    model.settle_gradients()
+    model.gradients.settle()
     assert discrete.bytes_moved == before
     model.parameter("opacities").sum().backward()
     optimizer.step(RATES, 3)

@@ -68,7 +68,7 @@ def test_another_seed_draws_other_planes(device: Device) -> None:
     assert not torch.equal(depths[0], depths[2])
 
 
-def test_flat_images_and_values_that_are_no_numbers_are_harmless(device: Device) -> None:
+def test_flat_images_and_nan_are_harmless(device: Device) -> None:
     images, cameras, _ = wall()
     flat = torch.full_like(images[0], 0.4)
     broken = torch.full_like(images[0], float("nan"))
@@ -80,7 +80,7 @@ def test_flat_images_and_values_that_are_no_numbers_are_harmless(device: Device)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1), (3, 2)])
-def test_tiny_images_are_no_exception(device: Device, size: tuple[int, int]) -> None:
+def test_tiny_images(device: Device, size: tuple[int, int]) -> None:
     width, height = size
     cameras = [Camera.centered(pose(x, 0, 0, 0, 0), 40, width, height) for x in (0.0, 0.4)]
     images = [torch.rand(height, width, generator=torch.Generator().manual_seed(2))] * 2
@@ -90,7 +90,7 @@ def test_tiny_images_are_no_exception(device: Device, size: tuple[int, int]) -> 
         assert torch.isfinite(found.cost).all()
 
 
-def test_wrong_arguments_are_refused(device: Device) -> None:
+def test_invalid_arguments_raise(device: Device) -> None:
     images, cameras, _ = wall()
     with pytest.raises(ValueError, match="has a camera of 64x48"):
         PatchMatch(device, [images[0], images[1][1:], images[2]], cameras, BOUNDS)

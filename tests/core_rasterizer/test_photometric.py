@@ -80,7 +80,7 @@ def test_value_and_gradient_agree_with_convolutions(
 
 @pytest.mark.parametrize("weights", [(1.0, 0.2), (0.0, 0.0), (3.0, 0.0), (0.0, 2.5)])
 def test_weights_that_do_not_add_up_to_one(device: Device, weights: tuple[float, float]) -> None:
-    """As in methods that add D-SSIM to a whole L1."""
+    """As in methods that add D-SSIM to an L1 of weight 1."""
     l1_weight, ssim_weight = weights
     rgb, target = images(20, 31)
     fused, plain = rgb.clone().requires_grad_(), rgb.clone().requires_grad_()
@@ -92,7 +92,7 @@ def test_weights_that_do_not_add_up_to_one(device: Device, weights: tuple[float,
     torch.testing.assert_close(fused.grad, plain.grad, rtol=1e-9, atol=1e-15)
 
 
-def test_the_weight_left_out_is_what_is_left_of_one(device: Device) -> None:
+def test_the_l1_weight_defaults_to_the_rest(device: Device) -> None:
     rgb, target = (image.float() for image in images(20, 31))
     outcomes = []
     for weights in ({}, {"l1_weight": 1 - 0.2}):
@@ -207,7 +207,7 @@ def test_nothing_is_differentiated_without_need(device: Device) -> None:
     assert loss.item() == pytest.approx(twin(rgb.detach(), target, 0.2).item(), rel=1e-12)
 
 
-def test_wrong_arguments_are_refused(device: Device) -> None:
+def test_invalid_arguments_raise(device: Device) -> None:
     image = torch.zeros(4, 5, 3)
     for rgb, target in (
         (image, image[:3]),

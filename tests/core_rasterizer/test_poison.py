@@ -1,7 +1,7 @@
-"""Poison in any slot: NaN, infinities, the ends of the number range, thresholds to the last bit.
+"""Extreme values in any input: NaN, infinities, the ends of the number range, exact thresholds.
 
-The rule: a finite image and finite gradients, or an error that names what is wrong. The suite tries 300
-scenes on every engine, always the same ones; `make stress` tries 10,000 that are new each time.
+Expected: a finite image and finite gradients, or an error that names the value. The suite tests 300 fixed
+scenes on every device; `make stress` tests 10,000 new ones.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def test_poses_and_filters(
     dilation: float,
     loss_scale: float,
 ) -> None:
-    """`rasterize` with everything that it can be asked for; with no dilation, ellipses without an area."""
+    """`rasterize` with all options; without dilation, ellipses may have no area."""
     numbers, size = view
     leaves = scene.tensors(torch.float32)
     smoothing = torch.full((len(scene.means),), 0.05, dtype=torch.float64)
@@ -223,7 +223,7 @@ def test_the_model_and_a_step_of_training(
 ) -> None:
     """The resident model, whose scales and opacities are logarithms and logits, with loss and Adam.
 
-    Its constructor names what is not finite; the kernels get the poison all the same.
+    The constructor rejects values that are not finite; this test passes them to the kernels anyway.
     """
     given = Gaussians(
         **{
@@ -264,7 +264,7 @@ def test_the_model_and_a_step_of_training(
     assert not refusal or "overflow" in refusal
     loss.backward()
     assert_finite(
-        screen_gradient=model.screen_gradient(),
+        screen_gradient=model.statistics.screen_gradient(),
         **{f"gradient of {name}": model.gradient(name) for name in PARAMETERS},
     )
     optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 1e-2), active_sh_degree=3)

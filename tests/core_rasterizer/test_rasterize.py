@@ -15,7 +15,7 @@ NAMES = ("means", "quaternions", "scales", "opacities", "sh")
 
 
 def weighted_loss(rendering: Rendering, seed: int) -> Tensor:
-    """A loss that looks at every output with weights of its own."""
+    """A loss on every output with random weights."""
     generator = torch.Generator().manual_seed(seed)
     total = torch.zeros((), dtype=rendering.rgb.dtype)
     for image in (rendering.rgb, rendering.depth, rendering.alpha):
@@ -154,7 +154,7 @@ def test_nothing_to_see_is_background_and_zero_gradient(device: Device, where: s
 @pytest.mark.parametrize("field", NAMES)
 @pytest.mark.parametrize("poison", [float("nan"), float("inf"), -float("inf"), 1e38])
 def test_an_undefined_gaussian_harms_no_other(device: Device, field: str, poison: float) -> None:
-    """One sick Gaussian: images and gradients stay finite, and the others keep theirs."""
+    """One undefined Gaussian: images and gradients stay finite, and those of others unchanged."""
     generator = torch.Generator().manual_seed(7)
     scene, camera = random_scene(generator, 50), random_camera(generator)
     getattr(scene, field).reshape(50, -1)[11, -1] = poison

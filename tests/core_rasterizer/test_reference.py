@@ -1,4 +1,4 @@
-"""The oracle against an independent float64 renderer, and at the corners of its conventions."""
+"""The reference against an independent float64 renderer, and its conventions."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_alpha_is_clamped_without_gradient() -> None:
     assert scene["opacities"].grad.item() == 0
 
 
-def test_a_pixel_stops_before_its_light_is_spent() -> None:
+def test_a_pixel_stops_at_the_smallest_transmittance() -> None:
     depths = [3.0 + i for i in range(6)]
     layers = [one_gaussian(means=[z / 60, z / 60, z], opacities=[0.95]) for z in depths]
     image = render(**stacked(*layers), camera=simple_camera())
@@ -167,7 +167,7 @@ def test_order_is_by_depth_and_then_by_index() -> None:
     ],
     ids=lambda changes: "-".join(f"{k}={v[-1]}" for k, v in changes.items()),
 )
-def test_what_cannot_be_seen_changes_nothing(changes: dict[str, list[float]]) -> None:
+def test_invisible_gaussians_change_nothing(changes: dict[str, list[float]]) -> None:
     camera = simple_camera()
     seen, unseen = one_gaussian(), one_gaussian(**changes)
     both = {name: t.requires_grad_() for name, t in stacked(seen, unseen).items()}

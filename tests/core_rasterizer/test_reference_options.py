@@ -1,4 +1,4 @@
-"""What the oracle can be asked beyond a plain render, held to what each option promises."""
+"""Options of the reference renderer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_dilation_widens_the_ellipse_by_itself() -> None:
     torch.testing.assert_close(added, 1.7 * torch.eye(2, dtype=torch.float64))
 
 
-def test_compensation_keeps_the_light_that_a_small_gaussian_takes() -> None:
+def test_compensation_preserves_the_mass_of_a_small_gaussian() -> None:
     """A ball a third of a pixel wide, far from every threshold: its sum over pixels is its mass."""
     scene, camera = one_gaussian(scales=[0.03, 0.03, 0.03]), simple_camera()
     variance = (30 * 0.03 / 3) ** 2

@@ -1,4 +1,4 @@
-"""Relocation: equation 9 of 3DGS-MCMC, and what it does to Gaussians, moments and pictures."""
+"""Relocation: equation 9 of 3DGS-MCMC; Gaussians, moments and images afterwards."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_formula_is_the_papers(copies: int) -> None:
         assert factor.item() == pytest.approx(equation_9(o, copies)[1], rel=1e-9)
 
 
-def test_each_source_has_a_number_of_copies_of_its_own() -> None:
+def test_each_source_has_its_own_number_of_copies() -> None:
     together = shared_among_copies(torch.tensor([0.3, -1.0, 2.0]), torch.tensor([2, 40, 5]))
     for index, (logit, copies) in enumerate(((0.3, 2), (-1.0, 40), (2.0, 5))):
         alone = shared_among_copies(torch.tensor([logit]), torch.tensor([copies]))
@@ -64,7 +64,7 @@ def test_any_opacity_and_any_number_of_copies_stay_finite(logit: float, copies: 
     assert -math.log(copies) < factors.item() <= 1e-6
 
 
-def test_sources_and_targets_share_and_start_anew(device: Device) -> None:
+def test_sources_and_targets_share_and_reset_their_moments(device: Device) -> None:
     model, optimizer = trained(device)
     before = model.gaussians()
     moments = [
@@ -103,7 +103,7 @@ def picture(gaussians: Gaussians, device: Device) -> Tensor:
 
 
 @pytest.mark.parametrize("copies", [2, 6])
-def test_the_picture_stays_nearly_the_same(device: Device, copies: int) -> None:
+def test_the_image_stays_nearly_the_same(device: Device, copies: int) -> None:
     """One Gaussian alone; a plain copy, or eq. 9's opacity without its scales, changes far more."""
     gaussians = Gaussians.from_points(
         torch.tensor([[0.0, 0.0, 2.0]] + [[0.0, 0.0, -5.0]] * (copies - 1)),
@@ -126,7 +126,7 @@ def test_the_picture_stays_nearly_the_same(device: Device, copies: int) -> None:
     assert (picture(relocated, device) - before).abs().mean() > 8 * error
 
 
-def test_no_target_is_nothing(device: Device) -> None:
+def test_a_relocation_without_targets_changes_nothing(device: Device) -> None:
     model, optimizer = trained(device)
     digest = model.digest()
     nothing = torch.zeros(0, dtype=torch.int64)
@@ -171,9 +171,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_relocation_that_cannot_be_is_named_and_changes_nothing(
-    device: Device, case: str
-) -> None:
+def test_an_invalid_relocation_raises_and_changes_nothing(device: Device, case: str) -> None:
     move, prune, field, index, what = WRONG[case]
     model, optimizer = trained(device)
     digest, state = model.digest(), optimizer.state()

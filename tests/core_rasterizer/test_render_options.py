@@ -164,8 +164,8 @@ def test_both_raster_variants_agree(device: Device) -> None:
         assert relative_error(one, other) < 1e-9
 
 
-def test_what_is_not_asked_for_is_not_built(device: Device) -> None:
-    """A plain render, a whole degree and a pose without a gradient run the kernels that they always ran."""
+def test_unused_options_are_not_built(device: Device) -> None:
+    """Default renders, whole degrees and poses without gradient use the default kernels."""
     fresh = device.as_variant(device.variant)
     model = GaussianModel(parameters(), fresh)
     built = set(fresh._programs)
@@ -191,7 +191,7 @@ def test_a_whole_degree_is_the_integer(device: Device) -> None:
 
 
 def test_a_fading_band_takes_part_in_the_step(device: Device) -> None:
-    """Its gradient is written, Adam moves it, and bands above it are left where they are."""
+    """It gets a gradient and a step; bands above it do not change."""
     model = GaussianModel(parameters(), device)
     before = model.read("sh").clone()
     model.zero_gradients()
@@ -217,7 +217,7 @@ def test_a_fading_band_takes_part_in_the_step(device: Device) -> None:
         ({"smoothing": torch.tensor([0, 0, math.inf, 0, 0])}, "smoothing[2]"),
     ],
 )
-def test_what_makes_no_sense_is_named(device: Device, options: dict[str, Any], place: str) -> None:
+def test_invalid_options_raise(device: Device, options: dict[str, Any], place: str) -> None:
     generator = torch.Generator().manual_seed(6)
     scene, camera = random_scene(generator, 5), random_camera(generator)
     with pytest.raises(GaussianError) as error:
@@ -231,7 +231,7 @@ def test_what_makes_no_sense_is_named(device: Device, options: dict[str, Any], p
     assert error.value.where == place
 
 
-def test_more_degrees_than_there_are_is_all_of_them(device: Device) -> None:
+def test_a_degree_above_the_stored_one_uses_all_bands(device: Device) -> None:
     generator = torch.Generator().manual_seed(7)
     scene, camera = random_scene(generator, 20, sh_degree=1), random_camera(generator)
     leaves = scene.tensors(torch.float32)
@@ -239,7 +239,7 @@ def test_more_degrees_than_there_are_is_all_of_them(device: Device) -> None:
     assert torch.equal(rasterize(*leaves, camera, sh_degree=1.5, device=device).rgb, whole)
 
 
-def test_an_undefined_image_gradient_is_refused_before_a_pose_has_one(device: Device) -> None:
+def test_an_undefined_image_gradient_raises_before_the_pose_gradient(device: Device) -> None:
     generator = torch.Generator().manual_seed(8)
     scene, (camera, pose) = random_scene(generator, 5), posed(random_camera(generator))
     rendering = rasterize(*scene.tensors(torch.float32), camera, device=device)

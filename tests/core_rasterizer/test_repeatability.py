@@ -1,4 +1,4 @@
-"""One optimization, one device: one result, whatever the number of threads."""
+"""Training is bit-identical for any number of threads."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_five_runs_give_one_digest(device: Device) -> None:
 
 @pytest.mark.proof
 def test_one_thread_and_two_threads_give_one_digest() -> None:
-    """In processes of their own, since PoCL reads its number of threads when it is loaded."""
+    """In new processes, because PoCL reads its number of threads when it is loaded."""
     units, digests = [], []
     for threads in ("1", "2"):
         settings = {"POCL_MAX_PTHREAD_COUNT": threads, "POCL_CPU_MAX_CU_COUNT": threads}

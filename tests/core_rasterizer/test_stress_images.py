@@ -1,4 +1,4 @@
-"""Images and losses at their limits: empty pixels, overflow, NaN from outside, refused arguments."""
+"""Images and losses at their limits: empty pixels, overflow, NaN, invalid arguments."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_ssim_of_constant_images(
 @pytest.mark.parametrize("value", UNDEFINED)
 @pytest.mark.parametrize("name", ["rgb", "target"])
 def test_an_undefined_pixel_is_named_by_the_loss(device: Device, name: str, value: float) -> None:
-    """Case 18 for the photometric loss: never a NaN out of it, but the image and the index."""
+    """Case 18 for the photometric loss: an error with image and index, never NaN."""
     images = {name: torch.rand(9, 13, 3) for name in ("rgb", "target")}
     images[name][4, 7, 1] = value
     with pytest.raises(ExplainedError, match="not finite") as error:
@@ -68,7 +68,7 @@ def test_an_undefined_pixel_is_named_by_the_loss(device: Device, name: str, valu
 
 
 @pytest.mark.parametrize("size", [1e3, 1e9, 1e13, 1e17, 1e19, 1e37])
-def test_a_loss_of_huge_images_is_finite_or_refused(device: Device, size: float) -> None:
+def test_a_loss_of_huge_images_is_finite_or_raises(device: Device, size: float) -> None:
     """Case 18: products overflow on the way; what comes out is a number with a finite gradient."""
     generator = torch.Generator().manual_seed(18)
     rgb = (size * torch.rand(20, 20, 3, generator=generator)).requires_grad_()
@@ -87,7 +87,7 @@ def test_a_loss_of_huge_images_is_finite_or_refused(device: Device, size: float)
 @pytest.mark.parametrize("name", ["rgb", "depth", "alpha"])
 @pytest.mark.parametrize("value", UNDEFINED)
 def test_an_undefined_image_gradient_is_named(device: Device, name: str, value: float) -> None:
-    """Case 15: a loss of one's own gives NaN. It is refused by name, and does not reach a parameter."""
+    """Case 15: a custom loss gives NaN. The error names it, and no parameter changes."""
     model = GaussianModel(parameters(20), device)
     image = getattr(model.render(plain_camera()), name)
     weights = torch.ones_like(image)

@@ -34,7 +34,7 @@ def test_opaque_and_beyond(device: Device, opacity: float) -> None:
 
 
 @pytest.mark.parametrize("opacity", [0.0, -0.0, 1e-45, 1e-30, -0.5, -math.inf])
-def test_nothing_is_seen_of_no_opacity(device: Device, opacity: float) -> None:
+def test_zero_opacity_is_invisible(device: Device, opacity: float) -> None:
     """Cases 11 and 12: zero, denormal, negative. No logarithm or root of a negative number."""
     scene = crowd()
     scene.opacities[0] = opacity
@@ -42,7 +42,7 @@ def test_nothing_is_seen_of_no_opacity(device: Device, opacity: float) -> None:
 
 
 @pytest.mark.parametrize("logit", [-1e30, -100.0, -88.0, 88.0, 100.0, 1e30])
-def test_logits_beyond_what_exp_can_hold(device: Device, logit: float) -> None:
+def test_logits_beyond_the_range_of_exp(device: Device, logit: float) -> None:
     """Case 11: sigmoid saturates at 0 and 1 without overflow, and so does its slope."""
     gaussians = parameters(30)
     gaussians.opacity_logits[::3] = logit
@@ -107,7 +107,7 @@ def test_support_collapse(device: Device) -> None:
     rendering.rgb.sum().backward()
     assert not rendering.alpha.any()
     assert not model.gradient("opacity_logits").any()
-    assert not model.statistics().any()
+    assert not model.statistics.sums().any()
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def factors_applied(device: Device, factor: float) -> tuple[torch.Tensor, Gaussi
 
 @pytest.mark.parametrize("factor", [0.0, -0.0, -1.0, 1e-30, math.nan, math.inf, 1e38])
 def test_factors_that_drop_every_gaussian(device: Device, factor: float) -> None:
-    """Case 32: all dropped, or factors that no probability gives. Background, and no gradient."""
+    """Case 32: all dropped, or invalid factors. Background without gradient."""
     image, model = factors_applied(device, factor)
     assert torch.equal(image, torch.tensor([0.1, 0.2, 0.3]).expand_as(image))
     assert not model.gradient("opacity_logits").any()

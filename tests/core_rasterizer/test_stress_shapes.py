@@ -32,7 +32,7 @@ def test_a_giant_that_covers_every_tile(device: Device, scale: float, dtype: tor
 
 
 @pytest.mark.parametrize("scale", [1e17, 1e30])
-def test_a_giant_beyond_the_numbers_is_invisible(device: Device, scale: float) -> None:
+def test_a_giant_that_overflows_is_invisible(device: Device, scale: float) -> None:
     """Case 4 at its end: the determinant of the ellipse is no float any more."""
     scene = crowd()
     scene.scales[0] = scale

@@ -1,4 +1,4 @@
-"""Optimizer and topology in unusual hours: no moments yet, everything pruned, gradients that overflow."""
+"""Optimizer and topology at their limits: no moments, everything pruned, overflowing gradients."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def seeded() -> torch.Generator:
 
 
 def assert_of_one_length(model: GaussianModel, optimizer: Adam) -> None:
-    """Every array that has a row or column for each Gaussian has as many as there are."""
+    """Check that every per-Gaussian array has the right length."""
     for name in PARAMETERS:
         assert len(model.read(name)) == model.count, name
         assert len(model.gradient(name)) == model.count, name
     assert len(model.opacities()) == len(model.scales()) == model.count
-    assert len(model.screen_gradient()) == model.count
-    assert model.statistics().shape == (2, model.count)
+    assert len(model.statistics.screen_gradient()) == model.count
+    assert model.statistics.sums().shape == (2, model.count)
     state = optimizer.state()
     shape = (model.rows, model.count)
     assert tuple(state["first_moments"].shape) == tuple(state["second_moments"].shape) == shape
 
 
-def test_a_refused_edit_changes_nothing(device: Device) -> None:
+def test_an_edit_that_removes_all_changes_nothing(device: Device) -> None:
     """Case 13: a decay has made everything prunable. The error is clear, model and moments stay whole."""
     model = GaussianModel(parameters(50), device)
     optimizer = Adam(model)
@@ -54,26 +54,26 @@ def test_a_refused_edit_changes_nothing(device: Device) -> None:
         apply_edit(model, optimizer, Edit(clone=everything(50), prune=everything(50)), seeded())
     assert error.value.field == "prune"
     assert model.digest() == digest
-    assert model.screen_gradient().any()
+    assert model.statistics.screen_gradient().any()
     assert all(torch.equal(values, state[name]) for name, values in optimizer.state().items())
     assert_of_one_length(model, optimizer)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30, -3e38])
-def test_a_gradient_that_is_no_number_moves_nothing(device: Device, value: float) -> None:
-    """Case 15: one sick gradient. Its parameter stays, the others move, and later steps recover."""
+def test_an_undefined_gradient_changes_nothing(device: Device, value: float) -> None:
+    """Case 15: one undefined gradient. Its parameter stays, others change, later steps recover."""
     model = GaussianModel(parameters(20), device)
     optimizer = Adam(model)
     gradients = torch.ones(model.rows, model.capacity)
     gradients[10, 3] = value
     before = model.read("opacity_logits").clone()
-    model.gradients.write(gradients)
+    model.gradients.rows.write(gradients)
     optimizer.step(RATES, active_sh_degree=3)
     moved = model.read("opacity_logits") != before
     assert moved.tolist() == [index != 3 for index in range(20)]
     for moments in ("first_moments", "second_moments"):
         assert torch.isfinite(optimizer.state()[moments]).all()
-    model.gradients.write(torch.ones(model.rows, model.capacity))
+    model.gradients.rows.write(torch.ones(model.rows, model.capacity))
     optimizer.step(RATES, active_sh_degree=3)
     assert (model.read("opacity_logits") != before).all()
     assert all(torch.isfinite(model.read(name)).all() for name in PARAMETERS)
@@ -182,7 +182,7 @@ def test_an_undefined_learning_rate_is_named(device: Device, rate: float) -> Non
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_an_undefined_value_is_not_written(device: Device, name: str, value: float) -> None:
-    """Case 3: a policy that computes a NaN hears of it at once, with field and index."""
+    """Case 3: writing NaN raises an error with field and index."""
     model = GaussianModel(parameters(30), device)
     digest, values = model.digest(), model.read(name).clone()
     values[17] = value
@@ -194,7 +194,7 @@ def test_an_undefined_value_is_not_written(device: Device, name: str, value: flo
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_a_parameter_that_a_step_finds_undefined_is_named(device: Device, name: str) -> None:
-    """Whatever put it there: the step looks at every number as it moves it."""
+    """The step checks every value that it changes."""
     model = GaussianModel(parameters(30), device)
     optimizer = Adam(model)
     optimizer.step(RATES, active_sh_degree=3)

@@ -34,7 +34,7 @@ def test_no_gaussians_at_all(device: Device, sh_degree: int) -> None:
 
 
 def test_a_model_without_gaussians_renders_and_steps(device: Device) -> None:
-    """Case 1 for the resident model: render, backward, optimizer and statistics of nothing."""
+    """Case 1 for the model: render, backward, optimizer and statistics for N = 0."""
     model = GaussianModel(parameters(0), device)
     optimizer = Adam(model)
     rendering = model.render(plain_camera(), collect_statistics=True)
@@ -42,12 +42,12 @@ def test_a_model_without_gaussians_renders_and_steps(device: Device) -> None:
     optimizer.step(RATES, active_sh_degree=3)
     assert not rendering.rgb.any()
     assert model.gradient("sh").shape == (0, 16, 3)
-    assert model.screen_gradient().shape == (0,)
+    assert model.statistics.screen_gradient().shape == (0,)
     assert len(model.gaussians()) == 0
 
 
 def test_a_model_whose_gaussians_are_all_culled(device: Device) -> None:
-    """Case 1 for the resident model: N > 0, but nobody is in view, and nobody moves."""
+    """Case 1 for the model: N > 0, but none in view; no parameter changes."""
     gaussians = parameters(40)
     gaussians.means[:, 2] = -5.0
     model = GaussianModel(gaussians, device)
@@ -55,7 +55,7 @@ def test_a_model_whose_gaussians_are_all_culled(device: Device) -> None:
     model.render(plain_camera(), collect_statistics=True).rgb.sum().backward()
     Adam(model).step(RATES, active_sh_degree=3)
     assert model.digest() == before
-    assert not model.screen_gradient().any()
+    assert not model.statistics.screen_gradient().any()
 
 
 def test_fewer_pairs_than_tiles(device: Device) -> None:
@@ -85,7 +85,7 @@ def test_one_undefined_number_hides_its_gaussian_alone(
 
 
 def test_undefined_logarithms_and_logits_hide_their_gaussian(device: Device) -> None:
-    """Case 3 behind the activations: exp and sigmoid must not turn a NaN into a number."""
+    """Case 3 with activations: exp and sigmoid must propagate NaN."""
     scene = crowd(24, sh_degree=0)
     gaussians = Gaussians(
         scene.means, scene.scales.log(), scene.quaternions, torch.logit(scene.opacities), scene.sh

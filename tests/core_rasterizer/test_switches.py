@@ -1,4 +1,4 @@
-"""The settings that `make bench-error` compares: each does what it says; the defaults are as documented."""
+"""The settings that `make bench-error` compares, and their defaults."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def outcome(
     dtype: torch.dtype = torch.float32,
     gaussians: Gaussians | None = None,
 ) -> dict[str, Tensor]:
-    """The images, and the gradients of a loss that looks at all three."""
+    """The images, and the gradients of a loss on all three."""
     model = GaussianModel(gaussians or parameters(), device, dtype=dtype)
     model.renderer = Renderer(device, dtype, overrides=overrides)
     model.zero_gradients()
@@ -43,7 +43,7 @@ def outcome(
 
 
 def pairs(device: Device, overrides: Overrides) -> int:
-    """How many (tile, Gaussian) pairs a render has."""
+    """Number of (tile, Gaussian) pairs of a render."""
     model = GaussianModel(parameters(), device)
     renderer = Renderer(device, overrides=overrides)
     lease = renderer.forward(model.block, RenderRequest(view(), (0.0, 0.0, 0.0), 3))[1]
@@ -55,7 +55,7 @@ def relative_error(values: Tensor, truth: Tensor) -> float:
 
 
 def oracle(gaussians: Gaussians) -> Tensor:
-    """The colour image of `reference.py` with its constants as they are at the moment."""
+    """The colour image of `reference.py` with its current constants."""
     return reference.render(
         gaussians.means.double(),
         gaussians.quaternions.double(),
@@ -114,7 +114,7 @@ def test_the_early_stop_is_where_it_is_set(
 
 
 def test_each_degree_of_the_exponential_has_its_error(device: Device) -> None:
-    """One Gaussian, of which only its middle is looked at: no threshold is near."""
+    """One Gaussian with a loss on its centre, far from thresholds."""
     gaussians = Gaussians(
         means=torch.tensor([[0.0, 0.0, 2.0]]),
         log_scales=torch.full((1, 3), -1.5),
@@ -179,7 +179,7 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
     sparse.program = device.program("optimization/adam", dtype=torch.float32, VISIBLE_ONLY=1)
     gradients = torch.ones(model.rows, model.capacity)
     for each in (model, other):
-        each.gradients.write(gradients)
+        each.gradients.rows.write(gradients)
     dense.step(RATES, 3)
     sparse.step(RATES, 3)
     assert model.digest() == other.digest()
@@ -187,7 +187,7 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
 
     gradients[:, : model.count // 2] = 0
     for each in (model, other):
-        each.gradients.write(gradients)
+        each.gradients.rows.write(gradients)
     dense.step(RATES, 3)
     sparse.step(RATES, 3)
     unseen = slice(0, model.count // 2)

@@ -1,4 +1,4 @@
-"""Threads may share a device: what one computes does not depend on the others."""
+"""Threads may share a device without effect on their results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ THREADS, ROUNDS = 2, 25
 
 @pytest.fixture(autouse=True)
 def impatient_threads() -> Iterator[None]:
-    """Python lets another thread run after a step or two, not after 5 ms."""
+    """Python switches threads after a step or two, not after 5 ms."""
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     yield
@@ -27,7 +27,7 @@ def impatient_threads() -> Iterator[None]:
 
 
 def same_in_threads(work: Callable[[int], list[Tensor]]) -> None:
-    """Each thread repeats its own work; all results are those of one thread alone."""
+    """Each thread repeats its own work; results equal those of a single thread."""
     alone = [work(number) for number in range(THREADS)]
 
     def differing(number: int) -> int:

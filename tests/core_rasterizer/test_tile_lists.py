@@ -1,4 +1,4 @@
-"""The lists of Gaussians by tile: complete, in order, and the same however the work is shared out."""
+"""The lists of Gaussians by tile: complete, ordered, independent of the parallelization."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CUT = 1 / 255
 
 
 class Lists(NamedTuple):
-    """What a render leaves behind, on the host."""
+    """Arrays of a render, on the host."""
 
     records: NDArray[np.float32]
     """`[N, 16]`, see `scene.cl`."""
@@ -86,7 +86,7 @@ def test_slots_of_a_gaussian_are_neighbours_and_no_two_pairs_share_one(device: D
 def test_one_launch_for_few_gives_the_lists_of_many(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After each other in the same scratch memory, too: neither leaves anything that the other reads."""
+    """Also alternating in the same scratch memory."""
     if device.variant == "gpu":
         pytest.skip("a GPU always shares the work")
     expected = lists_of(device)
@@ -114,7 +114,7 @@ def test_the_number_of_chunks_changes_nothing(
 def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With more chunks than Gaussians nobody has a neighbour to make room for; with one chunk all have."""
+    """With one chunk, with few, and with more chunks than Gaussians."""
     gaussians = parameters(200)
     gaussians.means[:, 2] = gaussians.means[:, 2].round().clamp(min=1)
     gaussians.log_scales[::20] = 0.0

@@ -1,4 +1,4 @@
-"""Clone, split and prune: what stays, what comes, and what belongs to it."""
+"""Clone, split and prune, with moments and statistics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RATES = dict.fromkeys(
 
 
 def trained(device: Device, count: int = 50) -> tuple[GaussianModel, Adam]:
-    """A model with one optimizer step behind it, so that moments are not zero."""
+    """A model after one optimizer step, with non-zero moments."""
     model = GaussianModel(parameters(count), device)
     optimizer = Adam(model)
     model.render(view(), collect_statistics=True).rgb.square().sum().backward()
@@ -51,7 +51,7 @@ def test_order_parameters_and_moments_after_an_edit(device: Device) -> None:
     assert moments.abs().sum() > 0
     edit = Edit(clone=mask(50, 3, 7), split=mask(50, 7, 20), prune=mask(50, 7, 49))
     carried = apply_edit(model, optimizer, edit, generator())
-    # 7 is pruned, whatever else was asked; 20 gives way to its children.
+    # 7 is pruned despite the other masks; 20 is replaced by its children.
     stays = [i for i in range(50) if i not in (7, 20, 49)]
     assert carried.source.tolist() == [*stays, 3, 20, 20]
     assert carried.fresh.tolist() == [False] * len(stays) + [True] * 3
@@ -67,7 +67,7 @@ def test_order_parameters_and_moments_after_an_edit(device: Device) -> None:
     moved = optimizer.first_moments.read()
     assert torch.equal(moved[:, : len(stays)], moments[:, stays])
     assert not moved[:, len(stays) :].any()
-    assert not model.screen_gradient().any()
+    assert not model.statistics.screen_gradient().any()
 
 
 def test_children_are_drawn_from_their_parent(device: Device) -> None:
@@ -166,7 +166,7 @@ def test_added_ones_come_last_and_take_over_from_their_parents(device: Device, n
 
 
 def test_everything_in_one_edit(device: Device) -> None:
-    """Clones and children of relocated Gaussians are those of what they have become."""
+    """Clones and children of relocated Gaussians use their new parameters."""
     model, optimizer = trained(device)
     optimizer.second_moments.fill(1)
     reference, other = trained(device)
@@ -210,7 +210,7 @@ def undefined() -> Any:
 
 PARENTS = torch.tensor([0, 1])
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
-    "one child": ({"split_into": 1}, "split_into", "split into 1"),
+    "one child": ({"split_into": 1}, "split_into", "split_into is 1"),
     "half a child": ({"split_into": 2.5}, "split_into", "2.5"),
     "no size": ({"shrink": 0.0}, "shrink", "0.0"),
     "undefined size": ({"shrink": math.nan}, "shrink", "nan"),
@@ -226,7 +226,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_an_edit_that_cannot_be_is_named_and_changes_nothing(device: Device, case: str) -> None:
+def test_an_invalid_edit_raises_and_changes_nothing(device: Device, case: str) -> None:
     fields, field, what = WRONG[case]
     model, optimizer = trained(device)
     digest, state = model.digest(), optimizer.state()
@@ -234,7 +234,7 @@ def test_an_edit_that_cannot_be_is_named_and_changes_nothing(device: Device, cas
         apply_edit(model, optimizer, Edit(**fields), generator())
     assert error.value.field == field
     assert model.digest() == digest
-    assert model.screen_gradient().any()
+    assert model.statistics.screen_gradient().any()
     assert all(torch.equal(values, state[name]) for name, values in optimizer.state().items())
 
 

@@ -1,6 +1,6 @@
-"""A device with memory of its own: the same results, and no array of Gaussians crosses the bus.
+"""Devices without shared memory: the same results, and no transfers of Gaussian arrays.
 
-Where no such device is found, the CPU plays one: buffers are allocated and copied as on a GPU.
+Without such a device, `as_discrete` emulates one on the CPU.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PIXEL = 4 * 3
 
 
 def bytes_of_an_iteration(device: Device, count: int) -> int:
-    """What crosses in one iteration of a training that has found its stride."""
+    """Transfers of one iteration in steady state."""
     generator = torch.Generator().manual_seed(0)
     model = GaussianModel(parameters(count), device)
     optimizer = Adam(model)
@@ -42,7 +42,7 @@ def test_the_bytes_of_an_iteration_do_not_grow_with_the_gaussians(device: Device
     discrete = device.as_discrete()
     few, many = bytes_of_an_iteration(discrete, 100), bytes_of_an_iteration(discrete, 3000)
     assert few == many
-    # Out and in again: depth and its gradient, for the term beside the photometric loss.
+    # Out and in again: depth and its gradient, for the second loss term.
     assert few <= 1.1 * 2 / 3 * WIDTH * HEIGHT * PIXEL
 
 
@@ -52,7 +52,7 @@ def test_nothing_is_counted_where_memory_is_shared(device: Device) -> None:
 
 
 def test_a_training_is_the_same_with_and_without_shared_memory(device: Device) -> None:
-    """Renders, losses, gradients, Adam, edits, resets and statistics take the copying paths too."""
+    """Renders, losses, gradients, Adam, edits, resets and statistics with copies."""
     assert short_training(device.as_discrete()) == short_training(device)
 
 

@@ -1,4 +1,4 @@
-"""The search for a driver's name of the processor, on memory of our own."""
+"""The search for the driver's processor name, in test memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from core_rasterizer.device.unknown_cpu import (
     better_name,
     correct_cpu_name,
     names_reachable_from,
-    told_cpu_name,
+    written_cpu_name,
 )
 
 MEMORY = Path("/proc/self/mem")
@@ -34,7 +34,7 @@ def memory() -> Iterator[FileIO]:
 
 
 def structure(*pointers: int) -> ctypes.Array[ctypes.c_char]:
-    """A driver's structure: 4096 bytes, the pointers somewhere in the middle."""
+    """A driver's structure: 4096 bytes with pointers in the middle."""
     block = ctypes.create_string_buffer(4096)
     struct.pack_into(f"<{len(pointers)}Q", block, 640, *pointers)
     return block
@@ -55,13 +55,13 @@ def test_finds_the_string_behind_a_pointer(memory: FileIO, text: bytes) -> None:
     assert names_reachable_from(memory, ctypes.addressof(handle)) == [(address, text)]
 
 
-def test_addresses_that_do_not_exist_are_passed_over(memory: FileIO) -> None:
+def test_invalid_addresses_are_skipped(memory: FileIO) -> None:
     handle = structure(0, 1, 0x20000, (1 << 47) - 16, 1 << 63, 0xDEADBEEF000)
     assert names_reachable_from(memory, ctypes.addressof(handle)) == []
     assert names_reachable_from(memory, 0) == []
 
 
-def test_a_better_name_says_more_and_fits() -> None:
+def test_a_better_name_fits() -> None:
     assert better_name(b"generic\0", AVX512) == b"skx\0"
     assert better_name(b"generic\0", AVX2) == b"haswell\0"
     assert better_name(b"generic\0", frozenset(("sse2",))) is None
@@ -95,7 +95,7 @@ with FileIO("/proc/self/mem", "r+b") as memory:
 
 
 def outcome_for_a_processor_named(name: bytes, **environment: str) -> list[str]:
-    """Whether a new process computes correctly, and whether it left the driver's name as it was."""
+    """Whether a new process computes correctly, and whether it kept the driver's name."""
     result = subprocess.run(
         [sys.executable, "-c", UNKNOWN_PROCESSOR.format(name=name)],
         env={**os.environ, "STEREOGS_CORRECT_CPU_NAME": "", **environment},
@@ -109,7 +109,7 @@ def outcome_for_a_processor_named(name: bytes, **environment: str) -> list[str]:
     return answers
 
 
-def test_a_name_that_the_compiler_refuses_is_replaced_after_the_first_build(tmp_path: Path) -> None:
+def test_a_name_that_does_not_build_is_replaced(tmp_path: Path) -> None:
     answers = outcome_for_a_processor_named(b"generic\0", POCL_CACHE_DIR=str(tmp_path))
     known = better_name(b"generic\0", unknown_cpu._processor_flags())
     assert known is not None  # or the test would have been skipped
@@ -120,7 +120,7 @@ def test_a_name_that_builds_is_left_alone() -> None:
     assert outcome_for_a_processor_named(b"") == ["None", "True", "True"]
 
 
-def test_a_name_that_says_too_little_is_replaced_only_when_asked(
+def test_a_name_that_builds_is_replaced_only_on_request(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(unknown_cpu, "_processor_flags", lambda: AVX512)
@@ -130,7 +130,7 @@ def test_a_name_that_says_too_little_is_replaced_only_when_asked(
     device = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
     assert better_cpu_name(device) == "skx"
     assert not correct_cpu_name(device, only_unknown=True)
-    assert (name.value, told_cpu_name(device)) == (b"znver3", None)
+    assert (name.value, written_cpu_name(device)) == (b"znver3", None)
     assert correct_cpu_name(device)
-    assert (name.value, told_cpu_name(device)) == (b"skx", "skx")
+    assert (name.value, written_cpu_name(device)) == (b"skx", "skx")
     assert better_cpu_name(device) is None

@@ -1,4 +1,4 @@
-"""Which views are matched with which."""
+"""Selection of source views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which Gaussians a rendering shows: those in the list of a tile, and for as long as it lives."""
+"""`Rendering.visible`, also after later renders."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAMERA = Camera(torch.eye(4), 40, 40, 16, 16, 32, 32)
 
 
 def five() -> Gaussians:
-    """In view, behind the camera, beside the image, fainter than 1/255, and hidden by the first."""
+    """In view, behind the camera, outside the image, fainter than 1/255, and hidden by the first."""
     return Gaussians.from_points(
         torch.tensor([[0.0, 0, 2], [0, 0, -2], [9, 0, 2], [0, 0, 2.5], [0, 0, 3]]),
         torch.full((5, 3), 0.5),
@@ -112,6 +112,6 @@ def test_nothing_is_read_before_it_is_asked_for(device: Device) -> None:
 def test_a_rendering_made_by_hand_says_that_it_does_not_know() -> None:
     image = torch.zeros(2, 2)
     rendering = Rendering(torch.zeros(2, 2, 3), image, image)
-    with pytest.raises(ExplainedError, match="not known") as error:
+    with pytest.raises(ExplainedError, match="are unknown") as error:
         _ = rendering.visible
     assert error.value.fix

@@ -1,4 +1,4 @@
-"""Counts what crosses between the host and a device, and what is asked of its queue."""
+"""Counts transfers between host and device, and work in the device's queue."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import pytest
 
 @dataclass
 class Traffic:
-    """What the host asked of a device in a stretch of work.
+    """Transfers and work of a device.
 
     Attributes:
         uploads, downloads: bytes of each copy from the host to the device, and back, in order.
         kernels: launches by the kernel's name.
         fills: arrays, or rows of them, set to one value on the device.
-        waits: times that the host stood still until the device had come so far.
+        waits: number of times that the host waited for the device.
     """
 
     uploads: list[int] = field(default_factory=list)
@@ -43,9 +43,9 @@ class Traffic:
 
 @contextmanager
 def counted(patch: pytest.MonkeyPatch) -> Iterator[Traffic]:
-    """Count whatever goes through pyopencl within the block, on any device.
+    """Count all calls of pyopencl within the block, on any device.
 
-    Mapping counts nothing: only devices that share memory are asked for it, and it copies nothing.
+    Mapping is not counted: it copies nothing where memory is shared.
     """
     traffic = Traffic()
     with patch.context() as patched:

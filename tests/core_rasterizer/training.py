@@ -1,4 +1,4 @@
-"""A short optimization with everything in it, for tests of what must not change its result."""
+"""A short optimization with all features, for tests of repeatability."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
 def short_training(
     device: Device, count: int = 300, width: int = 120, height: int = 90, steps: int = 12
 ) -> str:
-    """Fit Gaussians to two pictures, with topology edits and resets; a digest of all that came of it.
+    """Fit Gaussians to two images, with topology edits and resets; return a digest of the results.
 
-    Every other step asks for the gradient of a pose and half a band, every fourth for smoothing.
+    Every other step uses a pose gradient and half a band, every fourth smoothing.
     """
     generator = torch.Generator().manual_seed(0)
     cameras = [random_camera(generator, width, height) for _ in range(2)]
@@ -60,7 +60,7 @@ def short_training(
         if pose.grad is not None:
             losses += pose.grad.flatten().tolist()
         if step % 5 == 4:
-            busy = model.screen_gradient() > model.screen_gradient().median()
+            busy = model.statistics.screen_gradient() > model.statistics.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
             faint = model.opacities() < 0.1
             apply_edit(model, optimizer, Edit(busy & ~large, busy & large, faint), generator)

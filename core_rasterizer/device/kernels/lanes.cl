@@ -8,8 +8,8 @@
  * functions and spills every vector register around the call.
  */
 
-/* LANES = 0, which the rasterizer on a CPU asks for: as many as there are registers for. Of twice as long a
- * vector, two independent halves hide what one waits for. */
+/* LANES = 0, used by the rasterizer on a CPU: choose by register width. A vector of two registers hides the
+ * latency of one behind the other. */
 #if LANES == 0
 #undef LANES
 #ifdef __AVX512F__
@@ -78,7 +78,7 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
 #endif
 
-/* Asks a CPU for a cache line that will be read, or written, soon. Any address will do. */
+/* Prefetch a cache line on a CPU, to read or to write. Any address is valid. */
 #if LANES > 1
 #define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
 #define PREFETCH_TO_WRITE(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 1)

@@ -1,2 +1,2 @@
-/* A product and a sum stay two operations, each rounded, in all that follows: every device gets the same. */
+/* Products and sums are rounded separately in all that follows, so that all devices agree. */
 #pragma OPENCL FP_CONTRACT OFF

@@ -1,20 +1,18 @@
-/* What a plane costs. Twin: tests/core_rasterizer/patch_match_oracle.py.
+/* The cost of a plane. Twin: tests/core_rasterizer/patch_match_oracle.py.
  *
  * A pixel x at inverse depth w appears in a source view at A x + w b (homogeneous; plane_sweep.cl), hence
- * a window on a plane appears at p + u r + v d with three vectors that are computed once: nothing else of
- * the homography is needed.
+ * a window on a plane appears at p + u r + v d, with three vectors that are computed once.
  *
- * A source's numbers are A row by row and b, then the same from the source to the reference; its layout
- * is where its image starts in `pairs` (pixel_pairs.cl), its width and height, and where its inverse
- * depths start in `known`.
+ * Numbers of a source: A row by row and b, then the same from the source to the reference. Layout: offset
+ * of its image in `pairs` (pixel_pairs.cl), width, height, offset of its inverse depths in `known`.
  */
 
 #define SOURCE_NUMBERS 24
 #define SOURCE_LAYOUT 4
 #define NOISE 4e-6f /* variance of grey values that counts as no texture */
-#define FORGIVEN 1.0f /* pixels by which views may disagree, since depths are read pixel by pixel */
-#define MOST_MISSED 3.0f /* pixels; views that disagree by more are as wrong as any */
-#define WORST 2.0f /* of NCC = -1, and where a view does not see the point */
+#define FORGIVEN 1.0f /* pixels of disagreement without cost, because depths are read without interpolation */
+#define MOST_MISSED 3.0f /* pixels; larger disagreements cost the same */
+#define WORST 2.0f /* cost of NCC = -1, and where a view does not see the point */
 
 /* The views to compare with. */
 typedef struct {
@@ -22,10 +20,10 @@ typedef struct {
     __global const real *known, *numbers;
     __global const int *layout;
     int count;
-    real agreement; /* cost of a pixel by which views disagree; 0: nobody is asked */
+    real agreement; /* cost per pixel of disagreement; 0: not computed */
 } source_views;
 
-/* 1 - NCC of the windows, in [0, 2]. NOISE is added to both variances: even patches match nothing. */
+/* 1 - NCC of the windows, in [0, 2]. NOISE is added to both variances, so that flat patches match nothing. */
 static inline lane photometric_cost(
     const window *here, plane on, const source_views *views, int s)
 {
@@ -39,7 +37,7 @@ static inline lane photometric_cost(
         & (x <= (real)width * z) & (y <= (real)height * z);
     if (!in_any_lane(seen))
         return (lane)WORST;
-    /* Half a pixel is taken off all three vectors, since samples lie between pixel centres. */
+    /* Samples are interpolated between pixel centres, so half a pixel is subtracted. */
     const lane right_z = m[6] + on.right * m[11], down_z = m[7] + on.down * m[11];
     const lane right_x = m[0] + on.right * m[9] - 0.5f * right_z;
     const lane right_y = m[3] + on.right * m[10] - 0.5f * right_z;
@@ -67,9 +65,8 @@ static inline lane photometric_cost(
     return seen ? LANE_MIN((lane)WORST, LANE_MAX((lane)0, cost)) : (lane)WORST;
 }
 
-/* The cost of the pixels by which a pixel misses itself on its way to a source view, onto the surface that
- * is known there, and back; at most MOST_MISSED pixels, which it is where nothing is seen (geometric
- * consistency of Xu and Tao, CVPR 2019). */
+/* The cost of the reprojection error of a pixel to a source view, onto its known surface, and back: at most
+ * MOST_MISSED pixels, also where not visible (geometric consistency of Xu and Tao, CVPR 2019). */
 static inline lane disagreement(
     const window *here, lane nearness, const source_views *views, int s)
 {

@@ -1,17 +1,17 @@
-/* A step of PatchMatch: pixels take over the better planes of their neighbours, and try changes.
+/* A step of PatchMatch: pixels adopt better planes of their neighbours, and try random changes.
  *
- * A pixel reads planes of the other colour of a checkerboard only, so that the order of work-items does
- * not matter. Planes are in patch_plane.cl, what they cost in patch_costs.cl.
+ * A pixel reads only planes of the other colour of a checkerboard, so the order of work-items does not
+ * matter. See patch_plane.cl for planes and patch_costs.cl for their cost.
  */
 
-#define LEAST_WEIGHT 0.01f /* a source view of less is not asked */
+#define LEAST_WEIGHT 0.01f /* source views of lower weight are ignored */
 #define BAD_COST 1.2f /* a view that costs more contradicts a plane */
-#define GOOD_FALLOFF 5.556f /* 1 / (2 * 0.3^2): by which views of higher cost count less */
+#define GOOD_FALLOFF 5.556f /* 1 / (2 * 0.3^2), of the weight by cost */
 #define IMPOSSIBLE 1000.0f /* above every cost */
 #define REGIONS 8
 #define HYPOTHESES (REGIONS + 1) /* the pixel's own plane is the last */
 
-/* The cheapest pixel so far of a region, and how far it is from the middle. */
+/* The cheapest pixel of a region so far, and its offset. */
 typedef struct {
     lane cost, right, down;
     lane_int at;
@@ -61,8 +61,8 @@ static inline void neighbouring_planes(
 }
 
 /* How much each source view counts at the pixel: views that match most of the neighbouring planes well,
- * by how well (joint view selection of Xu and Tao, CVPR 2019). All others share next to nothing,
- * which decides where no view is chosen. */
+ * by how well (joint view selection of Xu and Tao, CVPR 2019). All others get a tiny weight, which decides
+ * if no view is chosen. */
 static inline void weigh_views(lane (*costs)[MOST_SOURCES], int sources, real good_cost, lane *weights)
 {
     for (int s = 0; s < sources; s++) {
@@ -102,8 +102,8 @@ static inline void try_plane(search *state, plane tried, lane cost)
     state->lowest = better ? cost : state->lowest;
 }
 
-/* The best of the pixel's own plane and its neighbours', by the views that match these; tells how much
- * each view counted. */
+/* The best of the pixel's own plane and its neighbours', by the views that match these; returns the
+ * weights of the views. */
 static inline void try_neighbours(
     search *state, const plane *found, const window *here, const source_views *views,
     real good_cost, lane *weights)

@@ -1,8 +1,7 @@
-/* Planes in space, and where random ones come from.
+/* Planes in space, and random planes.
  *
- * A plane has an inverse depth w that is linear in the reference image, so it is kept as w at the pixel's
- * centre and its steps to the next pixel to the right and below. `planes` holds four images one after the
- * other: w, its step to the right, its step down, the cost.
+ * The inverse depth w of a plane is linear in the reference image, so it is stored as w at the pixel's
+ * centre and its steps to the right and down. `planes` is four images: w, step right, step down, cost.
  */
 
 #if LANES == 1
@@ -45,7 +44,7 @@ static inline lane_uint mixed(lane_uint x)
     return x ^ (x >> 16);
 }
 
-/* A number in [0, 1) that depends on the pixel, a launch's key and the number of the draw alone. */
+/* A number in [0, 1) that depends only on the pixel, the launch's key and the number of the draw. */
 static inline lane uniform_draw(lane_int pixel, uint key, uint draw)
 {
     const lane_uint x = mixed(mixed((*(const lane_uint *)&pixel) + key) + draw) >> 8;

@@ -1,7 +1,7 @@
-/* The window about a pixel of the reference image.
+/* The window around a pixel of the reference image.
  *
- * A lane is a pixel: LANES pixels of one row, with the same step between neighbours. Windows are compared
- * in every second pixel, like the fields of one colour of a chess board.
+ * A lane is a pixel: LANES pixels of one row, equally spaced. Windows use every second pixel, like the
+ * squares of one colour of a chessboard.
  */
 
 #define SIDE (2 * RADIUS + 1)
@@ -9,8 +9,8 @@
 #define FIRST_IN_ROW(v) (((v) + RADIUS) % 2 - RADIUS)
 #define COLOR_FALLOFF 3.125f /* 1 / (2 * 0.4^2), for grey values in [-1, 1] */
 
-/* What a pixel's window needs of the reference image: weights of sum 1, the same times the grey value
- * less its mean, and the variance. */
+/* A pixel's window in the reference image: weights of sum 1, weights times (grey value - mean), and the
+ * variance. */
 typedef struct {
     lane x, y; /* of the pixel's centre */
     lane weights[SAMPLES], centered[SAMPLES];
@@ -41,7 +41,7 @@ static inline bool in_any_lane(lane_int mask)
     return found != 0;
 }
 
-/* Columns of neighbouring lanes, `step` apart; those beyond the row repeat its last pixel of the kind. */
+/* Columns of neighbouring lanes, `step` apart; those beyond the row repeat the first lane. */
 static inline lane_int columns(int first, int step, int width)
 {
     lane_int x;
@@ -50,8 +50,8 @@ static inline lane_int columns(int first, int step, int width)
     return x;
 }
 
-/* Weights fall with the distance and with the difference in grey, so that a window does not reach over
- * the edge of a surface (Schoenberger et al., ECCV 2016). */
+/* Weights fall with the distance and with the difference in grey, so that a window stays on one
+ * surface (Schoenberger et al., ECCV 2016). */
 static inline void look_around(
     __global const real *grey, int width, int height, lane_int x, int y, window *here)
 {

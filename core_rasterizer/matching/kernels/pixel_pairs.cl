@@ -1,5 +1,5 @@
-/* Images as pairs of pixels, which pack_pairs of sweep_images.cl makes: a value in the low half of a number
- * and the step to its right neighbour in the high half. One load serves two corners of an interpolation. */
+/* Images as pairs of pixels (pack_pairs in sweep_images.cl): a value in the low half of a number, and the
+ * step to its right neighbour in the high half. One load serves two corners of an interpolation. */
 
 static inline lane_int gather(__global const int *table, lane_int at)
 {
@@ -16,8 +16,8 @@ static inline lane_int gather(__global const int *table, lane_int at)
 #endif
 }
 
-/* Between the four nearest pixels, (0, 0) being the middle of the first one; positions outside take the
- * border's. Comparisons are so that NaN becomes 0. */
+/* Bilinear interpolation; (0, 0) is the centre of the first pixel, and positions are clamped to the border.
+ * The order of comparisons turns NaN into 0. */
 static inline lane between_pixels(__global const int *pairs, int width, int height, lane u, lane v)
 {
     u = LANE_MAX(u, (lane)0);

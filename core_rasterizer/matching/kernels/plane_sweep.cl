@@ -3,12 +3,12 @@
  * A lane is one of LANES neighbouring planes of one pixel, all of them parallel to the reference
  * image. A work-item sweeps PLANES_PER_ITEM planes, LANES at a time, over a TILE_WIDTH x TILE_HEIGHT
  * tile: it warps each source view row by row, keeps for each column the sums over the last WINDOW rows,
- * and slides along the row over the sums of WINDOW columns. A sample is thus fetched once and enters each
- * sum by one addition and leaves it by one subtraction.
+ * and slides along the row over the sums of WINDOW columns. A sample is fetched once, added to each sum
+ * once and subtracted once.
  *
  * Grey values are whole numbers in [-LEVELS, LEVELS], with LEVELS so small that every sum over a window
- * is a whole number of at most 2^24: floats add them exactly. Sums therefore neither drift nor depend on
- * their order, and every device gets the same.
+ * is at most 2^24, exact in float. Sums therefore neither drift nor depend on their order, and all devices
+ * agree.
  *
  * A pixel x of the reference image at inverse depth w appears in a source view at A x + w b
  * (homogeneous), with A = K_s R K_r^-1, b = K_s t. A source's numbers: A row by row, then b. Pairs and
@@ -19,8 +19,8 @@
 #define COLUMNS (TILE_WIDTH + 2 * RADIUS)
 #define SOURCE_NUMBERS 12
 #define SOURCE_LAYOUT 3 /* where the image starts in `pairs`; its width and height */
-#define NO_PLANE 255 /* the cost of planes that only fill a volume up; their depth is NaN */
-#define UNKNOWN 128.0f /* where no view sees the point: that of ZNCC = 0, evidence for nothing */
+#define NO_PLANE 255 /* the cost of padding planes; their depth is NaN */
+#define UNKNOWN 128.0f /* where no view sees the point: the cost of ZNCC = 0 */
 #define NOT_SEEN 1000.0f /* above every cost */
 #define ROUNDER 12582912.0f /* 1.5 * 2^23: adding and subtracting it rounds to a whole number */
 
@@ -61,7 +61,7 @@ static inline lane sample(__global const int *pairs, int width, int height, ray_
     return (value + ROUNDER) - ROUNDER;
 }
 
-/* 127.5 (1 - ZNCC); `noise` is added to both variances, so that even patches match nothing well. */
+/* 127.5 (1 - ZNCC); `noise` is added to both variances, so that flat patches match nothing well. */
 static inline lane dissimilarity(
     lane sum, lane squares, lane products, float4 window, real noise)
 {
@@ -92,7 +92,7 @@ static inline void start(sweep_state *state, __global const real *source, lane i
     }
 }
 
-/* Let a sample of a new row into column i's sums, in place of the one WINDOW rows above. */
+/* Replace in column i's sums the sample WINDOW rows above by the new one. */
 static inline void exchange(
     sweep_state *state, int slot, int i, lane fresh, real grey, real old_grey)
 {

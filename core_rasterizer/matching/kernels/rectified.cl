@@ -1,11 +1,10 @@
 /* Matching costs of rectified pairs: volumes [height][width][depth] of uchar, disparity innermost.
  * Twin: tests/core_rasterizer/matching_oracle.py.
  *
- * Disparity d compares the left column x with the right column x - d. Maps of the right image are
- * stored mirrored, its column c at width - 1 - c, so that the lanes of one vector, which are
- * neighbouring disparities, read neighbouring numbers: column x - d is at width - 1 - x + d. They are
- * as wide as the largest such place needs. Disparities from `planes` on only fill up the vectors and
- * cost 255; matches outside the right image cost `unseen`.
+ * Disparity d compares the left column x with the right column x - d. Maps of the right image are stored
+ * mirrored, so that the lanes of a vector, neighbouring disparities, read neighbouring numbers: column
+ * x - d is at width - 1 - x + d. They are padded to the largest such index. Disparities from `planes` on
+ * are padding and cost 255; matches outside the right image cost `unseen`.
  */
 
 #if LANES == 1
@@ -42,8 +41,8 @@ static inline lane correlation_cost(lane correlation)
     return (real)127.5 * (1 - bounded);
 }
 
-/* The sum over a window's row of left times right. Grey values are whole numbers, and so small that
- * every sum over a window is exact: adding and subtracting rows leaves no error behind. */
+/* The sum over a window's row of left times right. Grey values are small whole numbers, so every
+ * sum over a window is exact, and adding and subtracting rows causes no error. */
 static inline lane row_product(__global const real *left, __global const real *right)
 {
     lane sum = (lane)0;
@@ -97,7 +96,7 @@ __kernel void correlate_features(
     write_costs(costs, (size_t)y * width + x, depth, planes, unseen, x, d, correlation_cost(product));
 }
 
-/* How many bits are set. */
+/* Number of set bits. */
 static inline int bits_set(ulong x)
 {
     x -= (x >> 1) & 0x5555555555555555UL;
@@ -122,7 +121,7 @@ __kernel void compare_signs(
 }
 
 /* The right image's costs: its column x at disparity d is the left column x + d at d. Beyond the left
- * image they are those of the left column 0, which sees no match at d >= 1 either. */
+ * image they are those of the left column 0, which has no match at d >= 1 either. */
 __kernel void costs_of_right(
     __global const uchar *left_costs, __global uchar *right_costs, int width, int depth)
 {

@@ -1,4 +1,4 @@
-/* Semi-global aggregation of matching costs and the choice of the best plane.
+/* Semi-global aggregation of matching costs and selection of the best plane.
  * Twin: tests/core_rasterizer/matching_oracle.py.
  *
  * Volumes are [height][width][PLANES], PLANES a multiple of WIDTH, so that a vector is WIDTH
@@ -7,9 +7,9 @@
  * with q the pixel before p on the path. A path that enters the image starts from L(q, .) = 0 and
  * m = 0, which gives L = C.
  *
- * A work-item owns BAND neighbouring lines of one direction and walks them side by side: each step
- * then touches BAND neighbouring pixels, not one cache line in every row. Lines of one direction
- * share no pixel, and directions run one after another, so that sums need no atomics.
+ * A work-item processes BAND neighbouring lines of one direction together, so each step touches BAND
+ * neighbouring pixels and not a cache line per row. Lines of one direction share no pixel, and directions
+ * run one after another, so sums need no atomics.
  */
 
 #define WIDTH 16
@@ -115,7 +115,7 @@ __kernel void pick_plane(
         best++;
     float offset = 0;
     if (best > 0 && best < planes - 1) {
-        /* Two lines of opposite slopes through three points; flat ones stay where they are. */
+        /* Two lines of opposite slopes through three points; no offset if flat. */
         const int below = sum[best - 1] - lowest, above = sum[best + 1] - lowest;
         const int steeper = LANE_MAX(below, above);
         if (steeper > 0)

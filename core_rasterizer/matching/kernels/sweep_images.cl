@@ -1,4 +1,4 @@
-/* What a plane sweep reads of its images. Grey values are whole numbers; see plane_sweep.cl. */
+/* Input images of a plane sweep. Grey values are whole numbers; see plane_sweep.cl. */
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -13,8 +13,8 @@ __kernel void pack_pairs(
     pairs[start + (size_t)y * width + x] = ((right - here) << 16) | (here & 0xffff);
 }
 
-/* Of the window around each pixel, cut off at the border: the value in its middle, the number of pixels
- * n, their sum, n^2 times their variance. */
+/* For the window around each pixel, cropped at the border: the value at its centre, the number of pixels n,
+ * their sum, and n^2 times their variance. */
 __kernel void describe_windows(
     __global const real *grey, __global float4 *windows, int width, int height)
 {

@@ -1,12 +1,12 @@
 /* One step of Adam (Kingma & Ba 2015), over `[rows][capacity]` arrays. Twin: torch.optim.Adam.
  *
  * Work-items of dimension 1 take a row each, a row being one scalar parameter of all Gaussians; those
- * of dimension 0 share its columns, `span` neighbouring ones each. It is bound by memory: one pass
+ * of dimension 0 share its columns, `span` neighbouring ones each. It is limited by memory: one pass
  * reads four arrays and writes three.
  *
- * Six groups of rows have a learning rate, over the first bias correction, and 1 / sqrt of the second
- * each; a group that is not among the bits of `moving` is left alone. `undefined` becomes 1 where a
- * parameter is not finite after the step.
+ * Each of six groups of rows has a learning rate, divided by the first bias correction, and 1 / sqrt of the
+ * second. Groups without their bit in `moving` are skipped. `undefined` is set to 1 if a parameter is not
+ * finite after the step.
  */
 
 #define BETA1 ((real)0.9)
@@ -15,19 +15,18 @@
 #define SHARE1 ((real)0.1)
 #define SHARE2 ((real)0.001)
 #define EPSILON ((real)1e-15)
-/* The square of a gradient beyond this is no number; such a gradient, or an undefined one, counts as 0. */
+/* The square of a larger gradient overflows; such gradients, and undefined ones, count as 0. */
 #define LARGEST_GRADIENT ((real)1e18)
 
-/* A build may leave alone what has no gradient: the unseen, whose moments then do not decay. Benchmarks
- * measure what that saves and changes. Whole blocks without a gradient cost a read instead of seven
- * accesses. */
+/* With VISIBLE_ONLY, values without gradient are skipped, so their moments do not decay; used by
+ * benchmarks. Whole blocks without gradient cost one read instead of seven accesses. */
 #ifndef VISIBLE_ONLY
 #define VISIBLE_ONLY 0
 #endif
 #define BLOCK (LANES == 1 ? 1 : 16)
 
-/* Plain reals: the compiler makes vectors of them, square root included, given `restrict`. Returns whether
- * a parameter is not finite then. */
+/* Scalar code that the compiler vectorizes, including the square root, thanks to `restrict`. Returns
+ * whether a parameter is not finite afterwards. */
 static inline int step_values(
     __global real *restrict parameters, __global const real *restrict gradients,
     __global real *restrict first_moments, __global real *restrict second_moments, size_t begin,
@@ -46,7 +45,7 @@ static inline int step_values(
         const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
         const real moved = parameters[at] - (still ? 0 : change);
         parameters[at] = moved;
-        undefined |= !((moved > -INFINITY) & (moved < INFINITY)); /* no NaN compares as smaller */
+        undefined |= !((moved > -INFINITY) & (moved < INFINITY)); /* comparisons with NaN are false */
     }
     return undefined;
 }
@@ -74,7 +73,7 @@ __kernel void adam(
         + (row >= ROW_SH) + (row >= ROW_SH + 3);
     if ((moving >> group & 1) == 0)
         return;
-    /* Arrays keep the choice out of the loop, where a chain of ?: cost a tenth of the time. */
+    /* Arrays keep the selection out of the loop; a chain of ?: took a tenth longer. */
     const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};
     const real corrections[] = {correct_means, correct_log_scales, correct_quaternions,
         correct_opacity_logits, correct_sh_constant, correct_sh_rest};

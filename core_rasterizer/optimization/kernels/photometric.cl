@@ -9,17 +9,17 @@
  *   filter_derivatives   windows of the derivatives, downwards, RADIUS rows behind, into `lines`
  *   gradient             the same sideways; the chain rule back to x
  *
- * so that nothing in between leaves the nearest caches. The first and last RADIUS rows of derivatives
- * are computed by the neighbouring band too; what a row yields does not depend on the bands.
+ * so that intermediate results stay in the nearest caches. The first and last RADIUS rows of derivatives
+ * are also computed by the neighbouring band; results do not depend on the bands.
  *
  * Rows of `lines` and `ring` have `stride` reals: BORDER zeros before and after the image stand for
- * the window's zero padding, are never written, and save every test for the left and right edge.
+ * the window's zero padding, are never written, and avoid tests for the left and right edge.
  *
- * Everything is told in differences x - y, with e = mu_x - mu_y and v = the variance of x - y:
+ * Everything is expressed in differences x - y, with e = mu_x - mu_y and v = the variance of x - y:
  *   1 - SSIM = e^2 / d1 + (n1 / d1) (v / d2),  d1 = n1 + e^2,  d2 = n2 + v,
  *   n1 = 2 mu_x mu_y + C1,  n2 = 2 cov(x, y) + C2.
- * It is algebraically the usual formula, but nothing cancels as x approaches y: equal images give 0,
- * and a gradient of 0, to the last bit.
+ * This equals the usual formula, but does not cancel as x approaches y: for equal images the loss and its
+ * gradient are exactly 0.
  *
  * A row's last block is moved left until it ends with the row, so it overlaps the block before; the
  * overlapping lanes are computed twice, with the same result, and counted once. `row` >= LANES.
@@ -43,7 +43,7 @@ __constant real window[TAPS] = {
     (real)0.213005537711254,   (real)0.109360689509700,   (real)0.0360007721284308,
     (real)0.00759875813523919, (real)0.00102838008447911};
 
-/* GROUP work-items share a row: one on a CPU, where a barrier would only be in the way. */
+/* GROUP work-items share a row; on a CPU it is one, without barriers. */
 #if GROUP == 1
 #define STEP_TOGETHER()
 #define SHARE_SUMS()
@@ -52,7 +52,7 @@ __constant real window[TAPS] = {
 #define SHARE_SUMS() barrier(CLK_LOCAL_MEM_FENCE)
 #endif
 
-/* Where this work-item's next block starts; see the note on a row's last block. */
+/* Start of this work-item's next block; see the note on a row's last block. */
 #define FOR_EACH_BLOCK(block, row) \
     for (int block = get_local_id(0) * LANES; block < (row); block += GROUP * LANES)
 #define BLOCK_START(block, row) ((block) < (row) - LANES ? (block) : (row) - LANES)
@@ -83,14 +83,14 @@ static inline real sum_lanes(lane values)
     return sum;
 }
 
-/* A line of the image: the row above or below it that is wanted, or the nearest that there is with a
- * weight of zero. Rows outside count as zero without a branch, which would stop unrolling. */
+/* The wanted row, or if it is outside the image the nearest one with weight 0. A branch would prevent
+ * unrolling. */
 #define ROW_INSIDE(y, inside, wanted, height) \
     const int y = (wanted) < 0 ? 0 : (wanted) >= (height) ? (height) - 1 : (wanted); \
     const real inside = y == (wanted)
 
-/* Are all lines that a step at row `top` looks at lines of the image? Nearly always; the weights above
- * are then known to be 1, and cost nothing. */
+/* Whether all rows of a step at row `top` are inside the image, as nearly always; the weights above are then
+ * constant 1. */
 #define ALL_INSIDE(top, height) ((top) >= RADIUS && (top) + ROWS - 1 + RADIUS < (height))
 
 static inline __attribute__((always_inline)) void filter_columns_of(
@@ -193,7 +193,7 @@ static inline void dissimilarity(
         absolute += own * lane_abs(d);
         structural += own * lost;
     }
-    if (sums) /* for all of the group or for none */
+    if (sums) /* the same for the whole group */
         write_sums(found, sum_lanes(absolute), sum_lanes(structural), sums);
 }
 
@@ -258,12 +258,12 @@ static inline void gradient(
         const lane sign = d > (lane)0 ? (lane)1 : d < (lane)0 ? (lane)-1 : (lane)0;
         const lane slope
             = l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + b * by_product);
-        /* Values beyond 1e12 may overflow on the way; what is undefined is no gradient. */
+        /* Values above 1e12 may overflow; undefined gradients become 0. */
         STORE_GLOBAL(result + start, lane_abs(slope) < (lane)REAL_LARGEST ? slope : (lane)0);
     }
 }
 
-/* One work-group a band of band_rows rows. `sums` gets two sums a row; `result`
+/* One work-group per band of band_rows rows. `sums` gets two sums a row; `result`
  * the gradient, if with_gradient; the scales are the weights of the two terms over the number of
  * reals in the image. `scratch` holds the lines and the ring of every band. */
 __kernel void photometric(

@@ -1,4 +1,4 @@
-/* Topology: move columns of a [rows][capacity] array, append others, and set the children of a split apart. */
+/* Gather and append columns of a [rows][capacity] array, and draw the children of splits. */
 
 /* target[row][j] = values[row][source[j]]; columns beyond `count`, and those with zero[j], are zero. */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
@@ -28,7 +28,7 @@ void append_columns(
         target[(size_t)row * target_capacity + first + j] = values[(size_t)row * columns + j];
 }
 
-#define LARGEST_LOG_SCALE ((real)80) /* e^80 times the noise is still a number */
+#define LARGEST_LOG_SCALE ((real)80) /* e^80 times the noise is finite */
 
 /* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks. */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))

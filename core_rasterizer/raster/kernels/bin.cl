@@ -1,15 +1,15 @@
 /* Lists, for each tile, the Gaussians that can touch it, nearest first.
  *
- * A counting pass and a filling pass walk the Gaussians in depth order, chunk by chunk, so the lists
- * need no sort of their own. Each (tile, Gaussian) pair also gets a slot; the slots of one Gaussian
- * are neighbours, so that its gradient is a sum over contiguous memory in a fixed order. */
+ * A counting pass and a filling pass process the Gaussians in depth order, chunk by chunk, so the lists need
+ * not be sorted. Each (tile, Gaussian) pair also gets a slot; the slots of one Gaussian are contiguous, so
+ * that its gradient is a sum over contiguous memory in a fixed order. */
 
 #define LOT (1u << 20)
-#define ORDER_AHEAD 16 /* Gaussians: depth order is random order in memory, so a CPU is told in advance */
+#define ORDER_AHEAD 16 /* Gaussians to prefetch ahead: depth order is random order in memory */
 
 /* Counts pairs by tile for Gaussians [begin, end) of the depth order; returns how many there are. Chunks
- * add up the lots that they have counted: beyond the limit the render will be refused, and all can stop.
- * The total is then that of a part, but beyond the limit too. */
+ * sum their lots of pairs in `lots`; beyond the limit the render fails, so all stop early. The total is then
+ * incomplete, but above the limit too. */
 static inline uint count_tiles_in(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global uint *mine, volatile __global uint *lots, size_t begin, size_t end, uint tiles,
@@ -29,11 +29,11 @@ static inline uint count_tiles_in(
         for (; pairs - reported >= LOT; reported += LOT)
             atomic_inc(lots);
     }
-    return (uint)pairs; /* hardly more than the limit, which is well below 2^32 */
+    return (uint)pairs; /* little more than the limit, which is well below 2^32 */
 }
 
-/* One entry of a tile's list: which Gaussian, and where its partial gradient goes. `mine` holds where the
- * chunk's first entry of each tile goes. */
+/* Write entries of the tiles' lists: Gaussian, and slot of its partial gradient. `mine` holds the index of
+ * the chunk's first entry of each tile. */
 static inline void fill_tiles_in(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global uint *mine, __global uint2 *pairs, __global uint *slot_start, __global uint *slot_count,

@@ -1,5 +1,5 @@
-/* Lists, for each tile, the Gaussians that can touch it, nearest first, on a GPU: the same lists and slots
- * as bin.cl makes, but a chunk of the depth order belongs to a work-group, a Gaussian to a work-item. */
+/* Lists, for each tile, the Gaussians that can touch it, nearest first, on a GPU: lists and slots as in
+ * bin.cl, with one work-group per chunk of the depth order and one work-item per Gaussian. */
 
 #define LOT (1u << 14)
 
@@ -18,7 +18,7 @@ void count_tiles(
     barrier(CLK_GLOBAL_MEM_FENCE);
     const size_t visible = counters[COUNT_VISIBLE];
     const size_t begin = visible * chunk / chunks, end = visible * (chunk + 1) / chunks;
-    /* Lots are added up by all: beyond the limit the render will be refused, and all can stop. */
+    /* All sum lots of pairs; beyond the limit the render fails, so all stop early. */
     volatile __global uint *lots = chunk_pairs + chunks;
     ulong pairs = 0;
     for (size_t r = begin + id; r < end && *lots <= pair_limit / LOT; r += CHUNK_GROUP) {
@@ -35,7 +35,7 @@ void count_tiles(
         return;
     for (uint other = 1; other < CHUNK_GROUP; other++)
         pairs += found[other];
-    /* Beyond the limit the exact number does not matter, but it must not wrap around. */
+    /* Beyond the limit the exact number does not matter, but it must not overflow. */
     chunk_pairs[chunk] = pairs > pair_limit ? pair_limit + 1 : (uint)pairs;
 }
 
@@ -67,7 +67,7 @@ void fill_tiles(
         chunk_starts[chunks] = 0; /* the lots of the next count */
     if (counters[COUNT_PAIRS] > pair_capacity)
         return;
-    /* Where the chunk's next entry of each tile goes. */
+    /* Index of the chunk's next entry of each tile. */
     __global uint *mine = counts + chunk * tiles;
     for (uint tile = id; tile < tiles; tile += CHUNK_GROUP)
         mine[tile] += tile_starts[tile];

@@ -1,7 +1,7 @@
-/* One pixel (or one vector of pixels) meets one Gaussian: shared by both raster variants and by both
- * directions, so that forward and backward take the same decisions. */
+/* Blending of one Gaussian into one pixel or vector of pixels, shared by both raster variants and by the
+ * forward and backward pass, so that they take the same decisions. */
 
-/* Degree of the polynomial for 2^x: 3 to 5, or 0 for the compiler's own function. */
+/* Degree of the polynomial for 2^x: 3 to 5, or 0 for the built-in function. */
 #ifndef EXP2_DEGREE
 #define EXP2_DEGREE 5
 #endif
@@ -46,11 +46,11 @@ typedef struct {
     lane alpha;       /* clamped at 0.99; 0 below the cut-off */
     lane weight;      /* alpha times transmittance; 0 where nothing is added */
     lane next;        /* transmittance behind the Gaussian; meaningful where `open` */
-    lane_mask open;   /* the pixel was not finished and does not finish here */
+    lane_mask open;   /* the pixel was not finished, and is not finished by this Gaussian */
 } meeting;
 
-/* `transmittance` is negative in pixels that are finished. A pixel finishes *before* the Gaussian that
- * would take its transmittance to 1e-4 or below. */
+/* `transmittance` is negative in finished pixels. A pixel finishes before the Gaussian that would lower its
+ * transmittance to 1e-4 or below. */
 static inline meeting meet(lane exponent, real opacity, lane transmittance)
 {
     meeting m;

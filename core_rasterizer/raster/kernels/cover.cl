@@ -1,10 +1,9 @@
-/* Which tiles a Gaussian can touch: 16 bytes, so that binning in depth order, which is random access,
- * stays within the caches where whole records would not. */
+/* Tiles that a Gaussian can touch, in 16 bytes, so that binning, which is random access, stays in cache. */
 
 /* Tiles that the boxes of a block of Gaussians touch, half open. */
 typedef struct {
     lane_int x0, x1, y0, y1;
-    lane_mask simple; /* just one tile, and the mean is in it: no test needed */
+    lane_mask simple; /* one tile that contains the mean: no test needed */
 } tile_boxes;
 
 static inline tile_boxes tiles_of_block(const lane *field)
@@ -22,14 +21,14 @@ static inline tile_boxes tiles_of_block(const lane *field)
     return boxes;
 }
 
-/* Without it a Gaussian enters every tile that its box touches: the same image, with more pairs. */
+/* If 0, Gaussians enter every tile that their box touches: the same image with more pairs. */
 #ifndef EXACT_TILE_TEST
 #define EXACT_TILE_TEST 1
 #endif
 
-/* Does the ellipse where alpha >= 1/255 reach a pixel centre of the tile? The exponent is a concave
- * quadratic with its maximum at the mean: if the mean is outside, the maximum over the tile lies on an
- * edge that faces it. */
+/* Whether the ellipse of alpha >= 1/255 reaches a pixel centre of the tile. The exponent is a concave
+ * quadratic with its maximum at the mean: if the mean is outside, the maximum over the tile is on an edge
+ * that faces it. */
 static inline int reaches(__global const real *record, real floor_of_alpha, int tile_x, int tile_y)
 {
     const real low_x = tile_x * TILE_WIDTH + (real)0.5 - record[REC_X];
@@ -53,8 +52,8 @@ static inline int reaches(__global const real *record, real floor_of_alpha, int 
         const real value = a * x * x + (b * x + c * y) * y;
         best = best > value ? best : value;
     }
-    /* A hair more than exact, since the per-pixel test decides; written so that an undefined value
-     * (a needle's a or c rounded to 0) keeps the pair. */
+    /* With a small margin, because the per-pixel test decides; an undefined value (a or c of a needle
+     * rounded to 0) keeps the pair. */
     return !(best < floor_of_alpha * (real)1.0001 - (real)1e-3);
 }
 
@@ -82,7 +81,7 @@ static inline uint4 cover_of(
     return (uint4)(x0 | y0 << 16, width | height << 16, (uint)mask, (uint)(mask >> 32));
 }
 
-/* Calls BODY with `tile` set for every tile that the Gaussian reaches, row by row. */
+/* Run BODY with `tile` set for every tile that the Gaussian reaches, row by row. */
 #define FOR_EACH_TILE(cover, record, BODY)                                                        \
     {                                                                                             \
         const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                      \

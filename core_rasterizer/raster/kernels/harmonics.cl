@@ -40,7 +40,7 @@ static inline void sh_basis(lane *basis, int degree, lane x, lane y, lane z)
     basis[15] = -SH_C3A * x * (xx - 3 * yy);
 }
 
-/* Adds weight[k] * d basis[k] / d direction to (dx, dy, dz), the polynomials taken as they stand. */
+/* Adds weight[k] * d basis[k] / d direction to (dx, dy, dz), without normalization of the direction. */
 static inline void sh_direction_gradient(
     const lane *weight, int degree, lane x, lane y, lane z, lane *dx, lane *dy, lane *dz)
 {
@@ -68,7 +68,7 @@ static inline void sh_direction_gradient(
         + SH_C3E * (xx - yy) * weight[14];
 }
 
-/* The last band may count by a fraction, where a build is asked for that. */
+/* Weights the last band if built with FADED. */
 static inline void fade_last_band(lane *coefficients, int degree, __global const wide *camera)
 {
 #ifdef FADED

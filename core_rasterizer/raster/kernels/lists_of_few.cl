@@ -1,5 +1,5 @@
-/* All of sort.cl and bin.cl in one launch, by one work-item: with few Gaussians the work is less than the
- * launches and the waits between them. The lists are the same to the last bit. */
+/* sort.cl and bin.cl in one launch by one work-item: with few Gaussians, launches and waits cost more than
+ * the work. The lists are bit-identical. */
 
 /* Counts become starts; returns their sum. */
 static inline uint starts_of(__global uint *counts, uint buckets)
@@ -31,7 +31,7 @@ void lists_of_few(
     starts_of(counts, BUCKETS);
     scatter_digits_in(keys_b, order_b, keys_a, order_a, counts, 0, visible, 2 * DIGIT_BITS, 0);
 
-    /* Neither table needs the first element of keys_b any more: it counts the lots. */
+    /* The first element of keys_b is free now and counts the lots. */
     keys_b[0] = 0;
     const uint found = count_tiles_in(
         records, covers, order_a, tile_starts, keys_b, 0, visible, tiles, tiles_x, pair_limit);

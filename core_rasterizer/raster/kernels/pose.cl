@@ -1,7 +1,7 @@
-/* The gradient of the camera's pose: each block of Gaussians leaves its part, a fixed number of chunks
- * add these up, and raster/pose.py adds up the chunks. Twin: autograd through reference.py. */
+/* The gradient of the camera's pose: each block of Gaussians writes its part, a fixed number of chunks sums
+ * these, and raster/pose.py sums the chunks. Twin: autograd through reference.py. */
 
-/* Sums over the lanes of a block, in their order; what overflowed counts as 0. */
+/* Sum over the lanes of a block, in order; overflowed values count as 0. */
 static inline wide sum_of_seen(lane value, lane_mask visible)
 {
     value = visible & (lane_abs(value) < (lane)REAL_LARGEST) ? value : (lane)0;
@@ -11,8 +11,8 @@ static inline wide sum_of_seen(lane value, lane_mask visible)
     return sum;
 }
 
-/* The pose [R | t] takes part in x = R m + t, and in U = R Q, the camera-from-Gaussian rotation. Its
- * third part, in the camera's centre, is linear in the sum of `d_view`. */
+/* The pose [R | t] enters x = R m + t, U = R Q (the camera-from-Gaussian rotation), and the camera centre,
+ * whose part is linear in the sum of `d_view`. */
 static inline void store_pose_sums(
     __global wide *pose_sums, const projected *g, __global const real *parameters, size_t capacity,
     size_t i, lane_mask visible, const lane *d_camera, const lane *d_u, const lane *d_view)

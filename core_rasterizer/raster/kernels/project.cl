@@ -1,6 +1,6 @@
-/* Forward, stage 1: cull, project, colour, and pack one record a Gaussian. */
+/* Forward, stage 1: cull, project, colour, and pack one record per Gaussian. */
 
-/* Writes the lanes of a block one record after another; `field` is used up. */
+/* Writes the lanes of a block one record after another; overwrites `field`. */
 static inline void store_records(__global real *records, size_t i, lane *field)
 {
 #if LANES == 1
@@ -65,11 +65,11 @@ void project(
     /* alpha >= 1/255 inside the ellipse whose exponent is ln(1 / (255 o)): the opacity-aware extent. */
     const lane ratio = (real)ALPHA_CUT_INVERSE * g.opacity;
     const lane level = lane_log(ratio > (lane)1 ? LANE_MIN(ratio, (lane)REAL_LARGEST) : (lane)1);
-    /* A hair more than exact, since the per-pixel test decides. */
+    /* With a small margin, because the per-pixel test decides. */
     const lane reach_x = lane_sqrt(2 * level * g.covariance_xx) * (real)1.00001 + (real)1e-3;
     const lane reach_y = lane_sqrt(2 * level * g.covariance_yy) * (real)1.00001 + (real)1e-3;
 
-    /* Comparisons are false for NaN, so each test also refuses what is not a number. */
+    /* Comparisons are false for NaN, so each test also culls NaN. */
     const real big = REAL_LARGEST, width = camera[CAMERA_WIDTH], height = camera[CAMERA_HEIGHT];
     lane_mask visible = (g.z > (lane)(real)camera[CAMERA_NEAR]) & (g.z < (lane)big);
     visible &= (ratio >= (lane)1) & (ratio < (lane)big);

@@ -1,9 +1,9 @@
-/* Backward, last stage: sum a Gaussian's pair slots, then go through the projection to its parameters. */
+/* Backward, last stage: sum a Gaussian's pair slots, then differentiate the projection. */
 
-/* What `collect` asks for: no statistics, 2 rows of them, or a third that needs kernels with ABSOLUTE. */
+/* `collect`: 0 no statistics, 1 two rows, 2 a third row, which needs kernels with ABSOLUTE. */
 #define COLLECT_ABSOLUTE 2
 
-/* Adds up the slots of each lane's Gaussian, in slot order, which is fixed. */
+/* Sums the slots of each lane's Gaussian in slot order, which is fixed. */
 static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, size_t i)
@@ -23,16 +23,16 @@ static inline void sum_pairs(
 #endif
 }
 
-/* Slots are in depth order, Gaussians are not: without this a third of the kernel's time is waiting. An
- * undefined slot_start does no harm here. */
+/* Slots are in depth order, Gaussians are not: without this, a third of the kernel's time is latency. An
+ * undefined slot_start is harmless. */
 static inline void prefetch_slots(__global const real *pair_sums, __global const uint *slot_start)
 {
     for (int l = 0; l < LANES; l++)
         PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR);
 }
 
-/* Neither does a processor foresee sixty rows that are written, and an uncached line is read before it is
- * written. Reaching beyond a row's end does no harm. */
+/* Hardware does not prefetch sixty rows that are written either, and an uncached line is read before it is
+ * written. Addresses beyond a row's end are harmless. */
 static inline void prefetch_gradients(__global real *gradients, size_t capacity, size_t i, int count)
 {
     if (LANES > 1 && i % 16 == 0) /* a cache line */
@@ -40,7 +40,7 @@ static inline void prefetch_gradients(__global real *gradients, size_t capacity,
             PREFETCH_TO_WRITE(gradients + row * capacity + i + ROWS_AHEAD);
 }
 
-/* What overflowed is no gradient: it becomes 0, so that no step of an optimizer can be undefined. */
+/* Overflowed gradients become 0, so that optimizer steps stay finite. */
 static inline void put(__global real *row, lane value, int accumulate)
 {
     if (accumulate)
@@ -48,7 +48,7 @@ static inline void put(__global real *row, lane value, int accumulate)
     STORE_GLOBAL(row, lane_abs(value) < (lane)REAL_LARGEST ? value : (lane)0);
 }
 
-/* A detached parameter gains nothing; rows that are not added to must hold zeros all the same. */
+/* Detached parameters get no gradient; rows that are overwritten must still be zeroed. */
 static inline void put_unless(int detached, __global real *row, lane value, int accumulate)
 {
     if (!detached)
@@ -57,8 +57,8 @@ static inline void put_unless(int detached, __global real *row, lane value, int 
         STORE_GLOBAL(row, (lane)0);
 }
 
-/* Gradients of the SH coefficients; adds the path from view direction to mean to `d_mean`, and leaves
- * it alone in `d_view`. */
+/* Gradients of the SH coefficients; the path from view direction to mean is added to `d_mean` and stored in
+ * `d_view`. */
 static inline void color_backward(
     __global const real *parameters, __global real *gradients, size_t capacity, size_t i,
     __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
@@ -117,9 +117,9 @@ static inline void rotation_backward(const projected *g, const lane *d, lane *d_
 }
 
 #ifdef COMPENSATED
-/* Adds the path from the logarithm of the opacity to the rows of J W R S, through the determinant before
- * dilation, which is |a0 x a1|^2: with its square root the opacity grows. As cross products nothing
- * cancels, however thin the ellipse. */
+/* Adds the path from the logarithm of the opacity to the rows of J W R S through the determinant before
+ * dilation, |a0 x a1|^2: the opacity is proportional to its square root. Cross products do not cancel, even
+ * for thin ellipses. */
 static inline void compensation_backward(
     const projected *g, int k, lane d_log_opacity, lane *d_a0, lane *d_a1)
 {
@@ -132,8 +132,8 @@ static inline void compensation_backward(
 #endif
 
 #ifdef SMOOTHED
-/* From the scale that smoothing left to that of the parameter. The opacity is proportional to
- * `shrinkage`, whose logarithm grows with that of the scale by `share`. */
+/* From the smoothed scale to the parameter. The opacity is proportional to `shrinkage`, with
+ * d log(shrinkage) / d log(scale) = `share`. */
 static inline lane smoothing_backward(
     const projected *g, int k, lane d_log_opacity, int activated, lane d_scale)
 {
@@ -143,7 +143,7 @@ static inline lane smoothing_backward(
 #endif
 
 /* From dL/d(2D covariance) to the scales, the rotation, the camera-from-Gaussian rotation `d_u` and,
- * through the Jacobian, the mean. Filters also lead from the opacity to the scales. */
+ * through the Jacobian, the mean. With filters, the opacity also depends on the scales. */
 static inline void covariance_backward(
     const projected *g, lane d_xx, lane d_xy, lane d_yy, lane d_log_opacity, int activated,
     __global const wide *camera, lane *d_scale, lane *d_quaternion, lane *d_camera, lane *d_u)
@@ -180,7 +180,7 @@ static inline void covariance_backward(
             d_rotation[3 * j + k] = r[j] * d_u[k] + r[3 + j] * d_u[3 + k] + r[6 + j] * d_u[6 + k];
     rotation_backward(g, d_rotation, d_quaternion);
 
-    /* j02 = -f ratio / z: where the clamp holds, the ratio is a constant. */
+    /* j02 = -f ratio / z; where clamped, the ratio is constant. */
     const lane inverse_z = 1 / g->z;
     d_camera[0] -= g->free_x ? d_j02 * g->j00 * inverse_z : (lane)0;
     d_camera[1] -= g->free_y ? d_j12 * g->j11 * inverse_z : (lane)0;
@@ -224,8 +224,8 @@ void project_backward(
     prefetch_slots(pair_sums, slot_start + (i + LANES < count ? i + LANES : i));
     lane sums[PAIR];
     sum_pairs(sums, pair_sums, slot_start, slot_count, i);
-    /* Sums are exactly zero where nothing was touched; selecting by them keeps whatever an unseen or
-     * undefined Gaussian computes below from reaching a gradient (0 times infinity is not 0). */
+    /* Sums are exactly zero for untouched Gaussians; selecting by them keeps undefined values below from
+     * reaching a gradient (0 times infinity is not 0). */
     const lane_mask visible = sums[PAIR_TOUCHED] > (lane)0;
 
     projected g;

@@ -1,15 +1,14 @@
 /* The projection of one block of Gaussians, shared by the forward and the backward pass.
  *
- * Every build says what is added to the variances on the image, VARIANCE_ADDED in square pixels. One that
- * is asked for more defines COMPENSATED or SMOOTHED, here, FADED or POSED elsewhere. What was not asked for
- * costs nothing. */
+ * Macros: VARIANCE_ADDED, square pixels, is added to the variances on the image; COMPENSATED and SMOOTHED
+ * here, FADED and POSED elsewhere, enable options, which cost nothing otherwise. */
 
 #define DILATION ((real)VARIANCE_ADDED)
 
 typedef struct {
     lane x, y, z;             /* mean in camera coordinates */
     lane mean_x, mean_y;      /* mean on the image, pixels */
-    lane rest_x, rest_y;      /* what rounding mean_x and mean_y left over */
+    lane rest_x, rest_y;      /* rounding errors of mean_x and mean_y */
     lane ratio_x, ratio_y;    /* x/z and y/z after the clamp */
     lane_mask free_x, free_y; /* where the clamp is inactive */
     lane j00, j02, j11, j12;  /* Jacobian of the projection */
@@ -21,7 +20,7 @@ typedef struct {
 #endif
 #ifdef SMOOTHED
     lane shrinkage[3];        /* scale before smoothing over scale after it */
-    lane share[3];            /* what smoothing gave to the variance, from 0 to 1 */
+    lane share[3];            /* share of smoothing in the variance, from 0 to 1 */
 #endif
     lane qw, qx, qy, qz;      /* unit quaternion */
     lane inverse_norm;        /* 1 / |q|, 0 where q was zero */
@@ -33,7 +32,7 @@ typedef struct {
 
 #define ROWS_AHEAD 64 /* Gaussians */
 
-/* Sixty rows are more streams than a processor foresees. Reaching beyond a row's end does no harm. */
+/* Sixty rows are more streams than hardware prefetches. Addresses beyond a row's end are harmless. */
 static inline void prefetch_rows(__global const real *rows, size_t capacity, size_t i, int count)
 {
     if (LANES > 1 && i % 16 == 0) /* a cache line */
@@ -89,8 +88,8 @@ static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, l
 }
 
 #ifdef SMOOTHED
-/* Convolution with a Gaussian of the deviation f, Mip-Splatting's 3D filter (Yu et al. 2024, eq. 9):
- * variances add up. No square overflows or underflows that matters. */
+/* Convolution with a Gaussian of standard deviation f, Mip-Splatting's 3D filter (Yu et al. 2024, eq. 9):
+ * variances add up. Computed from the quotient, so that squares neither overflow nor underflow. */
 static inline void widen(projected *g, int k, lane f)
 {
     const lane s = g->scale[k];
@@ -103,7 +102,7 @@ static inline void widen(projected *g, int k, lane f)
 }
 #endif
 
-/* What both filters leave of the opacity. */
+/* Apply both filters to the opacity. */
 static inline void filter_opacity(projected *g)
 {
 #ifdef SMOOTHED
@@ -112,7 +111,7 @@ static inline void filter_opacity(projected *g)
     g->opacity_slope *= kept;
 #endif
 #ifdef COMPENSATED
-    /* Mip-Splatting's 2D filter (eq. 10): dilation leaves the Gaussian's mass as it was. */
+    /* Mip-Splatting's 2D filter (eq. 10): dilation preserves the Gaussian's mass. */
     const lane undilated
         = g->cross[0] * g->cross[0] + g->cross[1] * g->cross[1] + g->cross[2] * g->cross[2];
     const lane compensation = lane_sqrt(undilated / g->determinant);
@@ -121,7 +120,7 @@ static inline void filter_opacity(projected *g)
 #endif
 }
 
-/* Twin: reference.py, `project`. Nothing is culled here; values behind the camera are meaningless. */
+/* Twin: reference.py, `project`. Without culling; values behind the camera are meaningless. */
 static inline void project_block(
     projected *g, __global const real *parameters, size_t capacity, size_t i,
     __global const wide *camera, __global const real *modifiers, int modified, int activated)
@@ -180,7 +179,7 @@ static inline void project_block(
         xy += g->a0[k] * g->a1[k];
         yy += g->a1[k] * g->a1[k];
     }
-    /* det(A A^T + d I) = |a0 x a1|^2 + d (|a0|^2 + |a1|^2) + d^2 with no cancellation: a needle a
+    /* det(A A^T + d I) = |a0 x a1|^2 + d (|a0|^2 + |a1|^2) + d^2 does not cancel: a needle a
      * hundred thousand times longer than wide keeps a positive determinant. */
     const lane c0 = g->a0[1] * g->a1[2] - g->a0[2] * g->a1[1];
     const lane c1 = g->a0[2] * g->a1[0] - g->a0[0] * g->a1[2];

@@ -1,16 +1,16 @@
-/* Rasterization on a CPU: a work-item owns a tile, pixel state lives in its private arrays, and each
- * Gaussian visits the rows of its box in vectors, a column of vectors at a time. Box rows beat exact
- * spans: the square root and the branch cost more than the lanes that they save.
+/* Rasterization on a CPU: one work-item per tile, with pixel state in private arrays. Each Gaussian is
+ * blended into the rows of its box in vectors, one column of vectors at a time. Exact spans per row are
+ * slower: their square root and branch cost more than the lanes that they save.
  *
- * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: so it may start
- * at any column, and covers a small Gaussian better than one long row would. */
+ * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: it may start at any
+ * column, and fits a small Gaussian better than one long row. */
 #define COLUMNS 8
 #define ROWS (LANES / COLUMNS)
 #define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
 #define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
 #define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
-#define PAIRS_AHEAD 12 /* Gaussians: what they need is scattered over memory, and fetched so early */
-#define CHECK_EVERY 32 /* Gaussians between two looks at whether the whole tile is finished */
+#define PAIRS_AHEAD 12 /* Gaussians to prefetch ahead; their data is scattered in memory */
+#define CHECK_EVERY 32 /* Gaussians between two tests whether the whole tile is finished */
 
 typedef struct {
     int x, y, width, height; /* pixels of the image that the tile covers */
@@ -41,7 +41,7 @@ static inline pixel_box box_in(__global const real *record, tile_area area)
     return box;
 }
 
-/* Pixels outside the image start finished, so that no other code knows of the image's edge. */
+/* Pixels outside the image start finished, so that no other code tests for the image's edge. */
 static inline void open_pixels(real *transmittance, tile_area area)
 {
     for (int i = 0; i < PIXELS; i++)
@@ -64,7 +64,7 @@ static inline int all_finished(const real *transmittance)
     return 1;
 }
 
-/* How far right and down of a vector's first pixel the others are. */
+/* Offsets of a vector's pixels from its first one. */
 #if ROWS == 1
 #define ACROSS ((lane)(0, 1, 2, 3, 4, 5, 6, 7))
 #define DOWN ((lane)0)
@@ -83,7 +83,7 @@ static inline void show_background(
                blue = camera[CAMERA_BACKGROUND + 2];
     for (int y = area.y; y < area.y + area.height; y++) {
         const size_t first = (size_t)y * width + area.x;
-        /* A loop for each image: a compiler makes vectors of these, not of stores to four places. */
+        /* One loop per image, which compilers vectorize, unlike stores to four arrays. */
         for (size_t pixel = first; pixel < first + area.width; pixel++) {
             rgb[3 * pixel] = red;
             rgb[3 * pixel + 1] = green;
@@ -174,8 +174,7 @@ static inline octet octet_of(lane a)
 #endif
 }
 
-/* The sums of four vectors: every step adds lanes of several, where four sums of their own would leave
- * most lanes idle. */
+/* The sums of four vectors; summed together, because four separate sums would leave most lanes idle. */
 static inline quad sum_quad(lane first, lane second, lane third, lane fourth)
 {
     const octet a = octet_of(first), b = octet_of(second), c = octet_of(third),
@@ -189,8 +188,8 @@ static inline quad sum_quad(lane first, lane second, lane third, lane fourth)
     return abcd.lo + abcd.hi;
 }
 
-/* Loads what the backward walk needs of the tile: the output gradients, and `rest`: what the
- * Gaussians not yet passed, and the background, contribute to the loss. */
+/* Loads the tile's output gradients, and `rest`: the contribution of the remaining Gaussians and the
+ * background to the loss. */
 static inline void load_gradients(
     tile_area area, int width, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
@@ -213,8 +212,8 @@ static inline void load_gradients(
         }
 }
 
-/* Walks front to back like the forward pass. With v = c . dL/dC + z dL/dD of the Gaussian at hand and
- * `rest` the same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
+/* Front to back like the forward pass. With v = c . dL/dC + z dL/dD of the current Gaussian and `rest` the
+ * same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
 static inline __attribute__((always_inline)) void walk_back(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
@@ -270,7 +269,7 @@ static inline __attribute__((always_inline)) void walk_back(
                 const lane behind = LOAD(rest + i) - m.weight * value;
                 STORE(rest + i, behind);
                 const lane slope_alpha = (m.next * value - behind) / (1 - m.alpha);
-                /* No gradient above the clamp, and none where nothing was added. */
+                /* The gradient is 0 above the clamp and where nothing was added. */
                 const lane_mask moves = (m.weight > (lane)0) & (m.raw <= (lane)ALPHA_MAX);
                 const lane d_p = moves ? slope_alpha * m.alpha : (lane)0;
                 column_p += d_p;
@@ -315,7 +314,7 @@ void raster_backward(
     __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums,
     int tiles_x, int with_depth)
 {
-    /* A loss that does not look at depth saves a load and two multiplications for each pixel. */
+    /* Without a gradient of depth, this saves a load and two multiplications per pixel. */
     if (with_depth)
         walk_back(records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb,
             d_depth, d_alpha, pair_sums, tiles_x, 1);

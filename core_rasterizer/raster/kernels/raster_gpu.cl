@@ -1,10 +1,9 @@
-/* Rasterization on a GPU: a work-group owns a tile, a work-item a pixel; records are staged through
- * local memory. The pair buffer is the same as on a CPU. Sums over a tile's pixels are taken in a fixed
- * order, so they are repeatable. */
+/* Rasterization on a GPU: one work-group per tile, one work-item per pixel; records are staged in local
+ * memory. The pair buffer is the same as on a CPU. Sums over a tile's pixels have a fixed order. */
 
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 #define BATCH 32 /* records staged at a time */
-#define SEGMENTS 16 /* sums that are taken side by side; a divisor of GROUP */
+#define SEGMENTS 16 /* sums in parallel; a divisor of GROUP */
 
 /* Copies the records of pairs [p, p + BATCH) into local memory. */
 static inline void stage(
@@ -20,7 +19,7 @@ static inline real exponent_at(__local const real *g, real dx, real dy)
     return g[REC_A] * dx * dx + dy * (g[REC_B] * dx + g[REC_C] * dy);
 }
 
-/* Distances from the mean to a pixel's centre; the bracket is exact, the rest is what rounding left. */
+/* Distances from the mean to a pixel's centre; the bracket is exact, the rest is the rounding error. */
 static inline real distance_x(__local const real *g, int x)
 {
     return (x + (real)0.5 - g[REC_X]) - g[REC_REST_X];
@@ -99,10 +98,9 @@ void raster(
     final_transmittance[pixel] = left;
 }
 
-/* Sums PAIR_LAST + 1 values over the group into `out`: first SEGMENTS sums side by side of every so many
- * work-items, then the sum of these. Two barriers, where a tree would want one for each of its levels.
- * None is wanted at the end: who reads `parts` is not past the first barrier of the next call when others
- * have passed it and write there. */
+/* Sums PAIR_LAST + 1 values over the group into `out`: first SEGMENTS strided sums in parallel, then the
+ * sum of these. This needs two barriers, a tree one per level. None is needed at the end: `parts` is written
+ * again only after the first barrier of the next call, which its readers have to reach first. */
 static inline void sum_group(
     __local real *scratch, __local real *parts, const real *values, __global real *out)
 {

@@ -19,7 +19,7 @@ void scan_chunks(__global uint *counts, __global uint *totals, uint buckets, uin
 }
 
 /* One work-group. Turns totals into exclusive starts and stores the grand total, in 64 bits. Each
- * work-item adds up a share of neighbouring buckets, then all those before it. */
+ * work-item sums its share of neighbouring buckets, then the shares before it. */
 __kernel __attribute__((reqd_work_group_size(SCAN_ITEMS, 1, 1)))
 void scan_buckets(__global uint *totals, __global ulong *counters, uint buckets, uint counter)
 {

@@ -1,7 +1,7 @@
-/* What the stages hand to each other: the camera, the packed record. The rows of the parameter array,
- * ROW_MEAN and its sisters, come from layout.py. */
+/* Data shared by the stages: camera, record, sums of pairs. The rows of the parameter array (ROW_MEAN, ...)
+ * come from layout.py. */
 
-/* The camera block, written by the host once a render, in `wide`. */
+/* The camera block, in `wide`, written by the host for each render. */
 #define CAMERA_ROTATION 0 /* 9: world to camera, row-major */
 #define CAMERA_TRANSLATION 9
 #define CAMERA_CENTER 12
@@ -16,7 +16,7 @@
 #define CAMERA_BACKGROUND 26
 #define CAMERA_LAST_BAND 29 /* the weight of the last SH band, where it is a fraction */
 
-/* One record a Gaussian for the raster stages, 16 reals: a cache line in float. */
+/* One record per Gaussian for the raster stages, 16 reals: a cache line in float. */
 #define RECORD 16
 #define REC_X 0
 #define REC_Y 1
@@ -32,10 +32,10 @@
 #define REC_X1 11
 #define REC_Y0 12
 #define REC_Y1 13
-#define REC_REST_X 14 /* what rounding REC_X and REC_Y left over: the mean is their sum */
+#define REC_REST_X 14 /* rounding errors of REC_X and REC_Y: the mean is their sum */
 #define REC_REST_Y 15
 
-/* Sums over pixels that a (tile, Gaussian) pair hands back, 16 reals. */
+/* Sums over the pixels of a (tile, Gaussian) pair, 16 reals. */
 #define PAIR 16
 #define PAIR_P 0 /* sum of dL/d(exponent), then its moments about the mean */
 #define PAIR_PX 1
@@ -48,7 +48,7 @@
 #define PAIR_BLUE 8
 #define PAIR_Z 9
 #define PAIR_TOUCHED 10 /* positive if any pixel was touched */
-#define PAIR_ABSOLUTE_X 11 /* what pixels pull at the mean, without signs, times log2(e); only with ABSOLUTE */
+#define PAIR_ABSOLUTE_X 11 /* sums of absolute gradients of the mean, times log2(e); only with ABSOLUTE */
 #define PAIR_ABSOLUTE_Y 12
 #ifdef ABSOLUTE
 #define PAIR_LAST PAIR_ABSOLUTE_Y
@@ -56,7 +56,7 @@
 #define PAIR_LAST PAIR_TOUCHED
 #endif
 
-/* What a block of Gaussians adds to the gradient of the pose, 16 of `wide`. */
+/* Part of a block of Gaussians in the gradient of the pose, 16 of `wide`. */
 #define POSE 16
 #define POSE_ROTATION 0 /* 9, row-major */
 #define POSE_TRANSLATION 9
@@ -66,8 +66,7 @@
 #define COUNT_VISIBLE 0
 #define COUNT_PAIRS 1
 
-/* What the blending leaves out. A build may ask for other values, so that benchmarks can measure what
- * each choice costs and saves. */
+/* Thresholds of blending; benchmarks build with other values. */
 #ifndef ALPHA_CUT_INVERSE
 #define ALPHA_CUT_INVERSE 255
 #endif
@@ -79,6 +78,5 @@
 #define ALPHA_MAX ((real)0.99)
 #define TRANSMITTANCE_STOP ((real)EARLY_STOP)
 #define LOG2_E ((real)1.4426950408889634)
-#define LN_2 ((real)0.6931471805599453)
 #define SMALLEST_QUATERNION ((real)1e-12)
 #define INVISIBLE 0xFFFFFFFFu

@@ -1,5 +1,5 @@
-/* Stable radix sort of the visible Gaussians by depth, DIGIT_BITS bits a pass. A work-item owns a
- * chunk of neighbouring elements; equal keys keep their order, so ties fall to the lower index. */
+/* Stable radix sort of the visible Gaussians by depth, DIGIT_BITS bits per pass, one work-item per chunk
+ * of neighbouring elements. Equal keys keep their order, so the lower index comes first. */
 
 #define BUCKETS (1u << DIGIT_BITS)
 
@@ -24,7 +24,7 @@ static inline void count_digits_in(
             mine[(keys[i] >> shift) & (BUCKETS - 1)]++;
 }
 
-/* `mine` holds where the chunk's first element of each bucket goes. */
+/* `mine` holds the index of the chunk's first element of each bucket. */
 static inline void scatter_digits_in(
     __global const uint *keys, __global const uint *order, __global uint *keys_out,
     __global uint *order_out, __global uint *mine, size_t begin, size_t end, uint shift, uint first)

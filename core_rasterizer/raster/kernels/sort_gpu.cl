@@ -1,8 +1,8 @@
-/* Stable radix sort of the visible Gaussians by depth on a GPU: as in sort.cl, but a chunk of neighbouring
- * elements belongs to a work-group, which walks it in batches, an element a work-item. */
+/* Stable radix sort of the visible Gaussians by depth on a GPU: as in sort.cl, with one work-group per
+ * chunk, which processes it in batches of one element per work-item. */
 
 #define BUCKETS (1u << DIGIT_BITS)
-#define NO_DIGIT BUCKETS /* of what is invisible, or beyond the chunk */
+#define NO_DIGIT BUCKETS /* of elements that are invisible or beyond the chunk */
 
 /* The first pass sorts all `count` Gaussians and drops the invisible ones; later passes sort the
  * COUNT_VISIBLE that are left. */
@@ -37,7 +37,7 @@ void count_digits(
     for (size_t i = begin + id; i < end; i += CHUNK_GROUP) {
         const uint digit = digit_at(keys, i, end, shift);
         if (digit != NO_DIGIT)
-            atomic_inc(found + digit); /* a count: the order of additions does not show */
+            atomic_inc(found + digit); /* the order of additions does not matter */
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     __global uint *mine = counts + get_group_id(0) * BUCKETS;
@@ -51,7 +51,7 @@ void scatter_digits(
     __global uint *order_out, __global const uint *counts, __global const uint *starts,
     __global const ulong *counters, uint count, uint shift, uint first)
 {
-    __local uint next[BUCKETS]; /* where the chunk's next element of each bucket goes */
+    __local uint next[BUCKETS]; /* index of the chunk's next element of each bucket */
     __local uint digits[CHUNK_GROUP];
     const uint id = get_local_id(0);
     __global const uint *mine = counts + get_group_id(0) * BUCKETS;

@@ -68,8 +68,8 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
     extremes = []
     for camera in cameras:
         column, row, depth = camera.project(points.positions)
-        inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
-        visible = depth[(depth > 0) & inside & torch.isfinite(depth)].numpy()
+        inside = camera.contains(column, row, depth, border=True)
+        visible = depth[inside & torch.isfinite(depth)].numpy()
         if len(visible) >= MIN_POINTS:
             extremes.append(np.percentile(visible, PERCENTILES))
     if not extremes:

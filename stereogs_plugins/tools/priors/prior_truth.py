@@ -65,8 +65,8 @@ def truth_of(views: tuple[TrainingView, ...], bounds: tuple[float, float]) -> Tr
     u, v = first.camera.pixel_centers()
     points = first.camera.unproject(u.ravel(), v.ravel(), depth.ravel())
     there_u, there_v, there_z = (x.reshape(depth.shape) for x in second.camera.project(points))
-    height, width = depth.shape
-    inside = (there_u >= 0) & (there_u < width) & (there_v >= 0) & (there_v < height)
+    height, width = other.shape
+    inside = second.camera.contains(there_u, there_v)
     column, row = there_u.clamp(0, width - 1).long(), there_v.clamp(0, height - 1).long()
     same = (other[row, column] - there_z).abs() <= _SAME_SURFACE * there_z
     moved = torch.stack([there_u - u, there_v - v], dim=2)

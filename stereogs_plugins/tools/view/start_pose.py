@@ -70,7 +70,6 @@ def _depth_and_extent(cameras: Sequence[Camera], means: torch.Tensor) -> tuple[f
     """The median z-depth of what the first camera sees, and the cameras' extent, world units, > 0."""
     first, extent = cameras[0], camera_extent(cameras)
     u, v, z = first.project(means)
-    inside = (z > 0) & (u >= 0) & (u < first.width) & (v >= 0) & (v < first.height)
-    seen = z[inside]
+    seen = z[first.contains(u, v, z)]
     depth = float(seen.median()) if len(seen) else _NOTHING_SEEN * max(extent, 1e-6)
     return depth, extent if extent > 1e-6 * depth else _EXTENT_OF_ONE * depth

@@ -65,5 +65,5 @@ def test_unusable_files_are_errors(tmp_path: Path, scene: Scene) -> None:
         initialize(cloud(tmp_path / "empty.ply", count=0))
     damaged = cloud(tmp_path / "damaged.ply")
     damaged.write_bytes(damaged.read_bytes()[:-7])
-    with pytest.raises(PlyError, match="promises at least"):
+    with pytest.raises(PlyError, match="declares at least"):
         initialize(damaged)

@@ -135,9 +135,9 @@ def test_a_thousand_decays_without_gradient_are_monotone_and_end_at_the_hosts_ma
 
 def poison(model: GaussianModel, value: float) -> None:
     """Put a value into the gradient of the first opacity."""
-    gradients = model.gradients.read().clone()
+    gradients = model.gradients.rows.read().clone()
     gradients[10, 0] = value
-    model.gradients.write(gradients)
+    model.gradients.rows.write(gradients)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

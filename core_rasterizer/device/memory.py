@@ -1,0 +1,155 @@
+"""Context, queue and memory of one OpenCL device."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import RLock
+
+import pyopencl as cl
+import torch
+from torch import Tensor
+
+from ..errors import DeviceError, MemoryBudgetError
+from .unknown_cpu import correct_cpu_name
+
+CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
+"""Environment variable; 1 corrects the driver's processor name before any build fails (`unknown_cpu`)."""
+
+
+class Retired:
+    """Keeps host memory alive until the kernels that may use it have run.
+
+    OpenCL does not keep a buffer's host memory alive. Waiting for the queue whenever an array is freed
+    would also be safe, but several are freed per iteration and each wait would stall the queue.
+    """
+
+    def __init__(self) -> None:
+        self._enqueued = self._completed = 0
+        self._kept: list[object] = []
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def kernel_enqueued(self) -> None:
+        """Count a kernel. Call this after enqueueing it, while its arguments are still referenced."""
+        self._enqueued += 1
+
+    def copy_enqueued(self, source: object) -> None:
+        """Count a copy and keep `source`, the owner of the memory that it reads."""
+        self._enqueued += 1
+        self._kept.append(source)
+
+    def add(self, memory: Tensor) -> None:
+        """Take over the last reference to an array's memory."""
+        if self._enqueued > self._completed:
+            self._kept.append(memory)
+
+    @contextmanager
+    def drained(self) -> Iterator[None]:
+        """Wrap a wait for the queue; afterwards release everything retired before it."""
+        enqueued = self._enqueued
+        before, self._kept = self._kept, []
+        try:
+            yield
+        except BaseException:
+            self._kept += before
+            raise
+        self._completed = max(self._completed, enqueued)
+
+
+class DeviceMemory:
+    """An OpenCL device that allocates memory; opened on first use.
+
+    Attributes:
+        name, platform, driver: as reported by the driver.
+        memory_bytes: size of the device's memory.
+        shares_memory: If True, device buffers are host memory, which torch accesses without a copy.
+        bytes_moved: Bytes copied between the host and a device that does not share memory.
+        lock: held while a kernel is enqueued, and by the owner of scratch memory while it is in use.
+        retired: freed memory that enqueued kernels may still use.
+    """
+
+    def __init__(self, handle: cl.Device, shares_memory: bool) -> None:
+        self._handle = handle
+        self.name = handle.name.strip()
+        self.platform = handle.platform.name.strip()
+        self.driver = handle.driver_version.strip()
+        self.memory_bytes = int(handle.global_mem_size)
+        self.shares_memory = shares_memory
+        self.bytes_moved = 0
+        self.lock = RLock()
+        self.retired = Retired()
+        self._open: tuple[cl.Context, cl.CommandQueue] | None = None
+
+    @property
+    def context(self) -> cl.Context:
+        """The context, which contains this device only.
+
+        Raises:
+            DeviceError: the driver cannot open the device.
+        """
+        return self._opened()[0]
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """The in-order queue.
+
+        Raises:
+            DeviceError: as for `context`.
+        """
+        return self._opened()[1]
+
+    def _opened(self) -> tuple[cl.Context, cl.CommandQueue]:
+        if self._open is None:
+            with self.lock:
+                self._open = self._open or self._open_it()
+        return self._open
+
+    def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:
+        if os.environ.get(CORRECT_CPU_NAME) == "1":
+            correct_cpu_name(self._handle)
+        try:
+            context = cl.Context([self._handle])
+            return context, cl.CommandQueue(context)
+        except cl.Error as error:
+            raise DeviceError(
+                f"the device {self.name!r} could not be opened: {error}",
+                where=self.platform,
+                fix="choose another device; `stereogs doctor` lists them",
+            ) from error
+
+    def allocate(
+        self, elements: int, dtype: torch.dtype, over: Tensor | None
+    ) -> tuple[cl.Buffer, Tensor | None]:
+        """Allocate memory for an array.
+
+        Args:
+            over: a CPU tensor to wrap instead, where memory is shared.
+
+        Returns:
+            A buffer of `elements` elements and, where memory is shared, the flat tensor behind it.
+
+        Raises:
+            MemoryBudgetError: the allocation failed.
+        """
+        flags: int = cl.mem_flags.READ_WRITE
+        size = elements * dtype.itemsize
+        try:
+            if not self.shares_memory:
+                return cl.Buffer(self.context, flags, size=size), None
+            host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
+            flags |= cl.mem_flags.USE_HOST_PTR
+            return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
+        except (cl.Error, RuntimeError) as error:
+            raise MemoryBudgetError(
+                f"the device {self.name!r} could not allocate {size / 2**20:,.0f} MB: {error}",
+                where=f"its memory is {self.memory_bytes / 2**20:,.0f} MB in total",
+                fix="use fewer Gaussians or pixels, or free device memory",
+            ) from error
+
+    def finish(self) -> None:
+        """Wait until all enqueued work has run."""
+        with self.retired.drained():
+            self.queue.finish()
