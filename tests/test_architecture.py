@@ -183,12 +183,6 @@ def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
     return sorted(list(group) for group in groups if len(group) > 1)
 
 
-@pytest.mark.parametrize(
-    "package",
-    [
-        pytest.param(package, marks=pytest.mark.xfail(strict=True) if package == "registry" else ())
-        for package in MAY_IMPORT
-    ],
-)
+@pytest.mark.parametrize("package", MAY_IMPORT)
 def test_imports_have_no_cycle(package: str) -> None:
     assert cycles(module_graph(package)) == []

@@ -321,7 +321,7 @@ class Field:
             last = iteration == self._settings.iterations
             edit = self._within_limit(without_growth(wanted) if last else wanted)
             if edit.empty:
-                self.model.reset_statistics()
+                self.model.statistics.reset()
                 continue
             count = self.model.count
             with blame(part.item, iteration):
@@ -369,7 +369,7 @@ class Field:
         return {
             "model": dict(vars(gaussians)),
             "optimizer": self.optimizer.state(),
-            "statistics": {"screen": self.model.statistics()},
+            "statistics": {"screen": self.model.statistics.sums()},
             "topology": {"generator": self._topology.get_state()},
             "components": self.parts.state(iteration),
             "parameters": self.parameters.state(),
@@ -388,7 +388,7 @@ class Field:
             raise RunError(
                 f"the statistics of {self.model.count} Gaussians are {tuple(screen.shape)}"
             )
-        self.model.restore_statistics(screen)
+        self.model.statistics.restore(screen)
         self._topology.set_state(part("topology")["generator"])
         self.parts.restore(part("components"))
         self.parameters.restore(part("parameters"))

@@ -104,7 +104,7 @@ def forward_splat(
         for down in (0, 1):
             column, row = u.floor() + right, v.floor() + down
             share = (1 - (u - column).abs()) * (1 - (v - row).abs())
-            inside = (column >= 0) & (column < target.width) & (row >= 0) & (row < target.height)
+            inside = target.contains(column, row)
             used = inside & (share > 1e-3)
             place = (row * target.width + column)[used].long()
             nearest.scatter_reduce_(0, place, z[used], "amin")
