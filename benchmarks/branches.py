@@ -1,7 +1,7 @@
-"""Trainings that share their first iterations: one is trained whole, the others continue from its checkpoint.
+"""Trainings with the same first iterations: one runs completely, the others continue from its checkpoint.
 
 A regularizer has no effect before its start, so runs that differ in late regularizers only have equal bits
-until the first of them starts. A branch ends in the bits of the whole run.
+until the first of them starts. A branch ends with the same bits as a complete run.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def train_branches(pipelines: Sequence[Pipeline], device: str | None) -> Iterato
     """Train pipelines that differ only in priors and in regularizers with a late start.
 
     Args:
-        pipelines: Pipelines, the first of which is trained whole; priors that differ must be used by those
+        pipelines: Pipelines, the first of which is trained completely; differing priors must be used by those
             regularizers only.
         device: Part of the device's name, or None.
 

@@ -2,8 +2,8 @@
 
 Each training adds a record to `benchmarks/records/NAME.jsonl`. A training that has a record of the same
 pipeline is skipped, so the same command continues where it stopped, also on another machine. A change of the
-code is not detected; remove records to measure again. Tables are written from the records present, also
-while some are missing.
+code is not detected; remove records to measure again. Tables are written from the records present, even
+if some are missing.
 """
 
 from __future__ import annotations

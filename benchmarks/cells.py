@@ -43,7 +43,7 @@ def mean_over_scenes(
     number: Callable[[Record[Any]], float | None],
     form: str,
 ) -> str:
-    """Return the mean over scenes of the mean over each one's records, of those that have the number."""
+    """Return the mean over scenes of each scene's mean over its records that have the number."""
     known = [[n for n in map(number, records) if n is not None] for records in by_scene]
     means = [statistics.mean(numbers) for numbers in known if numbers]
     return format(statistics.mean(means), form) if means else NONE
@@ -69,7 +69,7 @@ def count(records: Records, planned: int) -> str:
 
 
 def commonest_processor(records: Records) -> str:
-    """Return the processor of most trainings; of several such, the one that comes first."""
+    """Return the processor of most trainings; on a tie, the first."""
     ((name, _),) = Counter(map(processor, records)).most_common(1)
     return name
 
@@ -82,8 +82,8 @@ def cpu_seconds(record: Record[Any]) -> float:
 def time_ratio(own: Records, baseline: Records) -> str:
     """Return the ratio of CPU seconds to a baseline's.
 
-    The geometric mean over scenes and processors that both were trained on, of means over seeds; seconds
-    of different processors do not compare.
+    Geometric mean over scenes and processors common to both, of means over seeds; seconds of different
+    processors are not comparable.
     """
     others = _seconds(baseline)
     ratios = [

@@ -1,7 +1,7 @@
 """Time and memory of the engine: `python -m benchmarks.engine`, which `make bench-engine` runs.
 
 Prints tables and writes `benchmarks/out/engine.json`. Figures are medians of one run on one machine. Only
-ratios compare between machines: to named baselines, and to plain work on the same number of bytes
+ratios are comparable between machines: to named baselines, and to plain work on the same number of bytes
 (`benchmarks.yardsticks`).
 """
 

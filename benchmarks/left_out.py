@@ -1,13 +1,13 @@
-"""Score pipelines on training views left out: `python -m benchmarks.left_out`.
+"""Score pipelines on held-out training views: `python -m benchmarks.left_out`.
 
-The middle one of each three training views is left out; the pipeline trains on the others and is scored on
-those. Test views are not used, so settings may be chosen here. A variant is a line of overrides, as for
-`--set`:
+The middle one of each three training views is held out; the pipeline trains on the others and is scored on
+the held-out ones. Test views are not used, so settings may be chosen here. A variant is a line of
+overrides, as for `--set`:
 
     python -m benchmarks.left_out plain "more dropout: modifiers.dropout.rate=0.3"
 
 prints the gain of each variant over the first. Records are kept in `benchmarks/out/left_out.jsonl`; a
-recorded pipeline is not trained again (a change of the code is not detected: remove the file).
+recorded pipeline is not trained again. Changes of the code are not detected; remove the file after one.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class Record:
     """One training.
 
     Args:
-        case: Data set and number of training views before some are left out.
+        case: Data set and number of training views before some are held out.
         changes: Changes of the scene, separated by commas; see `benchmarks.left_out_scenes`.
         digest: Digest of the pipeline.
         seed: Seed of the training.
-        psnr: Mean over the views left out, dB.
-        ssim: Mean over the views left out.
+        psnr: Mean over the held-out views, dB.
+        ssim: Mean over the held-out views.
         train_psnr: Mean over the views trained on, dB.
         gaussians: Number at the end.
         initial_cpu_seconds: Depth and first points; about 0 if an earlier trial of this process made them.

@@ -1,6 +1,6 @@
 """Cameras estimated by `photos`, compared with published ones: `make bench-photos`.
 
-Evenly spaced pictures of real data sets, and all pictures of each; the search sees nothing else. Finished
+Evenly spaced pictures of real data sets, and all pictures of each; the search uses nothing else. Finished
 cases are kept in `benchmarks/out/photos`: the same command continues where it stopped. With `--write-docs`
 rewrites the table in docs/your_own_photographs.md.
 """
