@@ -5,8 +5,8 @@
     def test_my_regularizer():
         check(MyRegularizer, weight_of_something=0.5)
 
-It builds the component, calls it as the host would, and checks the results against the contract.
-`check_command` checks a verb of the command line. Tests of a component's benefit are up to its author.
+`check` builds the component, calls it as the host would, and checks the results against the contract.
+`check_command` checks a command of the command line. Whether a component is useful is for its author to test.
 """
 
 from __future__ import annotations

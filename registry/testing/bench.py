@@ -1,4 +1,4 @@
-"""Where a component is asked: scenes and Gaussians made anew for every question, and a watch over it."""
+"""Inputs for a component, at different sizes, and a checked call of its methods."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
 
-from .. import priors as capabilities
+from .. import priors as prior_bases
 from ..contract.maps import DepthMap
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene
@@ -23,51 +23,29 @@ from ..pipeline.training_settings import TrainingSettings
 from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step_rendering import StepRenderer
+from .assertions import no_side_effects
 from .scenes import SMALL, Size, points_of, scene_of, step_of
-from .watching import by_itself, untouched
 
 _SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
 
 
-class Refusal(Exception):
-    """A component refused a question with an error that explains itself.
-
-    Args:
-        error: what it raised.
-    """
-
-    def __init__(self, error: ExplainedError) -> None:
-        super().__init__(str(error))
-        self.error = error
-
-
-def _raised_by_a_check(error: ExplainedError) -> bool:
-    """Whether it was a base class of priors that refused the answer, and not the prior the question."""
-    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
-    return str(frame.f_globals.get("__name__")).startswith(capabilities.__name__)
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """One moment of an iteration, and the Gaussians behind what the component sees."""
-
-    step: Step
-    model: GaussianModel
+class Refused(Exception):
+    """A component refused a degenerate input with an error that explains itself, which is allowed."""
 
 
 @dataclass
 class Bench:
-    """Where a component is tried.
+    """Provides a component's inputs and calls its methods.
 
     Args:
         device: where the Gaussians live.
-        priors: what components are given.
-        size: how large the scene is.
-        shrink: renders have so many times fewer columns and rows than photographs, as samplers may ask.
+        priors: prior models by name.
+        size: size of the scene.
+        shrink: the photographs have this many times the rows and columns of the renders.
 
     Attributes:
-        seconds: what the component's own methods took so far.
-        megabytes: the most that one of them added to the process's memory; None where nobody counts.
+        seconds: total time of the component's methods so far.
+        megabytes: largest growth of the process during one call; None where it cannot be measured.
     """
 
     device: Device
@@ -77,26 +55,28 @@ class Bench:
     seconds: float = field(default=0.0, init=False)
     megabytes: float | None = field(default=None, init=False)
 
-    def ask(self, method: Callable[..., Any], *given: Any) -> Any:
-        """Call a component's method as the host does, and see that it leaves all else alone.
+    def call(self, method: Callable[..., Any], *given: Any) -> Any:
+        """Call a component's method and check that it has no side effects.
 
         Raises:
-            Refusal: it raised an error that explains itself.
-            ExplainedError: the host's base class of a prior refuses the answer.
-            AssertionError: it changed what it was given, or something that the whole process shares.
+            Refused: it raised an `ExplainedError`, on a degenerate scene or with `shrink` > 1.
+            ExplainedError: it raised one on another scene, the base class of a prior refused the answer,
+                or the component changed state that the process shares.
+            AssertionError: it changed its arguments.
         """
         by_name = {
             "step" if isinstance(value, Step) else f"argument {number}": value
             for number, value in enumerate(given, 1)
         }
-        with untouched(by_name), by_itself(), memory_added() as added:
+        with no_side_effects(by_name), memory_added() as added:
             begin = monotonic()
             try:
                 answer = method(*given)
             except ExplainedError as error:
-                if _raised_by_a_check(error):
-                    raise
-                raise Refusal(error) from error
+                may_refuse = self.size.degenerate or self.shrink > 1
+                if may_refuse and not _raised_by_prior_base(error):
+                    raise Refused(str(error)) from error
+                raise
             self.seconds += monotonic() - begin
         if added.megabytes is not None:
             self.megabytes = max(self.megabytes or 0.0, added.megabytes)
@@ -104,34 +84,53 @@ class Bench:
 
     @cached_property
     def scene(self) -> Scene:
-        """Three views, two to train and one to test."""
+        """Three views: two for training, one for testing."""
         return scene_of(self.size)
 
     def points(self) -> PointCloud:
-        """What Gaussians start from: the scene's points, or some that no camera sees."""
+        """Return the initial points, which no camera sees if the size says so."""
         return points_of(self.size)
 
     def model(self) -> GaussianModel:
-        """Gaussians at the points."""
+        """Return new Gaussians at the points."""
         return new_model(initial_gaussians(self.points(), _SETTINGS), _SETTINGS, self.device)
 
     def maps(self) -> dict[str, DepthMap]:
-        """What an initializer could know of the training views: a wall, or nothing if all is hidden."""
-        return {view.name: self._map() for view in self.scene.train}
-
-    def _map(self) -> DepthMap:
+        """Return an initializer's depth of each training view: the wall, or nothing if it is hidden."""
         known = torch.full((self.size.height, self.size.width), not self.size.hidden)
-        return DepthMap(3.0 * known, known, known.float())
+        return {v.name: DepthMap(3.0 * known, known, known.float()) for v in self.scene.train}
 
     def kinds(self) -> dict[str, Tensor]:
-        """Every second point is measured, the others are guessed."""
-        guessed = torch.arange(len(self.points())) % 2 == 1
-        return {"confirmed": ~guessed, "hidden": guessed}
+        """Return two kinds of points: each even one is confirmed, each odd one hidden."""
+        hidden = torch.arange(len(self.points())) % 2 == 1
+        return {"confirmed": ~hidden, "hidden": hidden}
 
-    def begun(self) -> Moment:
-        """Before the render."""
-        model = self.model()
-        step = step_of(
+    def before_render(self) -> Step:
+        """Return an iteration before its render."""
+        return self._step(self.model())
+
+    def after_render(self, *, absolute: bool = False) -> Step:
+        """Return an iteration after its render, with one other field.
+
+        Args:
+            absolute: collect absolute screen gradients too.
+        """
+        model, other = self.model(), self.model()
+        step = self._step(model)
+        camera = step.sample.camera
+        rendering = model.render(camera, collect_statistics=True, collect_absolute=absolute)
+        render = StepRenderer(other, step.sample, gradients=False)
+        step.rendered(lambda: rendering, (OtherField(1, other.reader(), render(camera), render),))
+        return step
+
+    def after_backward(self, *, absolute: bool = False) -> Step:
+        """Return an iteration after its backward pass; see `after_render`."""
+        step = self.after_render(absolute=absolute)
+        photometric_loss(step.rendering.rgb, step.sample.target, device=self.device).backward()
+        return step
+
+    def _step(self, model: GaussianModel) -> Step:
+        return step_of(
             model,
             self.scene,
             priors=self.priors,
@@ -139,28 +138,9 @@ class Bench:
             kinds=self.kinds(),
             shrink=self.shrink,
         )
-        return Moment(step, model)
 
-    def rendered(self, *, absolute: bool = False) -> Moment:
-        """After the render; there is one other field.
 
-        Args:
-            absolute: collect absolute screen gradients too.
-        """
-        moment = self.begun()
-        step = moment.step
-        rendering = moment.model.render(
-            step.sample.camera, collect_statistics=True, collect_absolute=absolute
-        )
-        other = self.model()
-        look = StepRenderer(other, step.sample, gradients=False)
-        seen = OtherField(1, other.reader(), look(step.sample.camera), look)
-        step.rendered(lambda: rendering, (seen,))
-        return moment
-
-    def differentiated(self, *, absolute: bool = False) -> Moment:
-        """After the backward pass; see `rendered`."""
-        moment = self.rendered(absolute=absolute)
-        rgb, target = moment.step.rendering.rgb, moment.step.sample.target
-        photometric_loss(rgb, target, device=self.device).backward()
-        return moment
+def _raised_by_prior_base(error: ExplainedError) -> bool:
+    """Whether a base class of priors raised the error because of the answer, not the prior itself."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__")).startswith(prior_bases.__name__)

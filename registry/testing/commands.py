@@ -13,7 +13,7 @@ from ..contract.command import Command
 from ..messages.command_parser import CommandParser
 from ..messages.help_text import HelpFormatter
 from ..plugins.commands import COMMANDS, Verb
-from .judging import require
+from .assertions import require
 
 _RESERVED = ("command", "verb")
 _IMPORTS_TORCH = (
@@ -26,8 +26,8 @@ def check_command(command: type[Command]) -> None:
 
     Raises:
         AssertionError: the class does not derive from `registry.Command` or lacks `run`; its arguments
-            clash with each other or with names of the host; its help cannot be printed; its module has
-            no docstring for `stereogs --help`, or importing it imports torch.
+            clash with each other or with the host's; its help cannot be printed; its module has no
+            docstring for `stereogs --help`, or importing it imports torch.
         PluginError: an entry point of its module does not match the registered name.
     """
     require(
@@ -40,11 +40,11 @@ def check_command(command: type[Command]) -> None:
         built.add_arguments(parser)
     except argparse.ArgumentError as error:
         raise AssertionError(f"the arguments clash: {error}") from error
-    names = [action.dest for action in parser._actions]
-    taken = [name for name in names if name in _RESERVED]
-    require(
-        not taken, f"the argument {taken[:1]} has a name that the host uses; set another `dest`"
-    )
+    for action in parser._actions:
+        require(
+            action.dest not in _RESERVED,
+            f"the argument {action.dest!r} has a name that the host uses; set another `dest`",
+        )
     try:
         parser.format_help()
     except (ValueError, TypeError, KeyError) as error:

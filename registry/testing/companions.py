@@ -1,4 +1,4 @@
-"""What stands beside a component in the pipelines that it is tried in: the host's own, tried ones."""
+"""Components and pipelines around the component under test."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from core_rasterizer import Edit, Gaussians, Relocation
 
@@ -24,89 +23,77 @@ from ..pipeline.yaml_source import Place
 from ..plugins.discovery import Offer
 
 UNDER_TEST = "under_test"
-"""What a component is called in a pipeline that it is tried in."""
+"""Name of the component under test in its pipelines."""
 
 
 class ScenePoints(Initializer[Settings]):
-    """The scene's own points."""
+    """The points of the scene."""
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return them."""
         assert scene.points is not None
         return scene.points
 
 
 class MeanError(Metric[Settings]):
-    """Mean absolute error of colours."""
+    """Mean absolute error of the colours."""
 
     higher_is_better = False
 
-    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
-        """Of the whole image."""
+    def measure(
+        self, rendered: torch.Tensor, photograph: torch.Tensor, mask: torch.Tensor | None
+    ) -> float:
         return float((rendered - photograph).abs().mean())
 
 
 class RandomEdits(Densification[Settings]):
-    """One kind of edit after the other, each leaving at least one Gaussian; in every third iteration.
+    """Apply each kind of edit in turn, in every third iteration; at least one Gaussian remains.
 
-    In the others the optimizer takes its step, which it does not after an edit.
+    The optimizer skips the iterations of an edit and runs in the others.
     """
 
     def refine(self, step: Step) -> Edit | None:
-        """Return the edit of this iteration."""
         if step.iteration % 3 != 1:
             return None
         count = step.model.count
         number = torch.arange(count)
-        few = number % 5
-        added = _copies(step, 2)
-        parents = torch.full((len(added),), count - 1)
+        group = number % 5
+        first = {name: values[[0, 0]] for name, values in vars(step.model.gaussians()).items()}
         edits = (
-            Edit(clone=few == 0, prune=few == 1),
-            Edit(split=few == 2),
-            Edit(relocate=_relocation(number)),
-            Edit(add=added, parents=parents, prune=few == 3),
+            Edit(clone=group == 0, prune=group == 1),
+            Edit(split=group == 2),
+            Edit(relocate=Relocation(number[-2:], number[:2]) if count >= 4 else None),
+            Edit(add=Gaussians(**first), parents=torch.full((2,), count - 1), prune=group == 3),
         )
         return edits[step.iteration // 3 % len(edits)]
 
 
-def _copies(step: Step, count: int) -> Gaussians:
-    """Copies of the first Gaussian."""
-    every = vars(step.model.gaussians())
-    return Gaussians(**{name: values[[0] * count] for name, values in every.items()})
-
-
-def _relocation(number: Tensor) -> Relocation | None:
-    """The first two become copies of the last two, where there are so many."""
-    return Relocation(number[-2:], number[:2]) if len(number) >= 4 else None
-
-
 def pipeline_of(items: list[Item], training: TrainingSettings) -> Pipeline:
-    """A pipeline of these components, for a scene that is given, with points and a score if none is."""
-    given = {
-        point.section: tuple(i for i in items if i.point is point) for point in PIPELINE_POINTS
-    }
-    usual = {
-        "scene": item(InMemoryScene, Settings(), IN_MEMORY),
-        "initializer": item(ScenePoints, Settings(), "scene_points"),
-        "metrics": item(MeanError, Settings(), "mean_error"),
-    }
-    filled = {name: given[name] or (one,) for name, one in usual.items()}
-    return Pipeline("conformance", {**given, **filled}, training)
+    """Return a pipeline of components; it has scene, initializer and metric even if none is given."""
+    defaults = [
+        pipeline_item(InMemoryScene, Settings(), IN_MEMORY),
+        pipeline_item(ScenePoints, Settings(), "scene_points"),
+        pipeline_item(MeanError, Settings(), "mean_error"),
+    ]
+
+    def section(point: HookPoint) -> tuple[Item, ...]:
+        given, usual = (tuple(i for i in of if i.point is point) for of in (items, defaults))
+        return given or usual
+
+    sections = {point.section: section(point) for point in PIPELINE_POINTS}
+    return Pipeline("conformance", sections, training)
 
 
-def item(component: type[Component[Any]], settings: Settings, name: str) -> Item:
-    """A component as a pipeline would name it."""
-    point = point_of(component)
-    offer = Offer(point, name, component, name, "registry.testing", "0")
+def pipeline_item(component: type[Component[Any]], settings: Settings, name: str) -> Item:
+    """Return a component as an item of a pipeline."""
+    offer = Offer(hook_point(component), name, component, name, "registry.testing", "0")
     return Item(name, settings, HostSettings(use=name), offer, Place(f"the component {name}"))
 
 
-def point_of(component: type[Component[Any]]) -> HookPoint:
-    """The hook point that a class is for.
+def hook_point(component: type[Component[Any]]) -> HookPoint:
+    """Return the hook point whose base class a component derives from.
 
     Raises:
-        AssertionError: it derives from none of the bases.
+        AssertionError: it derives from none.
     """
     for point in PIPELINE_POINTS:
         if isinstance(component, type) and issubclass(component, point.base):

@@ -1,4 +1,4 @@
-"""Small scenes with known depth, and iterations that look at them."""
+"""Small scenes with known depth, and training iterations on them."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from ..contract.step import Sample, Step
 from ..pipeline.training_settings import TrainingSettings
 from ..training.learning_rates import learning_rates
 from ..training.step_rendering import StepRenderer
-from .judging import require
+from .assertions import require
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large a scene is.
+    """Size of a scene.
 
     Args:
         title: for messages.
-        width, height: of its images, in pixels.
-        points: how many there are.
-        hidden: no Gaussian is in view, images are of one colour, and no point and depth is known.
+        width, height: of the images, in pixels.
+        points: number of points.
+        hidden: no Gaussian is in view, each image has one colour, and no points or depth are known.
     """
 
     title: str
@@ -40,9 +40,9 @@ class Size:
     hidden: bool = False
 
     @property
-    def rich(self) -> bool:
-        """Whether there is enough to see for an answer to mean something."""
-        return not self.hidden and self.points > 1
+    def degenerate(self) -> bool:
+        """Whether too little is visible for a meaningful answer."""
+        return self.hidden or self.points == 1
 
 
 SMALL = Size("a small scene", 32, 24, 60)
@@ -57,12 +57,10 @@ def tiny_scene() -> Scene:
 
 
 def scene_of(size: Size) -> Scene:
-    """Two training views with a test view between them, looking along +z at a wall at z = 3."""
-    views = [_view(size, index) for index in range(3)]
+    """Return two training views with a test view between them that look along +z at a wall at z = 3."""
+    left, middle, right = (_view(size, index) for index in range(3))
     points = None if size.hidden else points_of(size)
-    return validate(
-        Scene("tiny", (views[0], views[2]), (views[1],), bounds=(1.5, 5.0), points=points)
-    )
+    return validate(Scene("tiny", (left, right), (middle,), bounds=(1.5, 5.0), points=points))
 
 
 def _view(size: Size, index: int) -> View:
@@ -80,17 +78,11 @@ def _view(size: Size, index: int) -> View:
 
 
 def points_of(size: Size) -> PointCloud:
-    """Points of random colours between z = 2 and 4, or far behind the cameras."""
+    """Return points of random colours between z = 2 and 4, or far behind the cameras."""
     generator = torch.Generator().manual_seed(1)
     positions = torch.rand(size.points, 3, generator=generator) * 2 - 1
     positions[:, 2] += -30 if size.hidden else 3
     return PointCloud(positions, torch.rand(size.points, 3, generator=generator))
-
-
-def pictured(view: View, depth_factor: float) -> Rendering:
-    """A render that shows the view's photograph, and its true depth times a factor."""
-    assert view.depth is not None
-    return Rendering(view.image.clone(), depth_factor * view.depth, torch.ones_like(view.depth))
 
 
 def step_of(
@@ -107,19 +99,19 @@ def step_of(
     log: Callable[[str, float], None] | None = None,
     shrink: int = 1,
 ) -> Step:
-    """An iteration that looks at a scene's first training view, for tests of one's own.
+    """Return an iteration that trains on a scene's first training view, for your own tests.
 
     Args:
         model: the Gaussians.
         scene: the step sees it without test views and true depth.
-        rendering: of that view; None for the moment before the render.
-        iteration, iterations: the number of this one, and of all.
-        extent: world units; None takes the scene's.
+        rendering: of that view; None for an iteration before the render.
+        iteration, iterations: number of this iteration, and of all.
+        extent: world units; None uses the scene's.
         priors: prior models by name.
         maps: the initializer's depth by the view's name.
         kinds: which Gaussians descend from initial points of a kind.
-        log: what `step.log` calls; None only checks that it is given a name and a number.
-        shrink: >= 1; the sample's camera and target have so many times fewer columns and rows than the view.
+        log: called by `step.log`; None only checks that it gets a name and a number.
+        shrink: >= 1; the view has this many times the columns and rows of the sample's camera and target.
     """
     known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
     extent = known.extent if extent is None else extent

@@ -13,7 +13,6 @@ An entry is a folder that is either complete or absent. All kinds share one fold
 least recently used entries are removed first. It is safe to delete any of them.
 """
 
-from .entries import Cache, content_key, source_digest
-from .place import FOLDER_VARIABLE
+from .entries import FOLDER_VARIABLE, Cache, content_key, source_digest
 
 __all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "source_digest"]

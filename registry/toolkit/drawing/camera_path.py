@@ -24,12 +24,8 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     Centers follow a cubic spline, rotations a spline of angular velocity (Park & Ravani 1997, as in
     scipy), focal lengths and principal points linear interpolation; the size is the first camera's.
 
-    Args:
-        cameras: At least two cameras, in the order of the path.
-        frames: Number of cameras to return, >= 2.
-
     Raises:
-        RunError: There are fewer cameras or frames.
+        RunError: There are fewer than two cameras or frames.
     """
     if len(cameras) < 2 or frames < 2:
         raise RunError(
@@ -43,32 +39,23 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     centers = CubicSpline(times, poses[:, :3, 3], bc_type="periodic")(at)
     rotations = RotationSpline(times, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
     first = cameras[0]
-    lenses = np.array(
-        [
-            [c.fx * x, c.fy * y, c.cx * x, c.cy * y]
-            for c in stops
-            for x, y in [(first.width / c.width, first.height / c.height)]
-        ]
-    )
+    resized = [camera.resized(first.width, first.height) for camera in stops]
+    lenses = np.array([[c.fx, c.fy, c.cx, c.cy] for c in resized])
     lens_at = np.stack([np.interp(at, times, column) for column in lenses.T], axis=1)
     path = []
     for center, rotation, (fx, fy, cx, cy) in zip(centers, rotations, lens_at, strict=True):
         pose = np.eye(4)
         pose[:3, :3] = rotation.T
         pose[:3, 3] = -rotation.T @ center
-        path.append(
-            replace(first, world_to_camera=torch.from_numpy(pose), fx=fx, fy=fy, cx=cx, cy=cy)
-        )
+        world_to_camera = torch.from_numpy(pose)
+        path.append(replace(first, world_to_camera=world_to_camera, fx=fx, fy=fy, cx=cx, cy=cy))
     return path
 
 
 def upwards(cameras: Sequence[Camera]) -> Vector:
-    """Return the mean up direction of the images, `[3]`, unit length, world axes.
+    """Return the mean up direction of one or more images, `[3]`, unit length, world axes.
 
     If the directions cancel out, the up direction of the first camera.
-
-    Args:
-        cameras: At least one camera.
     """
     directions = np.stack([-camera.world_to_camera[1, :3].numpy() for camera in cameras])
     mean = directions.mean(axis=0)
@@ -79,10 +66,7 @@ def upwards(cameras: Sequence[Camera]) -> Vector:
 def upright_rotation(cameras: Sequence[Camera]) -> Rotation:
     """Return the rotation from world axes to x right, y up, z back, as seen from the first camera.
 
-    Up is the mean over all cameras (`upwards`); the viewing direction becomes horizontal.
-
-    Args:
-        cameras: At least one camera.
+    Up is the mean over the one or more cameras (`upwards`); the viewing direction becomes horizontal.
     """
     up = upwards(cameras)
     first = cameras[0].world_to_camera.numpy()

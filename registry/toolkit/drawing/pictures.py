@@ -49,9 +49,8 @@ def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) 
     with replacing(path) as temporary:
         # Z_RLE finds repeats of the previous byte only. After PNG's filters, images have few others:
         # files are as small, and 25 % faster to write.
-        Image.fromarray(to_bytes(image)).save(
-            temporary, "PNG", compress_type=zlib.Z_RLE, pnginfo=info
-        )
+        pixels = Image.fromarray(to_bytes(image))
+        pixels.save(temporary, "PNG", compress_type=zlib.Z_RLE, pnginfo=info)
 
 
 def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -68,13 +67,7 @@ def grey(image: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class ViewPictures:
-    """Paths of a view's images.
-
-    Args:
-        render: The render.
-        depth: The depth in colors, see `depth_picture`.
-        comparison: Photograph, render and depth side by side.
-    """
+    """Paths of a view's render, its `depth_picture`, and photograph | render | depth side by side."""
 
     render: Path
     depth: Path
@@ -151,11 +144,7 @@ def _ends(values: Tensor, known: Tensor) -> tuple[float, float]:
 def nearness_picture(nearness: Tensor, known: Tensor) -> Tensor:
     """Return inverse depth or disparity in colors, `[H, W, 3]`: large is light, unknown is black.
 
-    Colors are linear between the 2nd and 98th percentiles of the known values.
-
-    Args:
-        nearness: `[H, W]`; unknown values are ignored.
-        known: `[H, W]` bool.
+    Colors are linear between the 2nd and 98th percentiles of the values that are `known`, `[H, W]` bool.
     """
     import torch
 

@@ -34,12 +34,7 @@ class ImageMetricSettings(Settings):
 
 
 def white_outside(image: Tensor, mask: Tensor | None) -> Tensor:
-    """Set pixels outside a mask to white, as the DTU protocol does.
-
-    Args:
-        image: `[H, W, 3]`.
-        mask: `[H, W]` bool; None returns the image unchanged.
-    """
+    """Set pixels of `[H, W, 3]` outside a mask `[H, W]` bool, if any, to white, as the DTU protocol does."""
     return image if mask is None else image.masked_fill(~mask[..., None], 1.0)
 
 

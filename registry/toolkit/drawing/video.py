@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Iterable
+from contextlib import closing
 from itertools import chain
 from pathlib import Path
 
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ...system.files import replacing
@@ -31,36 +33,28 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
         for number, frame in enumerate(frames):
             save_png(frame, target / f"{number:04d}.png")
         return target, "pictures (no video: pip install 'stereogs-plugins[video]')"
-    remaining = iter(frames)
+    remaining = map(_pixels, frames)
     first = next(remaining)
-    height, width = _even(first).shape[:2]
     video = target.with_suffix(".mp4")
     with replacing(video) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
-            (width, height),
+            (first.shape[1], first.shape[0]),
             fps=FRAMES_PER_SECOND,
             quality=8,
             macro_block_size=2,
             output_params=["-f", "mp4"],
             ffmpeg_log_level="error",
         )
-        _feed(writer, chain([first], remaining))
+        with closing(writer):
+            writer.send(None)
+            for pixels in chain([first], remaining):
+                writer.send(pixels.tobytes())
     return video, "MP4 video"
 
 
-def _even(frame: Tensor) -> Tensor:
-    """Repeat the last row or column of odd sizes; H.264's common color format requires even sizes."""
-    height, width = frame.shape[:2]
-    rows = torch.arange(height + height % 2).clamp(max=height - 1)
-    columns = torch.arange(width + width % 2).clamp(max=width - 1)
-    return frame[rows][:, columns]
-
-
-def _feed(writer: Generator[None, bytes | None], frames: Iterable[Tensor]) -> None:
-    writer.send(None)
-    try:
-        for frame in frames:
-            writer.send(to_bytes(_even(frame)).tobytes())
-    finally:
-        writer.close()
+def _pixels(frame: Tensor) -> NDArray[np.uint8]:
+    """Convert a frame to bytes with even sides, which H.264's common color format requires."""
+    pixels = to_bytes(frame)
+    height, width = pixels.shape[:2]
+    return np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .keypoint_networks import KeypointNetworks, Keypoints
-    from .learned_features import LearnedFeatures
+    from .feature_networks import KeypointNetworks, Keypoints, LearnedFeatures
     from .model_file import Sha256, read_model_file
     from .onnx_model import OnnxModel, OnnxModelSettings, OnnxTensor
     from .onnx_session import OnnxProvider, first_line

@@ -49,9 +49,7 @@ class Fit:
     """A transform that resizes images to `content`, then pads both sides evenly to `target`.
 
     Args:
-        image: Size of the images.
-        content: Size after resizing.
-        target: Size of the network's input, at least `content`.
+        image, content, target: Sizes of the images, after resizing, and of the network's input.
     """
 
     image: Size
@@ -165,8 +163,7 @@ def full_size_maps(
     """Return an output as `[N, H, W]`; refuse other sizes, whose unit would be ambiguous.
 
     Args:
-        name: Name of the output.
-        answers: Outputs of the model by name.
+        name, answers: Name of the output, and all outputs by name.
         shape: (N, H, W); the output may have an additional channel dimension of 1, second or last.
         where: Path of the model's file.
 
@@ -188,12 +185,8 @@ def full_size_maps(
 def at_size(pixels: Tensor, height: int, width: int) -> Tensor:
     """Resample a map of a photograph to the size of its render, which samplers may reduce.
 
-    Uses the nearest pixel without averaging, so that depths of two surfaces and unknown values do not mix. A
-    map of the right size is returned unchanged.
-
-    Args:
-        pixels: `[H, W]` of any type.
-        height, width: Size of the render.
+    Takes the nearest pixel of a map `[H, W]` of any type without averaging, so that depths of two surfaces
+    and unknown values do not mix. A map of the right size is returned unchanged.
     """
     import torch
 

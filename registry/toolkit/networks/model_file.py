@@ -1,11 +1,16 @@
-"""Read model files and verify their hash."""
+"""Read model files, verify their hash, and check untrusted ONNX content before onnxruntime loads it.
+
+A tensor may store its values in a second file at any path, which the hash of the model does not cover. And
+onnxruntime crashes if an empty tensor decides a loop or a branch, because it reads the first element.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
 
@@ -17,25 +22,37 @@ LARGEST = 1 << 31
 Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
 """Type of settings for a file's SHA-256: 64 hexadecimal digits."""
 
+_BYTES, _NUMBER = "TYPE_BYTES", "TYPE_INT64"
+_SCHEMA: dict[str, dict[str, tuple[int, str]]] = {
+    "Model": {"graph": (7, "Graph"), "training": (20, "Training"), "functions": (25, "Function")},
+    "Training": {"initialization": (1, "Graph"), "algorithm": (2, "Graph")},
+    "Graph": {"nodes": (1, "Node"), "initializers": (5, "Tensor"), "sparse": (15, "Sparse")},
+    "Function": {"nodes": (7, "Node"), "attributes": (11, "Attribute")},
+    "Node": {"inputs": (1, _BYTES), "operator": (4, _BYTES), "attributes": (5, "Attribute")},
+    "Attribute": {
+        **{"t": (5, "Tensor"), "g": (6, "Graph"), "sparse_tensor": (22, "Sparse")},
+        **{"tensors": (10, "Tensor"), "graphs": (11, "Graph"), "sparse_tensors": (23, "Sparse")},
+    },
+    "Sparse": {"values": (1, "Tensor"), "indices": (2, "Tensor")},
+    "Tensor": {
+        **{"dims": (1, _NUMBER), "name": (8, _BYTES)},
+        **{"external_data": (13, _BYTES), "data_location": (14, _NUMBER)},
+    },
+}
+"""Part of onnx.proto (IR version 10): the fields that lead to tensors and nodes, by number and type."""
+_DECIDED_BY = {b"Loop": 2, b"If": 1}
+"""Number of leading inputs that decide an operator's control flow; each must hold one element."""
 
-@dataclass(frozen=True)
-class ModelFile:
-    """A model file in memory.
 
-    Args:
-        content: Content of the file.
-        sha256: SHA-256, 64 lower-case hexadecimal digits.
-    """
+class ModelFile(NamedTuple):
+    """Content of a model file and its SHA-256, 64 lower-case hexadecimal digits."""
 
     content: bytes
     sha256: str
 
 
 def read_model_file(path: Path, sha256: str | None) -> ModelFile:
-    """Read a local file.
-
-    Args:
-        sha256: Required hash; None accepts any file.
+    """Read a local file; a `sha256` of None accepts any content.
 
     Raises:
         PluginError: The file cannot be read, is not a regular file, is larger than 2 GiB, or has
@@ -69,3 +86,65 @@ def _unreadable(path: Path) -> str:
     if not path.is_file():
         return "it is not a regular file"
     return f"it has {size:,} bytes, more than {LARGEST:,}" if size > LARGEST else ""
+
+
+def check_content(content: bytes, path: Path) -> None:
+    """Refuse damaged models, models with external weights, and models that would crash onnxruntime."""
+    from google.protobuf.message import DecodeError
+
+    try:
+        model = _model_type().FromString(content)
+    except DecodeError as error:
+        raise PluginError(
+            "onnxruntime cannot load the ONNX model: the file is truncated or damaged",
+            where=str(path),
+            fix="export the model to ONNX again, or copy it again",
+        ) from error
+    messages = list(_messages(model))
+    tensors = [message for message in messages if message.DESCRIPTOR.name == "Tensor"]
+    if any(tensor.external_data or any(tensor.data_location) for tensor in tensors):
+        raise PluginError(
+            "the model stores weights in a second file, which no hash would cover",
+            where=str(path),
+            fix="write it as one file: onnx.save(onnx.load(path), new_path)",
+        )
+    empty = {name for tensor in tensors if 0 in tensor.dims for name in tensor.name[-1:]}
+    for node in (message for message in messages if message.DESCRIPTOR.name == "Node"):
+        count = max((_DECIDED_BY.get(name, 0) for name in node.operator), default=0)
+        for name in empty.intersection(node.inputs[:count]) - {b""}:
+            raise PluginError(
+                f"a loop or a branch of the model is decided by {name.decode(errors='replace')!r}, "
+                "which has no elements",
+                where=str(path),
+                fix="export the model to ONNX again; such a tensor must hold one number",
+            )
+
+
+def _messages(message: Any) -> Iterator[Any]:
+    """Yield a message and all messages inside it."""
+    waiting = [message]
+    while waiting:
+        message = waiting.pop()
+        yield message
+        for field, values in message.ListFields():
+            if field.message_type:
+                waiting += values
+
+
+@cache
+def _model_type() -> Any:
+    """Build the message type of `_SCHEMA`. All fields are repeated, so nothing is overwritten or merged."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    file = descriptor_pb2.FileDescriptorProto(name="onnx_part.proto", package="part")
+    for name, fields in _SCHEMA.items():
+        message = file.message_type.add(name=name)
+        for field_name, (number, kind) in fields.items():
+            field = message.field.add(name=field_name, number=number, label="LABEL_REPEATED")
+            if kind in _SCHEMA:
+                field.type_name = f".part.{kind}"
+            else:
+                field.type = descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("part.Model"))

@@ -19,8 +19,7 @@ from pydantic import Field
 from ...contract.component import Settings
 from ...errors import PluginError
 from ...system.memory import peak_memory_mb
-from .model_file import Sha256, read_model_file
-from .onnx_content import check_content
+from .model_file import Sha256, check_content, read_model_file
 from .onnx_session import (
     TIME_LIMIT,
     OnnxProvider,
@@ -36,26 +35,13 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _log = logging.getLogger("stereogs.priors")
-_TYPES = {  # names of torch's types
-    "tensor(float)": "float32",
-    "tensor(float16)": "float16",
-    "tensor(double)": "float64",
-    "tensor(uint8)": "uint8",
-    "tensor(int32)": "int32",
-    "tensor(int64)": "int64",
-    "tensor(bool)": "bool",
-}
+_TYPES = ("float", "float16", "double", "uint8", "int32", "int64", "bool")
+"""Element types by ONNX's names, which are names of torch too."""
 
 
 @dataclass(frozen=True)
 class OnnxTensor:
-    """An input or output of a model.
-
-    Args:
-        name: Name in the graph.
-        shape: Sizes; None for a dynamic size.
-        dtype: Type in the graph; `OnnxModel.run` converts.
-    """
+    """An input or output of a graph; None in `shape` is a dynamic size, `OnnxModel.run` converts types."""
 
     name: str
     shape: tuple[int | None, ...]
@@ -81,10 +67,7 @@ class OnnxModel:
         threads: Number of CPU threads; None uses all that this process may use.
 
     Attributes:
-        path: Path of the file.
-        sha256: SHA-256 of the file, 64 hexadecimal digits.
-        provider: Backend in use, one of `OnnxProvider`.
-        threads: Number of CPU threads.
+        path, sha256, provider, threads: As given, or as found and chosen.
         inputs, outputs: Tensors in the graph's order.
 
     Raises:
@@ -128,11 +111,7 @@ class OnnxModel:
         return self._find("input", self.inputs, name)
 
     def output(self, name: str | None = None) -> OnnxTensor:
-        """Return the output of this name; None returns the only output.
-
-        Raises:
-            PluginError: See `input`.
-        """
+        """Return the output of this name; None returns the only output. Raises as `input`."""
         return self._find("output", self.outputs, name)
 
     def run(self, inputs: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -170,18 +149,12 @@ class OnnxModel:
         self._logged = True
         if not _log.isEnabledFor(level):
             return
+        cost = f"{seconds:.2f} s on {self.provider}, {self.threads} threads"
         sizes = ", ".join(f"{name} {list(value.shape)}" for name, value in feed.items())
         memory = peak_memory_mb()
-        _log.log(
-            level,
-            "%s: %.2f s on %s, %d threads, for %s%s",
-            self.path.name,
-            seconds,
-            self.provider,
-            self.threads,
-            sizes,
-            "" if memory is None else f"; memory of this process at most {memory:.0f} MB so far",
-        )
+        if memory is not None:
+            sizes += f"; memory of this process at most {memory:.0f} MB so far"
+        _log.log(level, "%s: %s, for %s", self.path.name, cost, sizes)
 
     def _answers(self, feed: Mapping[str, Any]) -> Any:
         """Run the session with a time limit: a graph may contain an endless loop."""
@@ -222,26 +195,19 @@ class OnnxModel:
         return value.to(spec.dtype).contiguous().numpy()
 
     def _find(self, kind: str, specs: Sequence[OnnxTensor], name: str | None) -> OnnxTensor:
-        if name is None and len(specs) == 1:
-            return specs[0]
-        for spec in specs:
-            if spec.name == name:
-                return spec
-        what = (
-            f"no {kind} {name!r}" if name else f"{len(specs)} {kind}s; its name must be specified"
-        )
-        raise self._mismatch(f"the model has {what}")
+        found = [spec for spec in specs if name in (None, spec.name)]
+        if len(found) == 1:
+            return found[0]
+        several = f"{len(specs)} {kind}s; its name must be specified"
+        raise self._mismatch(f"the model has {f'no {kind} {name!r}' if name else several}")
 
     def _mismatch(self, what: str) -> PluginError:
         has = "; ".join(
             f"{kind}: {', '.join(str(spec) for spec in specs) or 'none'}"
             for kind, specs in (("inputs", self.inputs), ("outputs", self.outputs))
         )
-        return PluginError(
-            what,
-            where=str(self.path),
-            fix=f"choose settings that match this graph, which has {has}",
-        )
+        fix = f"choose settings that match this graph, which has {has}"
+        return PluginError(what, where=str(self.path), fix=fix)
 
 
 def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
@@ -249,14 +215,15 @@ def _described(specs: Sequence[Any], path: Path) -> tuple[OnnxTensor, ...]:
 
     described = []
     for spec in specs:
-        if spec.type not in _TYPES:
+        kind = spec.type.removeprefix("tensor(").removesuffix(")")
+        if kind not in _TYPES:
             raise PluginError(
                 f"{spec.name!r} of the model has the type {spec.type}, which is not supported",
                 where=str(path),
-                fix=f"export it with one of {', '.join(_TYPES)}",
+                fix=f"export it with one of {', '.join(f'tensor({name})' for name in _TYPES)}",
             )
         sizes = (s if isinstance(s, int) and s > 0 else None for s in spec.shape)
-        described.append(OnnxTensor(spec.name, tuple(sizes), getattr(torch, _TYPES[spec.type])))
+        described.append(OnnxTensor(spec.name, tuple(sizes), getattr(torch, kind)))
     return tuple(described)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from ...errors import PluginError
 from ...system.memory import machine_memory
@@ -19,7 +19,7 @@ TIME_LIMIT = 3600.0
 MEMORY_SHARE = 0.5
 """Share of the machine's memory for all networks of a process on the CPU together."""
 
-_PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
+_PROVIDERS: dict[OnnxProvider, tuple[str, dict[str, str]]] = {
     # With algorithms chosen by timing, two runs differ; with TF32, results differ from the CPU's.
     "cuda": ("CUDAExecutionProvider", {"cudnn_conv_algo_search": "DEFAULT", "use_tf32": "0"}),
     "rocm": ("ROCMExecutionProvider", {}),
@@ -32,11 +32,7 @@ _PROVIDERS: dict[str, tuple[str, dict[str, str]]] = {
 
 
 def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, str]]]:
-    """Return names and options for onnxruntime: of one provider, or of all installed ones, best first.
-
-    Raises:
-        PluginError: The requested provider is not installed.
-    """
+    """Return names and options for onnxruntime: of the wanted provider, or of all installed, best first."""
     import onnxruntime
 
     installed = onnxruntime.get_available_providers()
@@ -54,11 +50,7 @@ def choose_provider(wanted: OnnxProvider | None) -> list[tuple[str, dict[str, st
 def open_session(
     content: bytes, path: Path, providers: list[tuple[str, dict[str, str]]], threads: int
 ) -> Any:
-    """Open an `onnxruntime.InferenceSession` with this many CPU threads.
-
-    Raises:
-        PluginError: onnxruntime cannot load the model.
-    """
+    """Open an `onnxruntime.InferenceSession` with this many CPU threads."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -99,26 +91,15 @@ def _bound_memory() -> bool:
         return False
     kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
     place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
-    # -1 selects onnxruntime's default.
-    bounds = {
-        "max_mem": int(MEMORY_SHARE * memory),
-        "arena_extend_strategy": -1,
-        "initial_chunk_size_bytes": -1,
-        "max_dead_bytes_per_chunk": -1,
-    }
-    onnxruntime.create_and_register_allocator(place, onnxruntime.OrtArenaCfg(bounds))
+    limit = onnxruntime.OrtArenaCfg({"max_mem": int(MEMORY_SHARE * memory)})
+    onnxruntime.create_and_register_allocator(place, limit)
     return True
 
 
 def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:
-    """Return the provider that the session uses; onnxruntime silently falls back to the CPU.
-
-    Raises:
-        PluginError: It is not the requested one.
-    """
+    """Return the provider in use, or refuse another than the wanted one: onnxruntime falls back silently."""
     running = session.get_providers()[0]
-    names: tuple[OnnxProvider, ...] = get_args(OnnxProvider)
-    name = next(name for name in names if _PROVIDERS[name][0] == running)
+    name = next(name for name, (provider, _) in _PROVIDERS.items() if provider == running)
     if wanted not in (None, name):
         raise PluginError(
             f"onnxruntime could not start {wanted!r} and would run the model on {name!r}",

@@ -20,16 +20,11 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from ...system.parallel import in_parallel
     from .bounds import Bounds, estimate_bounds
-    from .colmap_files import ColmapImage
-    from .colmap_model import (
-        POINTS_FIX,
-        ColmapModel,
-        Tracks,
-        has_colmap_model,
-        read_colmap_model,
-    )
+    from .colmap_files import ColmapImage, has_colmap_model
+    from .colmap_model import POINTS_FIX, ColmapModel, Tracks, read_colmap_model
     from .decoder import (
         BACKGROUNDS,
+        HEIF_SUFFIXES,
         Decoder,
         Pixels,
         ResizeFilter,
@@ -38,20 +33,23 @@ if TYPE_CHECKING:
         dark_background,
         divided_by,
         longest_side,
+        open_image,
+        read_heif,
         read_mask,
         stored_size,
         upright_size,
     )
-    from .image_files import HEIF_SUFFIXES, IMAGE_SUFFIXES, find_image, list_images, read_heif
-    from .lens import Distortion, Lens, pose_from_axes, pose_from_opengl
+    from .lens import Distortion, Lens, import_pycolmap, pose_from_axes, pose_from_opengl, undistort
     from .loaded_photos import LoadedPhotos, PosedPhoto
-    from .opening import open_image
     from .reading import (
+        IMAGE_SUFFIXES,
         Finite,
         Matrix4x4,
         MatrixRow,
         decoding,
+        find_image,
         inside,
+        list_images,
         read_array,
         read_arrays,
         read_document,
@@ -64,7 +62,6 @@ if TYPE_CHECKING:
         split,
         split_rule,
     )
-    from .undistortion import import_pycolmap, undistort
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -30,16 +30,13 @@ BASELINES = (1.0, 100.0)
 
 
 def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where: str) -> Bounds:
-    """Return (near, far) z-depth, from the first of these that applies:
+    """Return (near, far) z-depth, from the first of these that applies to the training cameras:
 
     1. Points: the 0.1 and 99.9 percentiles of their depths in each image, the extremes over all images,
        widened by 10 %.
     2. The point nearest to all optical axes, if it lies in front of all cameras and the axes are not
        almost parallel: from 1/5 of its smallest depth to 5 times its largest.
     3. The largest distance between two cameras: from 1 to 100 times that.
-
-    Args:
-        cameras: Cameras of the training views.
 
     Raises:
         SceneError: The scene has no points and all cameras have the same center.

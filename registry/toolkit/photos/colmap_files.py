@@ -16,6 +16,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from .lens import Distortion
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -23,17 +25,25 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-PARAMETERS = {
-    "SIMPLE_PINHOLE": 3,
-    "PINHOLE": 4,
-    "SIMPLE_RADIAL": 4,
-    "RADIAL": 5,
-    "OPENCV": 8,
-    "OPENCV_FISHEYE": 8,
-    "FULL_OPENCV": 12,
+
+class CameraModel(NamedTuple):
+    """Number of parameters and of focal lengths among them, and the distortion of `Lens`."""
+
+    parameters: int
+    focal_lengths: int
+    distortion: Distortion
+
+
+CAMERA_MODELS = {
+    "SIMPLE_PINHOLE": CameraModel(3, 1, "PINHOLE"),
+    "PINHOLE": CameraModel(4, 2, "PINHOLE"),
+    "SIMPLE_RADIAL": CameraModel(4, 1, "OPENCV"),
+    "RADIAL": CameraModel(5, 1, "OPENCV"),
+    "OPENCV": CameraModel(8, 2, "OPENCV"),
+    "OPENCV_FISHEYE": CameraModel(8, 2, "OPENCV_FISHEYE"),
+    "FULL_OPENCV": CameraModel(12, 2, "FULL_OPENCV"),
 }
-"""Number of parameters of each supported camera model, in the order of COLMAP's model ids."""
-_MODELS = list(PARAMETERS)
+"""The supported camera models, in the order of COLMAP's model ids."""
 
 
 class ColmapCamera(NamedTuple):
@@ -74,34 +84,32 @@ class ColmapPoint(NamedTuple):
 
 
 Record = TypeVar("Record", ColmapCamera, ColmapImage, ColmapPoint)
+_FILES = ("cameras.bin", "images.bin", "points3D.bin")
 
 
-def read_cameras(path: Path) -> dict[int, ColmapCamera]:
-    """Read cameras by id from cameras.bin or cameras.txt.
+def has_colmap_model(folder: Path) -> bool:
+    """Return whether a folder holds a COLMAP model, binary or text."""
+    return any((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def read_colmap_files(
+    folder: Path,
+) -> tuple[dict[int, ColmapCamera], dict[int, ColmapImage], dict[int, ColmapPoint]]:
+    """Read cameras, images and points by id; there are no points without their file.
 
     Raises:
         ValueError: The layout is wrong, or a camera model is not supported.
     """
-    return _by_id(_binary_cameras(path) if path.suffix == ".bin" else _text_cameras(path))
-
-
-def read_images(path: Path) -> dict[int, ColmapImage]:
-    """Read registered photographs by id from images.bin or images.txt.
-
-    Raises:
-        ValueError: The layout is wrong.
-    """
-    return _by_id(_binary_images(path) if path.suffix == ".bin" else _text_images(path))
-
-
-def read_points3d(path: Path) -> list[ColmapPoint]:
-    """Read all points, ordered by id, from points3D.bin or points3D.txt.
-
-    Raises:
-        ValueError: The layout is wrong.
-    """
-    points = _by_id(_binary_points(path) if path.suffix == ".bin" else _text_points(path))
-    return [points[identity] for identity in sorted(points)]
+    if (folder / "images.bin").is_file():
+        suffix, parsers = ".bin", (_binary_cameras, _binary_images, _binary_points)
+    else:
+        suffix, parsers = ".txt", (_text_cameras, _text_images, _text_points)
+    cameras, images, points = ((folder / name).with_suffix(suffix) for name in _FILES)
+    return (
+        _by_id(parsers[0](cameras)),
+        _by_id(parsers[1](images)),
+        _by_id(parsers[2](points)) if points.is_file() else {},
+    )
 
 
 def _by_id(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
@@ -114,47 +122,46 @@ def _by_id(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
-    cursor = _Cursor(path.read_bytes())
-    for _ in range(cursor.count(smallest=24)):
+    for cursor in _records(path, smallest=24):
         identity, number, width, height = cursor.take("<2i2Q")
-        if not 0 <= number < len(_MODELS):
-            raise ValueError(_unknown_model(number))
-        model = _MODELS[number]
-        parameters = cursor.take(f"<{PARAMETERS[model]}d")
+        models = list(CAMERA_MODELS)
+        model = models[number] if 0 <= number < len(models) else str(number)
+        parameters = cursor.take(f"<{_parameter_count(model)}d")
         yield identity, ColmapCamera(model, width, height, parameters)
-    cursor.end()
 
 
 def _binary_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
-    cursor = _Cursor(path.read_bytes())
-    for _ in range(cursor.count(smallest=73)):
+    for cursor in _records(path, smallest=73):
         identity, w, x, y, z, t_x, t_y, t_z, camera_id = cursor.take("<i7di")
         name = cursor.text()
         cursor.skip(cursor.count(smallest=24) * 24)
         yield identity, ColmapImage((w, x, y, z), (t_x, t_y, t_z), camera_id, name)
-    cursor.end()
 
 
 def _binary_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
     import numpy as np
 
-    cursor = _Cursor(path.read_bytes())
-    for _ in range(cursor.count(smallest=51)):
+    for cursor in _records(path, smallest=51):
         identity, x, y, z, red, green, blue, _error = cursor.take("<Q3d3Bd")
         track = np.frombuffer(cursor.skip(cursor.count(smallest=8) * 8), dtype="<i4")
         yield identity, ColmapPoint((x, y, z), (red, green, blue), track[::2].tolist())
-    cursor.end()
+
+
+def _records(path: Path, smallest: int) -> Iterator[_Cursor]:
+    """Yield a cursor at each record, which has at least `smallest` bytes."""
+    cursor = _Cursor(path.read_bytes())
+    for _ in range(cursor.count(smallest)):
+        yield cursor
+    if cursor.left:
+        raise ValueError(f"{cursor.left} bytes follow its last record")
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
     for line in filter(None, _lines(path)):
         identity, model, width, height, *rest = _fields(line, at_least=4)
-        if model not in PARAMETERS:
-            raise ValueError(_unknown_model(model))
-        if len(rest) != PARAMETERS[model]:
-            raise ValueError(
-                f"a camera {model} has {PARAMETERS[model]} parameters, this one has {len(rest)}"
-            )
+        count = _parameter_count(model)
+        if len(rest) != count:
+            raise ValueError(f"a camera {model} has {count} parameters, this one has {len(rest)}")
         parameters = tuple(float(value) for value in rest)
         yield int(identity), ColmapCamera(model, int(width), int(height), parameters)
 
@@ -196,30 +203,33 @@ def _fields(line: str, at_least: int, at_most: int = 0) -> list[str]:
     return fields
 
 
-def _unknown_model(model: object) -> str:
-    return f"the camera model {model} is not one of {', '.join(_MODELS)}"
+def _parameter_count(model: str) -> int:
+    if model not in CAMERA_MODELS:
+        raise ValueError(f"the camera model {model} is not one of {', '.join(CAMERA_MODELS)}")
+    return CAMERA_MODELS[model].parameters
 
 
 class _Cursor:
     def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._position = 0
+        self._data, self._position = data, 0
+
+    @property
+    def left(self) -> int:
+        return len(self._data) - self._position
 
     def take(self, layout: str) -> tuple[Any, ...]:
         return struct.unpack(layout, self.skip(struct.calcsize(layout)))
 
     def skip(self, size: int) -> bytes:
-        end = self._position + size
-        if end > len(self._data):
+        if size > self.left:
             raise ValueError(f"it ends at byte {len(self._data)}, in the middle of a record")
-        part = self._data[self._position : end]
-        self._position = end
-        return part
+        self._position += size
+        return self._data[self._position - size : self._position]
 
     def count(self, smallest: int) -> int:
         """Read the number of records that follow, each at least `smallest` bytes long."""
         number: int = self.take("<Q")[0]
-        if number * smallest > len(self._data) - self._position:
+        if number * smallest > self.left:
             raise ValueError(f"it claims {number} records, which it is too short for")
         return number
 
@@ -227,10 +237,4 @@ class _Cursor:
         end = self._data.find(b"\0", self._position)
         if end < 0:
             raise ValueError("it ends in the middle of a name")
-        text = self._data[self._position : end].decode()
-        self._position = end + 1
-        return text
-
-    def end(self) -> None:
-        if self._position != len(self._data):
-            raise ValueError(f"{len(self._data) - self._position} bytes follow its last record")
+        return self.skip(end + 1 - self._position)[:-1].decode()

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 from ...contract.scene import PointCloud
 from ...errors import SceneError
 from .colmap_files import (
+    CAMERA_MODELS,
     ColmapCamera,
     ColmapImage,
     ColmapPoint,
-    read_cameras,
-    read_images,
-    read_points3d,
+    read_colmap_files,
 )
-from .lens import Distortion, Lens
+from .lens import Lens
 from .reading import decoding
 
 if TYPE_CHECKING:
@@ -33,18 +32,6 @@ if TYPE_CHECKING:
 MIN_TRAINING_OBSERVATIONS = 2
 """A point needs two training views: it could have been triangulated from them, but not from one."""
 POINTS_FIX = "restore the file, or set `points: false` to continue without it"
-_BINARY = ("cameras.bin", "images.bin", "points3D.bin")
-_TEXT = ("cameras.txt", "images.txt", "points3D.txt")
-_ONE_FOCAL_LENGTH = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-_DISTORTION: dict[str, Distortion] = {
-    "SIMPLE_PINHOLE": "PINHOLE",
-    "PINHOLE": "PINHOLE",
-    "SIMPLE_RADIAL": "OPENCV",
-    "RADIAL": "OPENCV",
-    "OPENCV": "OPENCV",
-    "OPENCV_FISHEYE": "OPENCV_FISHEYE",
-    "FULL_OPENCV": "FULL_OPENCV",
-}
 
 
 @dataclass(frozen=True)
@@ -90,17 +77,13 @@ class Tracks:
         count = len(self.lengths)
         problem = ""
         if self.positions.shape != (count, 3) or self.colors.shape != (count, 3):
-            problem = (
-                f"positions {self.positions.shape}, colors {self.colors.shape} and "
-                f"track lengths {self.lengths.shape} do not match"
-            )
+            shapes = f"positions {self.positions.shape}, colors {self.colors.shape}"
+            problem = f"{shapes} and track lengths {self.lengths.shape} do not match"
         elif self.lengths.ndim != 1 or self.images.ndim != 1:
             problem = f"the tracks have shape {self.images.shape}, not one dimension"
         elif (self.lengths < 0).any() or self.lengths.sum() != len(self.images):
-            problem = (
-                f"the track lengths add up to {self.lengths.sum()}, "
-                f"but the tracks have {len(self.images)} entries"
-            )
+            total, entries = self.lengths.sum(), len(self.images)
+            problem = f"the track lengths add up to {total}, but the tracks have {entries} entries"
         elif len(self.images) and not 0 <= self.images.min() <= self.images.max() < image_count:
             problem = f"a track names an image that is not one of the {image_count}"
         elif not np.isfinite(self.positions).all():
@@ -114,11 +97,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class ColmapModel:
-    """The content of a model's folder.
-
-    Args:
-        images: Registered photographs with their ids, sorted by name.
-    """
+    """The content of a model's folder; `images` holds ids and photographs, sorted by name."""
 
     cameras: dict[int, ColmapCamera]
     images: list[tuple[int, ColmapImage]]
@@ -128,14 +107,13 @@ class ColmapModel:
     def lens(self, image: ColmapImage) -> Lens:
         """Return the lens of a photograph; simple and radial models get two focal lengths."""
         camera = self.cameras[image.camera_id]
-        values = camera.parameters
-        if camera.model in _ONE_FOCAL_LENGTH:
+        model, values = CAMERA_MODELS[camera.model], camera.parameters
+        if model.focal_lengths == 1:
             values = (values[0], *values)
         fx, fy, cx, cy, *rest = values
-        model = _DISTORTION[camera.model]
-        if model == "OPENCV":
+        if model.distortion == "OPENCV":
             rest += [0.0] * (4 - len(rest))
-        return Lens(fx, fy, cx, cy, camera.width, camera.height, model, tuple(rest))
+        return Lens(fx, fy, cx, cy, camera.width, camera.height, model.distortion, tuple(rest))
 
     def tracks(self) -> Tracks:
         """Return the points with their tracks; image indices follow the order of the names."""
@@ -154,11 +132,6 @@ class ColmapModel:
         )
 
 
-def has_colmap_model(folder: Path) -> bool:
-    """Return whether a folder holds a COLMAP model, binary or text."""
-    return any((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
-
-
 def read_colmap_model(folder: Path, fix: str) -> ColmapModel:
     """Read a model; prefer binary files over text files.
 
@@ -166,15 +139,11 @@ def read_colmap_model(folder: Path, fix: str) -> ColmapModel:
         SceneError: A file is missing or damaged, a number is not finite, a quaternion does not have
             norm 1, or a record refers to a missing camera or image.
     """
-    names = _BINARY if (folder / _BINARY[1]).is_file() else _TEXT
     with decoding("the COLMAP model", folder, fix):
-        cameras, images, points = (folder / name for name in names)
-        model = ColmapModel(
-            read_cameras(cameras),
-            sorted(read_images(images).items(), key=lambda item: item[1].name),
-            read_points3d(points) if points.is_file() else [],
-            folder,
-        )
+        cameras, images, points = read_colmap_files(folder)
+    by_name = sorted(images.items(), key=lambda item: item[1].name)
+    by_id = [points[identity] for identity in sorted(points)]
+    model = ColmapModel(cameras, by_name, by_id, folder)
     problem = _problem(model)
     if problem:
         raise SceneError(f"the COLMAP model is inconsistent: {problem}", where=str(folder), fix=fix)

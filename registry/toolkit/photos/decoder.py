@@ -1,4 +1,7 @@
-"""Decode photographs: composite them on a background, resize them, cache the result.
+"""Decode photographs from untrusted files: composite them on a background, resize them, cache the result.
+
+Pillow supports about forty formats and chooses by content; for EPS it starts another program. Only the
+formats that loaders support are tried, whatever the suffix.
 
 A decoded photograph is 8-bit RGB, and resizing keeps it so, as in the published protocols. The disk cache
 holds resized photographs, losslessly: decoding 16 megapixels takes about thirty times as long as reading
@@ -10,14 +13,16 @@ the small result.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from ...errors import SceneError
 from ..cache import Cache, content_key
-from .opening import IMAGE_FIX, open_image
+from .reading import decoding
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     import numpy as np
@@ -36,6 +41,17 @@ ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 """Background colors for transparent pixels, in [0, 1], by name."""
 
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
+"""Pillow's names of the supported formats; `read_heif` adds HEIF."""
+MOST_PIXELS = 1 << 27
+"""134 megapixels; a decoded pixel takes up to four bytes."""
+UNCHECKED_PIXELS = 1 << 24
+"""17 megapixels; images up to this size may have any compression ratio."""
+PIXELS_PER_BYTE = 32
+"""Pixels per byte of a larger file, at most; strongly compressed JPEGs have 16."""
+IMAGE_FIX = "restore the photograph, or save it again as an 8-bit PNG or JPEG"
+HEIF_SUFFIXES = (".heic", ".heif")
+"""Suffixes of HEIC files, the format of phones, in lower case; see `read_heif`."""
 _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of this EXIF tag that exchange width and height."""
@@ -45,12 +61,75 @@ _BACKDROP_RUN = 50
 _CACHED = "image.png"
 
 
+@contextmanager
+def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Iterator[Image.Image]:
+    """Open an image file without decoding it; convert exceptions of the block as `decoding` does.
+
+    Args:
+        what, fix: Name of the image, and advice, for error messages.
+
+    Raises:
+        SceneError: The file is missing, not a regular file, or not a PNG, JPEG, WebP, TIFF or BMP; a
+            PNG has wrong checksums; the strips of a TIFF do not cover the image; the image has more
+            than 134 megapixels, or more than 17 with over 32 pixels per byte; or the block raised.
+    """
+    from PIL import Image
+
+    formats = (*FORMATS, "HEIF") if "HEIF" in Image.OPEN else FORMATS
+    if not path.is_file():
+        raise SceneError(f"{what} is missing, or not a regular file", where=str(path), fix=fix)
+    with decoding(what, path, fix):
+        with Image.open(path, formats=formats) as file:
+            _check_size(file, path, what)
+            file.verify()  # checks PNG's checksums, which decoding ignores
+        with Image.open(path, formats=formats) as file:
+            _check_coverage(file, path, what)
+            yield file
+
+
+def _check_size(file: Image.Image, path: Path, what: str) -> None:
+    width, height = file.size
+    pixels, size = width * height, path.stat().st_size
+    if pixels > MOST_PIXELS:
+        raise SceneError(
+            f"{what} has {width}x{height} pixels, more than {MOST_PIXELS // 1_000_000} megapixels",
+            where=str(path),
+            fix="downsample it; training uses a much smaller size",
+        )
+    if pixels > max(UNCHECKED_PIXELS, size * PIXELS_PER_BYTE):
+        raise SceneError(
+            f"{what} has {width}x{height} pixels in a file of {size:,} bytes, which no photograph has",
+            where=str(path),
+            fix="remove it; if it is a photograph, save it again with less compression",
+        )
+
+
+def _check_coverage(file: Image.Image, path: Path, what: str) -> None:
+    """Refuse a TIFF whose strips do not cover the image; Pillow would fill the rest with black."""
+    places = {tile[1] for tile in getattr(file, "tile", ())}
+    covered = sum((right - left) * (low - top) for left, top, right, low in filter(None, places))
+    width, height = file.size
+    if places and covered < width * height:
+        raise SceneError(
+            f"{what} has {width}x{height} pixels, but holds {covered:,} of them",
+            where=str(path),
+            fix=IMAGE_FIX,
+        )
+
+
+def read_heif() -> bool:
+    """Register the HEIC decoder of pillow-heif with Pillow; return False if it is not installed."""
+    try:
+        import pillow_heif
+    except ImportError:
+        return False
+    pillow_heif.register_heif_opener()
+    return True
+
+
 def divided_by(divisor: int) -> SizeRule:
     """Divide each side and round it, as the published protocols do."""
-    return lambda width, height: (
-        max(1, round(width / divisor)),
-        max(1, round(height / divisor)),
-    )
+    return lambda width, height: (max(1, round(width / divisor)), max(1, round(height / divisor)))
 
 
 def at_most(largest: int) -> SizeRule:
@@ -97,38 +176,25 @@ class Decoder:
         Raises:
             SceneError: See `open_image`; also for more than 8 bits per channel.
         """
-        import numpy as np
-
-        with open_image(path) as file:
-            _check_mode(file, path)
-            return np.asarray(self._resized(file, path, self._opaque, str(self.background)))
+        with _open_8_bit(path) as file:
+            return self._decoded(file, path, self._opaque, str(self.background))
 
     def read_alpha(self, path: Path) -> Pixels | None:
-        """Return the opacity, `[H, W]` uint8; None for an opaque photograph.
-
-        Raises:
-            SceneError: See `read`.
-        """
-        import numpy as np
-
-        with open_image(path) as file:
-            _check_mode(file, path)
+        """Return the opacity, `[H, W]` uint8; None for an opaque photograph. Raises as `read`."""
+        with _open_8_bit(path) as file:
             if not file.has_transparency_data:
                 return None
-            return np.asarray(self._resized(file, path, _alpha, "alpha"))
+            return self._decoded(file, path, _alpha, "alpha")
 
-    def _resized(
+    def _decoded(
         self,
         file: Image.Image,
         path: Path,
         select: Callable[[Image.Image], Image.Image],
         selection: str,
-    ) -> Image.Image:
-        """Apply `select`, then resize.
-
-        Args:
-            selection: Parameters of `select`, for the key of the cache.
-        """
+    ) -> Pixels:
+        """Apply `select`, then resize; `selection` holds its parameters for the key of the cache."""
+        import numpy as np
         from PIL import Image, ImageOps
 
         stored = upright_size(file) if self.upright else file.size
@@ -138,10 +204,10 @@ class Decoder:
             return select(ImageOps.exif_transpose(file) if self.upright else file)
 
         if size == stored:
-            return selected()
+            return np.asarray(selected())
         resample = Image.Resampling[self.resize_filter.upper()]
         treatment = f"{size} {self.resize_filter} {selection} {self.upright}"
-        return _cached(path, treatment, lambda: selected().resize(size, resample))
+        return np.asarray(_cached(path, treatment, lambda: selected().resize(size, resample)))
 
     def _opaque(self, file: Image.Image) -> Image.Image:
         from PIL import Image
@@ -161,23 +227,33 @@ def _alpha(file: Image.Image) -> Image.Image:
 def _cached(path: Path, treatment: str, compute: Callable[[], Image.Image]) -> Image.Image:
     """Return `compute()`, from the cache if the same file was treated in the same way before."""
     import PIL
+    from PIL import Image
+
+    def read(folder: Path) -> Image.Image:
+        with Image.open(folder / _CACHED, formats=("PNG",)) as file:
+            return file.copy()
 
     cache = Cache("photographs")
     if cache.folder is None:
         return compute()
     key = content_key(path.read_bytes(), treatment, PIL.__version__)
-    image = cache.load(key, _read_cached)
+    image = cache.load(key, read)
     if image is None:
         image = compute()
         cache.save(key, lambda folder: image.save(folder / _CACHED, compress_level=1))
     return image
 
 
-def _read_cached(folder: Path) -> Image.Image:
-    from PIL import Image
-
-    with Image.open(folder / _CACHED, formats=("PNG",)) as file:
-        return file.copy()
+@contextmanager
+def _open_8_bit(path: Path, what: str = "the image") -> Iterator[Image.Image]:
+    with open_image(path, what) as file:
+        if file.mode not in _MODES:
+            raise SceneError(
+                f"the image has pixels of mode {file.mode!r}, not 8 bits per channel",
+                where=str(path),
+                fix=IMAGE_FIX,
+            )
+        yield file
 
 
 def read_mask(path: Path, size: Size) -> Pixels:
@@ -189,20 +265,14 @@ def read_mask(path: Path, size: Size) -> Pixels:
     import numpy as np
     from PIL import Image
 
-    with open_image(path, "the mask") as file:
-        _check_mode(file, path)
+    with _open_8_bit(path, "the mask") as file:
         grey = file.convert("L")
-        return np.asarray(
-            grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
-        )
+        resized = grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
+        return np.asarray(resized)
 
 
 def stored_size(path: Path, *, upright: bool = False) -> Size:
-    """Return `(width, height)` of an image file; if `upright`, after rotation by its EXIF orientation.
-
-    Raises:
-        SceneError: See `open_image`.
-    """
+    """Return `(width, height)` of an image file, if `upright` as `upright_size`. Raises as `open_image`."""
     with open_image(path) as file:
         return upright_size(file) if upright else file.size
 
@@ -210,18 +280,8 @@ def stored_size(path: Path, *, upright: bool = False) -> Size:
 def upright_size(file: Image.Image) -> Size:
     """Return `(width, height)` of a photograph after rotation by its EXIF orientation."""
     width, height = file.size
-    return (
-        (height, width) if file.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
-    )
-
-
-def _check_mode(file: Image.Image, path: Path) -> None:
-    if file.mode not in _MODES:
-        raise SceneError(
-            f"the image has pixels of mode {file.mode!r}, not 8 bits per channel",
-            where=str(path),
-            fix=IMAGE_FIX,
-        )
+    turned = file.getexif().get(_ORIENTATION) in _QUARTER_TURNS
+    return (height, width) if turned else (width, height)
 
 
 def dark_background(image: Tensor, level: int) -> Tensor:

@@ -1,10 +1,12 @@
-"""Lenses with distortion, and conversion of camera poses."""
+"""Lenses with distortion, undistortion with pycolmap, and conversion of camera poses."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+import signal
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import SceneError
 
@@ -14,8 +16,12 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
+    from .decoder import Pixels
+
 Distortion = Literal["PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
 _COEFFICIENTS = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4}
+_SCALES = (0.25, 1.75)
+"""Undistorted size divided by original size; real lenses stay within this range."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +65,8 @@ class Lens:
                 where=where,
                 fix="use the images that belong to this camera file, not cropped or rotated",
             )
-        return replace(
-            self,
-            fx=self.fx * scale_x,
-            fy=self.fy * scale_y,
-            cx=self.cx * scale_x,
-            cy=self.cy * scale_y,
-            width=width,
-            height=height,
-        )
+        fx, fy, cx, cy = self.fx * scale_x, self.fy * scale_y, self.cx * scale_x, self.cy * scale_y
+        return Lens(fx, fy, cx, cy, width, height, self.model, self.distortion)
 
     def camera(self, world_to_camera: NDArray[np.float64], where: str) -> Camera:
         """Return the pinhole camera with these intrinsics at a pose `[4, 4]`.
@@ -79,39 +78,95 @@ class Lens:
 
         from core_rasterizer import Camera, CameraError
 
+        pose, size = torch.from_numpy(world_to_camera), (int(self.width), int(self.height))
         try:
-            return Camera(
-                torch.from_numpy(world_to_camera),
-                self.fx,
-                self.fy,
-                self.cx,
-                self.cy,
-                int(self.width),
-                int(self.height),
-            )
+            return Camera(pose, self.fx, self.fy, self.cx, self.cy, *size)
         except CameraError as error:
             raise SceneError(error.what, where=where, fix=error.fix) from error
 
     def _check(self, where: str) -> None:
-        numbers = {
+        positive = {
             "focal length fx": self.fx,
             "focal length fy": self.fy,
             "image width": self.width,
             "image height": self.height,
         }
-        problem = ""
-        for name, value in numbers.items():
-            if not problem and not 0 < value < math.inf:
-                problem = f"the {name} is {value:g}; it must be positive"
-        if not problem and not all(map(math.isfinite, (self.cx, self.cy, *self.distortion))):
-            problem = "a parameter of the lens is not finite"
-        if not problem and len(self.distortion) not in (0, _COEFFICIENTS[self.model]):
-            problem = (
-                f"the lens {self.model} has {len(self.distortion)} distortion coefficients, "
-                f"expected {_COEFFICIENTS[self.model]}"
+        problems = [
+            f"the {name} is {value:g}; it must be positive"
+            for name, value in positive.items()
+            if not 0 < value < math.inf
+        ]
+        if not all(map(math.isfinite, (self.cx, self.cy, *self.distortion))):
+            problems.append("a parameter of the lens is not finite")
+        count, expected = len(self.distortion), _COEFFICIENTS[self.model]
+        if count not in (0, expected):
+            problems.append(
+                f"the lens {self.model} has {count} distortion coefficients, expected {expected}"
             )
-        if problem:
-            raise SceneError(problem, where=where, fix="restore the camera file")
+        if problems:
+            raise SceneError(problems[0], where=where, fix="restore the camera file")
+
+
+def import_pycolmap(least_severity: int = 2) -> Any:
+    """Import `pycolmap` after Pillow, and keep the handler of SIGTERM.
+
+    The wheel of pycolmap exports its own zlib. If the system's zlib, which Pillow uses, is loaded after
+    it, PNG files are written damaged (Pillow 13, pycolmap 4.2). Importing pycolmap also replaces the
+    handler of SIGTERM with one that prints a stack trace; called in the main thread, this function
+    restores the previous one, so that a run still writes its checkpoint.
+
+    Args:
+        least_severity: Lowest severity that pycolmap logs in this process from now on: 0 information,
+            1 warning, 2 error, 3 fatal.
+    """
+    from PIL import Image  # noqa: F401  loads the system's zlib first
+
+    import pycolmap  # isort: skip
+
+    handler = signal.getsignal(signal.SIGTERM)  # Python's record, which pycolmap does not update
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
+    pycolmap.logging.minloglevel = max(pycolmap.logging.minloglevel, least_severity)
+    return pycolmap
+
+
+def undistort(lens: Lens, pixels: Pixels, where: str) -> tuple[Lens, Pixels]:
+    """Resample a photograph as a pinhole camera would have taken it; COLMAP's undistortion, bilinear.
+
+    The result is cropped to pixels that the photograph covers (`blank_pixels` of 0), so its size differs.
+
+    Args:
+        lens: Lens at the size of `pixels`.
+        pixels: `[H, W, 3]` or `[H, W]` uint8.
+
+    Raises:
+        SceneError: The size changes more than with any real lens.
+    """
+    import numpy as np
+
+    if lens.is_pinhole:
+        return lens, pixels
+    colmap = import_pycolmap()
+    camera = colmap.Camera(
+        model=lens.model,
+        width=int(lens.width),
+        height=int(lens.height),
+        params=[lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion],
+    )
+    bitmap, straight = colmap.undistort_image(
+        colmap.UndistortCameraOptions(), colmap.Bitmap.from_array(pixels), camera
+    )
+    scales = (straight.width / lens.width, straight.height / lens.height)
+    if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
+        raise SceneError(
+            f"the lens bends the picture too much: {int(lens.width)}x{int(lens.height)} would become "
+            f"{straight.width}x{straight.height}",
+            where=where,
+            fix="check the distortion coefficients, or undistort the photographs beforehand",
+        )
+    fx, fy, cx, cy = straight.params
+    result = np.asarray(bitmap.to_array(), dtype=np.uint8)
+    return Lens(fx, fy, cx, cy, straight.width, straight.height), result
 
 
 def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ from ...contract.scene import PointCloud, Scene, View
 from ...errors import SceneError
 from ...system.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size
-from .image_files import find_image
-from .undistortion import undistort
+from .lens import undistort
+from .reading import find_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -32,8 +32,7 @@ class PosedPhoto:
     """An image file with its camera.
 
     Args:
-        name: Name of the view.
-        path: Path of the image file; its suffix may differ from the actual one.
+        name, path: Name of the view, path of the image file; its suffix may differ from the actual one.
         world_to_camera: `[4, 4]` float64, OpenCV axes.
         lens: Lens at the size in the camera file; it is scaled to the image's size.
         where: Location in the camera file, for error messages.
@@ -46,15 +45,6 @@ class PosedPhoto:
     lens: Lens
     where: str
     mask: Path | None = None
-
-
-def load_views(photos: Sequence[PosedPhoto], decoder: Decoder) -> list[View]:
-    """Decode, undistort and check photographs in parallel.
-
-    Raises:
-        SceneError: An image or mask cannot be read, or does not match its camera.
-    """
-    return in_parallel(lambda photo: _load_view(photo, decoder), photos)
 
 
 def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
@@ -101,12 +91,13 @@ class LoadedPhotos:
     def load(
         cls, photos: Sequence[PosedPhoto], decoder: Decoder, train: list[int], test: list[int]
     ) -> Self:
-        """Load the views of photographs, ordered as `train` followed by `test`.
+        """Decode, undistort and check photographs in parallel, ordered as `train` followed by `test`.
 
         Raises:
-            SceneError: See `load_views`.
+            SceneError: An image or mask cannot be read, or does not match its camera.
         """
-        return cls(photos, load_views(photos, decoder), decoder, train, test)
+        views = in_parallel(lambda photo: _load_view(photo, decoder), photos)
+        return cls(photos, views, decoder, train, test)
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -134,20 +125,18 @@ class LoadedPhotos:
 
         Args:
             rule: Description of the rule, see `split_rule`.
-            available: Number of photographs with cameras, including those in neither part. None if the
-                format does not tell.
+            available: Number of photographs with cameras, used or not; None if the format does not tell.
         """
-        counts: tuple[Fact, ...] = ()
-        if available is not None:
-            left_out = available - len(self.train) - len(self.test)
-            text = f"{available}, {left_out} of them left out by the split"
-            counts = (Fact("photographs", available, text, affects_scores=False),)
-        return (
-            *counts,
+        train, test = tuple(self.train), tuple(self.test)
+        facts = (
             Fact("split", rule),
-            Fact("train_photographs", tuple(self.train)),
-            Fact("test_photographs", tuple(self.test)),
+            Fact("train_photographs", train),
+            Fact("test_photographs", test),
         )
+        if available is None:
+            return facts
+        text = f"{available}, {available - len(train) - len(test)} of them left out by the split"
+        return (Fact("photographs", available, text, affects_scores=False), *facts)
 
     def scene(
         self,
@@ -157,30 +146,27 @@ class LoadedPhotos:
         points: PointCloud | None,
         facts: Iterable[Fact],
     ) -> Scene:
-        """Return the validated scene, named after its folder, with the decoder's background.
-
-        Args:
-            facts: Facts to add to those that every scene of photographs has.
+        """Return the validated scene, named after its folder, with the decoder's background and more facts.
 
         Raises:
             SceneError: `validate` refuses the scene.
         """
-        return validate(
-            Scene(
-                name=folder.resolve().name,
-                train=tuple(self.views[: len(self.train)]),
-                test=tuple(self.views[len(self.train) :]),
-                bounds=bounds,
-                points=points,
-                background=self.decoder.background,
-                facts=(
-                    Fact("format", format_name),
-                    Fact("source", self.photos[0].path.parent.name),
-                    Fact("changed", "; ".join(_changes(self.photos[0], self.decoder)) or "nothing"),
-                    *facts,
-                ),
-            )
+        count, first = len(self.train), self.photos[0]
+        common = (
+            Fact("format", format_name),
+            Fact("source", first.path.parent.name),
+            Fact("changed", "; ".join(_changes(first, self.decoder)) or "nothing"),
         )
+        scene = Scene(
+            name=folder.resolve().name,
+            train=tuple(self.views[:count]),
+            test=tuple(self.views[count:]),
+            bounds=bounds,
+            points=points,
+            background=self.decoder.background,
+            facts=(*common, *facts),
+        )
+        return validate(scene)
 
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:

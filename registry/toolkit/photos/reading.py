@@ -1,8 +1,9 @@
-"""Read untrusted files: JSON documents, NumPy arrays, file names inside a scene's folder."""
+"""Read untrusted files: JSON documents and NumPy arrays; find the files that they name."""
 
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import pydantic
 
 from ...errors import SceneError
-from .image_files import existing_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,6 +26,8 @@ Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 MatrixRow = tuple[Finite, Finite, Finite, Finite]
 Matrix4x4 = tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]
 
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+"""Suffixes of files that are read as photographs, in lower case."""
 LARGEST_GROWTH = 10
 """Unpacked size of an archive divided by its file size, at most; real arrays shrink to a half at best."""
 UNCHECKED_BYTES = 1 << 26
@@ -57,12 +59,8 @@ def decoding(what: str, path: Path, fix: str) -> Iterator[None]:
         raise SceneError(f"{what} cannot be read: {reason}", where=str(path), fix=fix) from error
 
 
-def require_file(path: Path, what: str, fix: str) -> None:
-    """Refuse missing files, folders, devices and pipes; reading a device may never end.
-
-    Raises:
-        SceneError: The path is not a regular file.
-    """
+def _require_file(path: Path, what: str, fix: str) -> None:
+    """Refuse missing files, folders, devices and pipes; reading a device may never end."""
     if not path.is_file():
         state = "is not a regular file" if path.exists() else "is missing"
         raise SceneError(f"{what} {state}", where=str(path), fix=fix)
@@ -75,7 +73,7 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
         SceneError: The file is missing, larger than 12 MB, not JSON, lacks a field, or has a field
             of a wrong type.
     """
-    require_file(path, f"the file {path.name}", fix)
+    _require_file(path, f"the file {path.name}", fix)
     size = path.stat().st_size
     if size > _LARGEST_DOCUMENT:
         raise SceneError(
@@ -89,12 +87,10 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
         return model.model_validate_json(content, strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
+        what = f"the field {'.'.join(map(str, first['loc']))!r} cannot be used"
         if first["type"] == "json_invalid":
-            what = f"{path.name} cannot be read: {first['msg']}"
-        else:
-            place = ".".join(str(part) for part in first["loc"])
-            what = f"the field {place!r} cannot be used: {first['msg']}"
-        raise SceneError(what, where=str(path), fix=fix) from error
+            what = f"{path.name} cannot be read"
+        raise SceneError(f"{what}: {first['msg']}", where=str(path), fix=fix) from error
 
 
 def read_array(path: Path, what: str, fix: str) -> Array:
@@ -110,7 +106,7 @@ def read_array(path: Path, what: str, fix: str) -> Array:
         SceneError: The file is missing or not in this format, its header claims another size than the
             file has, or it holds Python objects.
     """
-    require_file(path, what, fix)
+    _require_file(path, what, fix)
     with decoding(what, path, fix):
         return _parsed(path.read_bytes())
 
@@ -122,7 +118,7 @@ def read_arrays(path: Path, names: Sequence[str], what: str, fix: str) -> dict[s
         SceneError: See `read_array`; also if an array is missing, or the arrays would unpack to more
             than 64 MiB and more than ten times the file's size.
     """
-    require_file(path, what, fix)
+    _require_file(path, what, fix)
     with decoding(what, path, fix), zipfile.ZipFile(path) as archive:
         members = [archive.getinfo(f"{name}.npy") for name in names]
         unpacked = sum(member.file_size for member in members)
@@ -144,14 +140,42 @@ def _parsed(content: bytes) -> Array:
     shape, by_column, dtype = header(file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects; reading them would run code")
-    count = 1
-    for size in shape:
-        count *= size
-    claimed, present = count * dtype.itemsize, len(content) - file.tell()
+    claimed, present = math.prod(shape) * dtype.itemsize, len(content) - file.tell()
     if not dtype.itemsize or claimed != present:
         raise ValueError(f"its header claims {claimed} bytes of numbers, but {present} follow")
     values = np.frombuffer(content, dtype, offset=file.tell())
     return values.reshape(shape, order="F" if by_column else "C").copy()
+
+
+def find_image(path: Path) -> Path:
+    """Return the file, or the image of the same name with another suffix.
+
+    Raises:
+        SceneError: Neither exists.
+    """
+    found = _existing_image(path)
+    if found is None:
+        fix = "restore it, or choose other views"
+        raise SceneError("a photograph is missing", where=str(path), fix=fix)
+    return found
+
+
+def _existing_image(path: Path) -> Path | None:
+    if path.is_file():
+        return path
+    for suffix in IMAGE_SUFFIXES:
+        for spelling in (suffix, suffix.upper()):
+            other = path.with_name(path.stem + spelling)
+            if other.is_file():
+                return other
+    return None
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Return the image files of a folder, sorted by name; an empty list if the folder is missing."""
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
 
 
 def inside(folder: Path, name: str, where: str) -> Path:
@@ -178,7 +202,7 @@ def inside(folder: Path, name: str, where: str) -> Path:
         )
     path = folder / relative
     # The image may have another suffix than the camera file says.
-    real = (existing_image(path) or path).resolve()
+    real = (_existing_image(path) or path).resolve()
     if not real.is_relative_to(folder.resolve()):
         raise SceneError(
             f"the file {name[:100]!r} is a link to {real}, outside the scene's folder",

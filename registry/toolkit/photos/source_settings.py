@@ -9,7 +9,7 @@ from pydantic import Field
 from ...contract.component import Settings
 from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter, divided_by
-from .image_files import list_images
+from .reading import list_images
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,9 +44,9 @@ class ImageSourceSettings(Settings):
         folder = scene / (self.images or ("images" if full_size else f"images_{self.downsample}"))
         if not list_images(folder):
             present = ", ".join(sorted(path.name for path in scene.glob("images*"))) or "none"
+            which = "" if self.images else f" for downsample {self.downsample}"
             raise SceneError(
-                "images are missing"
-                + ("" if self.images else f" for downsample {self.downsample}"),
+                f"images are missing{which}",
                 where=str(folder),
                 fix=f"set `downsample` or `images` to an existing folder (found: {present})",
             )
@@ -68,10 +68,8 @@ def split(
     """Return the indices of training and test views among `count` sorted photographs.
 
     The split of RegNeRF and later sparse-view papers: every 8th photograph is a test view; of the
-    other photographs T, the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`.
-
-    Args:
-        test_every: 0 selects no test views.
+    other photographs T, the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`. A
+    `test_every` of 0 selects no test views.
 
     Raises:
         SceneError: Fewer than `train_views` photographs are not test views.

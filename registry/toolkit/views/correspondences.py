@@ -67,8 +67,7 @@ def flow_in_size(flow: Tensor, size: tuple[int, int]) -> Tensor:
     """Convert a flow to a second image that was resized to the first one's size, to its original size.
 
     Args:
-        flow: `[H, W, 2]` pixels.
-        size: `(height, width)` of the second image.
+        flow, size: `[H, W, 2]` pixels; `(height, width)` of the second image.
 
     Returns:
         `[H, W, 2]` float64: pixel (u, v) of the first image is at (u, v) + flow in the second.

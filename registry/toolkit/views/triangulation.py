@@ -11,7 +11,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from core_rasterizer.matching import source_views
 from ...contract.scene import PointCloud
 from ...errors import SceneError
 from ..drawing.pictures import grey
-from ..photos.undistortion import import_pycolmap
+from ..photos.lens import import_pycolmap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,8 +60,7 @@ class Triangulation:
     seen_by: Tensor
 
 
-@dataclass(frozen=True, eq=False)
-class _Features:
+class _Features(NamedTuple):
     matched: tuple[Any, Any, Any]  # pycolmap's keypoints, descriptors and camera
     pixels: NDArray[np.float64]  # [F, 2], center of the top-left pixel at (0.5, 0.5)
 
@@ -83,13 +82,8 @@ def triangulated_points(
             where=scene.name,
             fix="use two or more training views, or the initializer `random`",
         )
-    found = triangulate(
-        scene.train,
-        scene.bounds,
-        max_reprojection_error=max_reprojection_error,
-        min_angle=min_angle,
-        seed=seed,
-    )
+    limits = {"max_reprojection_error": max_reprojection_error, "min_angle": min_angle}
+    found = triangulate(scene.train, scene.bounds, **limits, seed=seed)
     keep = _within_bounds(found, scene)
     if not keep.any():
         raise SceneError(
@@ -132,7 +126,12 @@ def triangulate(
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
         folder = Path(name)
         with colmap.Database.open(folder / "matches.db") as database:
-            _write_images(database, model, features)
+            for k, feature in enumerate(features, start=1):
+                database.write_camera(feature.matched[2], True)
+                database.write_rig(model.rig(k), True)
+                database.write_frame(model.frame(k), True)
+                database.write_image(model.image(k), True)
+                database.write_keypoints(k, feature.pixels.astype(np.float32))
             _write_matches(colmap, database, model, features, pairs, max_reprojection_error)
         options = _options(colmap, max_reprojection_error, min_angle, seed)
         result = colmap.triangulate_points(
@@ -142,10 +141,9 @@ def triangulate(
 
 
 def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> list[tuple[int, int]]:
-    """Return the index pairs of photographs to match, each with those likely to show the same content.
+    """Return the index pairs of photographs to match: all of up to nine, else likely partners of each.
 
     Args:
-        cameras: Cameras of the photographs; up to nine are all matched with each other.
         bounds: (near, far) z-depth of the scene's content, world units.
     """
     found = {
@@ -165,25 +163,13 @@ def _extract(colmap: Any, identity: int, view: TrainingView) -> _Features:
     keypoints, descriptors = extractor.extract_from_uint8_array(
         (255 * brightness).round().to(torch.uint8).numpy()
     )
+    lens = view.camera
     camera = colmap.Camera.create_from_model_id(
-        identity,
-        colmap.CameraModelId.PINHOLE,
-        view.camera.fx,
-        view.camera.width,
-        view.camera.height,
+        identity, colmap.CameraModelId.PINHOLE, lens.fx, lens.width, lens.height
     )
-    camera.params = [view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy]
+    camera.params = [lens.fx, lens.fy, lens.cx, lens.cy]
     pixels = colmap.keypoints_to_matrix(keypoints)[:, :2].astype(np.float64)
     return _Features((keypoints, descriptors, camera), pixels)
-
-
-def _write_images(database: Any, model: Any, features: list[_Features]) -> None:
-    for k, feature in enumerate(features, start=1):
-        database.write_camera(feature.matched[2], True)
-        database.write_rig(model.rig(k), True)
-        database.write_frame(model.frame(k), True)
-        database.write_image(model.image(k), True)
-        database.write_keypoints(k, feature.pixels.astype(np.float32))
 
 
 def _write_matches(
@@ -213,9 +199,8 @@ def _write_matches(
 def _options(colmap: Any, max_error: float, min_angle: float, seed: int) -> Any:
     options = colmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
-    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = (
-        seed % 2**31
-    )
+    for stage in (options, options.mapper, options.triangulation):
+        stage.random_seed = seed % 2**31
     options.extract_colors = False
     options.min_num_matches = 1
     # With few training views, most points are observed by only two.
@@ -246,8 +231,7 @@ def _collect(model: Any, views: Sequence[TrainingView], features: list[_Features
 
 
 def _color(view: TrainingView, pixel: NDArray[np.float64]) -> NDArray[np.float32]:
-    column = min(max(int(pixel[0]), 0), view.camera.width - 1)
-    row = min(max(int(pixel[1]), 0), view.camera.height - 1)
+    column, row = pixel.astype(int).clip(0, [view.camera.width - 1, view.camera.height - 1])
     color: NDArray[np.float32] = view.image[row, column].numpy()
     return color
 

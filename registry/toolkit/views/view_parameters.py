@@ -21,10 +21,6 @@ class ViewParameters:
 
     A change that all views share is ambiguous: the scene can compensate a motion of all cameras, the
     Gaussians a tint of all photographs. `of` therefore subtracts the mean over the views.
-
-    Args:
-        scene: Scene with at least one training view.
-        shape: Shape of each view's tensor.
     """
 
     def __init__(self, scene: TrainingScene, shape: Sequence[int]) -> None:

@@ -3,7 +3,8 @@
     camera = virtual_views.draw("between", scene, self.generator)
     rendering = step.render(camera)
 
-All randomness comes from the caller's generator. For a stereo partner, see `Camera.shifted_right`.
+Functions take at least one camera, and bounds as (near, far) z-depth in world units. All randomness comes
+from the caller's generator. For a stereo partner, see `Camera.shifted_right`.
 """
 
 from __future__ import annotations
@@ -54,10 +55,7 @@ def focus_depth(bounds: tuple[float, float]) -> float:
     """Return the z-depth that cameras of a forward-facing capture focus on, world units.
 
     A weighted harmonic mean of 0.9 near and 5 far: 1 / (0.25 / (0.9 near) + 0.75 / (5 far)) (LLFF,
-    Mildenhall et al. 2019, and after it RegNeRF and FSGS).
-
-    Args:
-        bounds: Positive (near, far) z-depth, world units.
+    Mildenhall et al. 2019, and after it RegNeRF and FSGS), for positive (near, far) z-depths.
     """
     near, far = bounds
     return 1 / (0.25 / (0.9 * near) + 0.75 / (5 * far))
@@ -67,9 +65,6 @@ def focus_point(cameras: Sequence[Camera], bounds: tuple[float, float]) -> Tenso
     """Return the point nearest to all optical axes, least squares, `[3]` float64 (RegNeRF).
 
     For parallel or diverging axes, the point at `focus_depth` in front of the cameras' mean.
-
-    Args:
-        cameras: At least one camera.
     """
     import torch
 
@@ -121,10 +116,8 @@ def between_neighbours(cameras: Sequence[Camera], generator: Generator) -> Camer
     """Return a camera between a random one and its nearest neighbor (FSGS, Zhu et al. 2024).
 
     The interpolation share is uniform; normal noise with a standard deviation of a tenth of their distance
-    is added to each coordinate of the center. The paper does not specify these numbers.
-
-    Args:
-        cameras: At least one camera; a single camera is returned unmoved.
+    is added to each coordinate of the center. The paper does not specify these numbers. A single camera is
+    returned unmoved.
     """
     import torch
 
@@ -145,11 +138,8 @@ def in_box(cameras: Sequence[Camera], bounds: tuple[float, float], generator: Ge
 
     The method of RegNeRF (Niemeyer et al. 2022) for forward-facing captures, also used by FSGS and
     CoR-GS: in the frame of the mean camera, each coordinate is uniform within the largest absolute value
-    of any camera; the target is the point at `focus_depth` on the mean camera's axis.
-
-    Args:
-        cameras: At least one camera; the first one's lens is used.
-        bounds: (near, far) z-depth of the scene, world units.
+    of any camera; the target is the point at `focus_depth` on the mean camera's axis. The lens is the first
+    camera's.
 
     Raises:
         PluginError: The cameras have no mean direction.
@@ -171,11 +161,7 @@ def on_sphere(
 
     For captures around an object (RegNeRF's poses for its synthetic scenes). Directions are uniform
     on the smallest cap around their mean that contains all training cameras, distances uniform between
-    the nearest and the farthest.
-
-    Args:
-        cameras: At least one camera; lens and up of the one nearest in direction are used.
-        bounds: (near, far) z-depth of the scene, world units.
+    the nearest and the farthest. Lens and up are those of the camera nearest in direction.
     """
     import torch
 

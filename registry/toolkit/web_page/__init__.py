@@ -6,13 +6,29 @@
     text = web_page.page("Title", [web_page.section("Scores", table)])
 
 A page loads no other file, so it can be sent by e-mail. Functions return HTML and escape their arguments,
-except those named `content`, `contents`, `figures` and `parts`, which are HTML.
+except page contents, figures and images that other functions returned.
 """
 
-from .document import folded, note, page, section, subsection, verbatim
+from .document import (
+    Cell,
+    choice,
+    color_scale,
+    facts_table,
+    figure,
+    folded,
+    grid,
+    headings,
+    image,
+    note,
+    page,
+    pinned,
+    score_table,
+    section,
+    subsection,
+    verbatim,
+    wipe,
+)
 from .line_plot import Axis, Line, Point, line_plot
-from .pictures import choice, color_scale, figure, grid, headings, image, pinned, wipe
-from .tables import Cell, facts_table, score_table
 
 __all__ = [
     "Axis",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import cycle
 
 _COLORS = ["#3069b0", "#c8553d", "#2e8b57", "#8d5fb4", "#b8860b", "#3d9aa8", "#a83f6f", "#777777"]
 _WIDTH, _HEIGHT = 400, 220
@@ -21,12 +22,10 @@ _MOST_MARKED = 12
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a line.
+    """A point at a finite x (`across`) and y (`value`); `marked` draws a ring.
 
     Args:
-        across, value: Finite x and y.
         spread: Half height of an error bar; None for no bar.
-        marked: If True, drawn with a ring.
     """
 
     across: float
@@ -37,11 +36,9 @@ class Point:
 
 @dataclass(frozen=True)
 class Line:
-    """A line.
+    """A line through points from left to right, with a label in the legend, which may be empty.
 
     Args:
-        label: Text in the legend; may be empty.
-        points: Points from left to right.
         dashed: If True, drawn as a dashed reference line without points.
     """
 
@@ -55,8 +52,7 @@ class Axis:
     """A horizontal axis.
 
     Args:
-        ticks: At least one position with its text, from left to right; the plot reaches from the first
-            to the last.
+        ticks: At least one position with its text; the plot reaches from the first to the last.
         name: Text below the ticks; may be empty.
     """
 
@@ -72,7 +68,7 @@ def line_plot(title: str, lines: Iterable[Line], axis: Axis) -> str:
     across, up = _Across(axis), _Up(lines)
     height = _HEIGHT + (_NAME_HEIGHT if axis.name else 0)
     drawn = [*up.rules(), *across.texts()]
-    for line, color in _colored(lines):
+    for line, color in zip(lines, cycle(_COLORS)):
         drawn += _drawn(line, color, across, up)
     note = " (logarithmic)" if up.logarithmic else ""
     return (
@@ -157,17 +153,13 @@ def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
     for x, y, point in places:
         if point.spread is not None:
             top, bottom = up(point.value + point.spread), up(point.value - point.spread)
-            yield (
-                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top:.1f}" y2="{bottom:.1f}" '
-                f'stroke="{color}"/>'
-            )
+            ends = f'x1="{x:.1f}" x2="{x:.1f}" y1="{top:.1f}" y2="{bottom:.1f}"'
+            yield f'<line {ends} stroke="{color}"/>'
         if point.marked:
             yield f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="6.5" stroke="{color}"/>'
         if len(places) <= _MOST_MARKED and not line.dashed:
-            yield (
-                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}">'
-                f"<title>{_number(point.value)}</title></circle>"
-            )
+            hint = f"<title>{_number(point.value)}</title>"
+            yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}">{hint}</circle>'
 
 
 def _text(x: float, y: float, text: str, anchor: str) -> str:
@@ -178,16 +170,11 @@ def _number(value: float) -> str:
     return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.5g}"
 
 
-def _colored(lines: Sequence[Line]) -> Iterator[tuple[Line, str]]:
-    for index, line in enumerate(lines):
-        yield line, _COLORS[index % len(_COLORS)]
-
-
 def _legend(lines: Sequence[Line]) -> str:
     if len(lines) < 2:
         return ""
     items = (
         f'<li><span style="background:{color}"></span>{escape(line.label)}</li>'
-        for line, color in _colored(lines)
+        for line, color in zip(lines, cycle(_COLORS))
     )
     return f"<ul>{''.join(items)}</ul>"

@@ -43,28 +43,28 @@ from .. import toy_plugin as toys
     ],
 )
 def test_the_toys_conform(component: type[r.Component[Any]]) -> None:
-    """Those that the faulty ones below are made from."""
+    """The faulty components below derive from these."""
     check(component)
 
 
-def test_metrics_may_be_unavailable_or_look_at_the_whole_view() -> None:
+def test_metrics_may_be_unavailable_or_read_the_whole_view() -> None:
     check(Blind)
     check(Deep)
 
 
-def test_a_metric_may_look_at_something_else_than_likeness() -> None:
+def test_a_metric_need_not_compare_images() -> None:
     check(Bright)
 
 
-def test_a_report_may_read_all_that_a_run_leaves() -> None:
+def test_a_report_may_read_every_file_of_a_run() -> None:
     check(Reader)
 
 
-def test_a_component_may_refuse_what_it_cannot_do_in_words() -> None:
+def test_a_component_may_refuse_degenerate_inputs_with_an_explanation() -> None:
     check(NeedsWindow)
 
 
-def test_an_entry_point_of_another_name_is_found(install: Install) -> None:
+def test_an_entry_point_with_another_name_is_an_error(install: Install) -> None:
     source = (
         Path(toys.__file__)
         .read_text("utf-8")
@@ -76,8 +76,8 @@ def test_an_entry_point_of_another_name_is_found(install: Install) -> None:
         check(component)
 
 
-def test_the_hosts_own_thread_is_not_the_components() -> None:
-    """In a process of its own: the first watched call starts the host's thread."""
+def test_the_thread_of_the_host_is_not_attributed_to_the_component() -> None:
+    """In a new process: the first watched call starts the host's thread."""
     code = (
         "from tests.registry.toy_plugin import ToyTerm\n"
         "from registry.testing import check\n"
@@ -89,7 +89,7 @@ def test_the_hosts_own_thread_is_not_the_components() -> None:
     assert "left a thread behind" not in done.stderr
 
 
-def test_the_cost_is_told() -> None:
+def test_check_returns_the_cost() -> None:
     cost = check(Slow)
     assert 0.05 < cost.seconds < 5
     assert cost.megabytes is None or cost.megabytes > 50
@@ -117,7 +117,7 @@ class Upside(toys.ToyPsnr):
 
 
 class Blind(toys.ToyPsnr):
-    """Not available, and says why."""
+    """Not available, with a reason."""
 
     def measure(self, rendered: Any, photograph: Any, mask: Any) -> Any:
         return r.Unavailable("there is no network")
@@ -134,7 +134,7 @@ class Partial(toys.ToyPsnr):
 
 
 class Deep(r.ViewMetric[r.Settings]):
-    """Judges depth, not colours."""
+    """Compares depth, not colours."""
 
     higher_is_better = False
 
@@ -149,7 +149,7 @@ class Liar(toys.ToyExporter):
 
 
 class Bright(toys.ToyPsnr):
-    """Looks at the render alone."""
+    """Reads the render alone."""
 
     equal_images_are_best = False
 
@@ -158,7 +158,7 @@ class Bright(toys.ToyPsnr):
 
 
 class Reader(toys.ToyReport):
-    """Needs the log of training, the pipeline and the pictures of the test views, if there are any."""
+    """Reads the log of training, the pipeline and the renders of the test views."""
 
     def write(self, folder: Path, scene: r.Scene) -> list[Path]:
         lines = (folder / "metrics.jsonl").read_text("utf-8").splitlines()
@@ -187,7 +187,7 @@ class Slow(toys.ToyTerm):
 
 
 class Plain:
-    """No component at all."""
+    """Not a component."""
 
 
 class Negative(toys.ToyDropout):
@@ -208,7 +208,7 @@ class Counting(toys.ToyTerm):
 
 
 class Remembering(r.OpacityPolicy[r.Settings]):
-    """Lets each Gaussian fade by its age."""
+    """Fades each Gaussian by its age."""
 
     def __init__(self, settings: Any, context: r.Context) -> None:
         super().__init__(settings, context)
@@ -228,7 +228,7 @@ class Remembering(r.OpacityPolicy[r.Settings]):
 
 
 class Late(Remembering):
-    """Forgets those that were pruned only when they are at the end."""
+    """Drops the last rows instead of those that were pruned."""
 
     def carry(self, source: torch.Tensor, fresh: torch.Tensor) -> None:
         new = torch.zeros(max(0, len(source) - len(self.age)))
@@ -318,14 +318,14 @@ class Stubborn(toys.ToyPsnr):
 
 
 class Squeezing(StereoPrior):
-    """Answers another shape for images of one pixel."""
+    """Returns another shape for images of one pixel."""
 
     def estimate(self, left: Any, right: Any) -> torch.Tensor:
         return left.mean(dim=2) if left.shape[1] > 1 else torch.zeros(2, 2)
 
 
 class HalfSettings(r.Settings):
-    """A value that is another one once it is read back."""
+    """A value that changes when it is read back."""
 
     value: float = 0.0
 
@@ -340,8 +340,8 @@ class Halving(r.Regularizer[HalfSettings]):
         return step.rendering.alpha.mean()
 
 
-class Deaf(r.Observer):
-    """Misspells what it wants to hear."""
+class Misspelled(r.Observer):
+    """Misspells the name of an event."""
 
     def iteration(self, done: IterationDone) -> None:
         pass
@@ -361,7 +361,7 @@ class Impatient(toys.ToyDiary):
 class Once(toys.ToyDiary):
     def started(self, run: RunStarted) -> None:
         super().started(run)
-        assert not run.resumed, "it was told before"
+        assert not run.resumed, "it has started before"
 
 
 class ListState(toys.ToyTerm):
@@ -385,7 +385,7 @@ class ListState(toys.ToyTerm):
         (toys.ToyTerm, {"fault": "gradient"}, "undefined gradient"),
         (toys.ToyGrowth, {"wrong": True}, "clone"),
         (toys.ToyFade, {"value": 2.0}, "outside"),
-        (Counting, {}, r"resumed after iteration \d+ differs .* does state\(\) hand out"),
+        (Counting, {}, r"resumed after iteration \d+ differs .* does state\(\) return"),
         (Remembering, {}, r"has \d+ rows after Gaussians were cloned, expected \d+"),
         (Late, {}, "another Gaussian's row"),
         (Rigid, {}, "must match the size"),
@@ -403,11 +403,11 @@ class ListState(toys.ToyTerm):
         (Stubborn, {}, "out of bounds"),
         (Squeezing, {}, r"expected a tensor of shape \(1, 1\)"),
         (Halving, {"value": 1.0}, "do not survive being written as JSON"),
-        (ListState, {}, "is not a tensor"),
-        (Deaf, {}, "it hears nothing: define one of started, iterated"),
+        (ListState, {}, "which no checkpoint can hold"),
+        (Misspelled, {}, "the observer handles no event: define one of started, iterated"),
         (Retouching, {}, "changed what it was given: argument 1.rendering.rgb"),
         (Impatient, {}, "no results"),
-        (Once, {}, "AssertionError: it was told before"),
+        (Once, {}, "AssertionError: it has started before"),
     ],
 )
 def test_faults_are_found(component: Any, settings: dict[str, Any], message: str) -> None:

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from registry import RunError
-from registry.toolkit.cache import Cache, content_key, eviction
-from registry.toolkit.cache.place import cache_folder, size_limit
+from registry.toolkit.cache import Cache, content_key, entries
 
 KEYS = [content_key(number) for number in range(8)]
 
@@ -50,7 +49,7 @@ def test_an_empty_variable_disables_it(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     save(Cache("kind"), KEYS[0])
     assert load(Cache("kind"), KEYS[0]) is None
-    assert cache_folder("kind") is None
+    assert Cache("kind").folder is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -59,14 +58,14 @@ def test_without_the_variable_it_is_in_the_users_folder(
 ) -> None:
     monkeypatch.delenv("STEREOGS_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder("sweep") == tmp_path / "stereogs" / "sweep"
+    assert Cache("sweep").folder == tmp_path / "stereogs" / "sweep"
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "1.5", "much", "²"])
 def test_invalid_sizes_are_explained(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_CACHE_MB", text)
     with pytest.raises(RunError, match="must be a positive integer") as error:
-        size_limit()
+        entries._size_limit()
     assert "STEREOGS_CACHE_MB" in error.value.where
 
 
@@ -207,7 +206,7 @@ for turn in range(40):
     for process in running:
         assert process.communicate()[1] == ""
         assert process.returncode == 0
-    eviction.make_room(root, root / "kind" / KEYS[0])
+    entries._make_room(root, root / "kind" / KEYS[0])
     names = {path.name for path in (root / "kind").iterdir()}
     assert names <= set(KEYS)
     assert all(load(Cache("kind"), name) is not None for name in names)

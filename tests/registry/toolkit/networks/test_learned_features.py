@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from registry import PluginError
-from registry.toolkit.networks.learned_features import LearnedFeatures, standardized_grey
+from registry.toolkit.networks.feature_networks import LearnedFeatures, standardized_grey
 from tests.stereogs_plugins.priors import graphs
 
 

@@ -24,7 +24,7 @@ def bench_step() -> tuple[Step, Bench]:
     from core_rasterizer import open_device
 
     bench = Bench(open_device(), {})
-    return bench.rendered().step, bench
+    return bench.after_render(), bench
 
 
 def test_the_four_are_registered_and_this_one_keeps_the_contract() -> None:

@@ -22,7 +22,7 @@ def test_it_keeps_the_contract() -> None:
 
 
 def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
-    step = Bench(open_device(), {}).rendered().step
+    step = Bench(open_device(), {}).after_render()
     loss = build(ForwardWarping, seed=4).loss(step)
     camera = virtual_views.draw("box", step.scene, torch.Generator().manual_seed(4))
     near = min(step.scene.train, key=lambda v: float((v.camera.center - camera.center).norm()))
@@ -36,7 +36,7 @@ def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
 
 
 def test_a_render_that_shows_the_warped_photograph_costs_nothing() -> None:
-    step = Bench(open_device(), {}).rendered().step
+    step = Bench(open_device(), {}).after_render()
 
     def perfect(camera):
         near = min(step.scene.train, key=lambda v: float((v.camera.center - camera.center).norm()))
@@ -50,7 +50,7 @@ def test_a_render_that_shows_the_warped_photograph_costs_nothing() -> None:
 
 
 def test_without_maps_it_is_refused_and_empty_ones_teach_nothing() -> None:
-    step = Bench(open_device(), {}).rendered().step
+    step = Bench(open_device(), {}).after_render()
     maps = step.maps
     step = replace(step, maps={})
     with pytest.raises(PluginError, match="no depth maps"):

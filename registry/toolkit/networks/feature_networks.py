@@ -1,7 +1,12 @@
-"""Find and match keypoints with two networks in ONNX files.
+"""Features of images from networks in ONNX files: one per pixel, or keypoints with their matches.
 
-The finder returns keypoints and descriptors of an image, the matcher pairs the keypoints of two images, as
-XFeat (Potje et al., CVPR 2024) with LighterGlue (after Lindenberger et al., ICCV 2023). Tensors by name:
+`LearnedFeatures` has the interface of the MC-CNN "fast" architecture (Zbontar and LeCun, "Stereo Matching
+by Training a Convolutional Neural Network to Compare Image Patches", JMLR 2016): the input is a
+standardized grey image; the similarity of two pixels is the dot product of their unit feature vectors.
+
+`KeypointNetworks` runs two networks: the finder returns keypoints and descriptors of an image, the matcher
+pairs the keypoints of two images, as XFeat (Potje et al., CVPR 2024) with LighterGlue (after Lindenberger
+et al., ICCV 2023). Tensors by name:
 
     finder    input [1, 3, H, W]; outputs keypoints [n, 2] (column, row), descriptors [n, C]
     matcher   inputs kpts0, kpts1 [1, n, 2], desc0, desc1 [1, n, C]; outputs matches [m, 2], scores [m]
@@ -13,12 +18,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ...errors import PluginError
+from ..drawing.pictures import grey
 from .image_fitting import ValueRange, in_range, stretched
+from .onnx_model import OnnxModel
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from torch import Tensor
 
-    from .onnx_model import OnnxModel
+    from .onnx_session import OnnxProvider
 
 KEYPOINTS, DESCRIPTORS = "keypoints", "descriptors"
 POINT_INPUTS, DESCRIPTOR_INPUTS = ("kpts0", "kpts1"), ("desc0", "desc1")
@@ -48,9 +57,8 @@ class KeypointNetworks:
         finder: Network that returns `KEYPOINTS` and `DESCRIPTORS`.
         matcher: Network that returns `MATCHES` and `SCORES`.
         value_range: Range of the colors in the finder's input.
-        multiple: Divisor of both sides of the finder's input, if it has a dynamic size.
-        size: (width, height) of the finder's input, if it has a dynamic size; None keeps the image's
-            size, rounded to `multiple`.
+        multiple, size: Divisor of both sides and (width, height) of the finder's input, if it has a
+            dynamic size; None keeps the image's size, rounded to `multiple`.
 
     Raises:
         PluginError: A graph has other inputs or outputs.
@@ -104,8 +112,7 @@ class KeypointNetworks:
         """Return the keypoints of an image `[H, W, 3]` float32 in [0, 1].
 
         Args:
-            turned: If True, the finder sees the image rotated by 90 degrees. Use the same value for both
-                images of a pair.
+            turned: Rotate the image by 90 degrees for the finder; use one value for both images of a pair.
 
         Raises:
             PluginError: The numbers of keypoints and descriptors differ.
@@ -133,10 +140,7 @@ class KeypointNetworks:
         return Keypoints(points, normalized[None], descriptors[None])
 
     def match(self, first: Keypoints, second: Keypoints, min_score: float) -> tuple[Tensor, Tensor]:
-        """Return pairs of keypoint indices `[m, 2]` int64, and their scores `[m]` in [0, 1].
-
-        Args:
-            min_score: Lowest score to keep.
+        """Return pairs of keypoint indices `[m, 2]` int64, and their scores `[m]` in [min_score, 1].
 
         Raises:
             PluginError: The matcher returns other shapes or indices out of range.
@@ -150,11 +154,8 @@ class KeypointNetworks:
         inputs |= zip(DESCRIPTOR_INPUTS, (first.descriptors, second.descriptors), strict=True)
         answers = self._matcher.run(inputs)
         pairs, scores = answers[MATCHES].long(), answers[SCORES]
-        if (
-            pairs.shape != (len(scores), 2)
-            or scores.ndim != 1
-            or bool(((pairs < 0) | (pairs >= counts)).any())
-        ):
+        paired = pairs.shape == (len(scores), 2) and scores.ndim == 1
+        if not paired or bool(((pairs < 0) | (pairs >= counts)).any()):
             raise PluginError(
                 f"the matches {list(pairs.shape)} with scores {list(scores.shape)} are not pairs of the "
                 f"{counts.tolist()} keypoints",
@@ -163,3 +164,65 @@ class KeypointNetworks:
             )
         kept = scores >= min_score
         return pairs[kept], scores[kept]
+
+
+class LearnedFeatures:
+    """A function that returns a unit feature vector for each pixel of an image.
+
+    Args:
+        path: Path of an ONNX model with one input `[N, 1, H, W]` of dynamic size, a standardized grey
+            image, and one output `[N, C, H, W]`.
+        sha256, provider: See `OnnxModel`.
+
+    Raises:
+        PluginError: See `OnnxModel`; also if the graph has several inputs or outputs.
+    """
+
+    def __init__(
+        self, path: str | Path, sha256: str | None = None, provider: OnnxProvider | None = None
+    ) -> None:
+        self._model = OnnxModel(path, sha256, provider)
+        self._input, self._output = self._model.input().name, self._model.output().name
+
+    @staticmethod
+    def recognizes(model: OnnxModel) -> bool:
+        """Return whether the shapes of a model's input and output match this class."""
+        if len(model.inputs) != 1 or len(model.outputs) != 1:
+            return False
+        image, features = model.inputs[0].shape, model.outputs[0].shape
+        return len(image) == len(features) == 4 and image[1] == 1 and features[1] != 1
+
+    @property
+    def fingerprint(self) -> str:
+        """See `OnnxModel.fingerprint`."""
+        return self._model.fingerprint
+
+    def __call__(self, image: Tensor) -> Tensor:
+        """Return features `[C, H, W]` of an image `[H, W, 3]` in [0, 1], with norm 1 or 0 over C; float32.
+
+        Raises:
+            PluginError: The model returns another size or non-finite values.
+        """
+        import torch
+        from torch.nn.functional import normalize
+
+        network_input = standardized_grey(image)
+        features = self._model.run({self._input: network_input[None, None]})[self._output]
+        height, width = network_input.shape
+        if features.ndim != 4 or features.shape[0] != 1 or features.shape[2:] != (height, width):
+            raise PluginError(
+                f"the features have the shape {list(features.shape)}, "
+                f"expected [1, C, {height}, {width}]",
+                where=str(self._model.path),
+                fix="use a model that returns one vector for each pixel",
+            )
+        if not torch.isfinite(features).all():
+            raise PluginError("a feature is not finite", where=str(self._model.path))
+        return normalize(features[0], dim=0)
+
+
+def standardized_grey(image: Tensor) -> Tensor:
+    """Return the image in grey, `[H, W]`, with mean 0 and standard deviation 1; all 0 for a flat image."""
+    levels = grey(image)
+    # In float32 the grey levels of a flat image may differ in the last bit.
+    return (levels - levels.mean()) / levels.std(correction=0).clamp(min=1e-6)

@@ -1,0 +1,261 @@
+"""Call a component of each kind as the host does, and check its answer."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from unittest import mock
+from uuid import uuid4
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import Rendering
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+
+from ..contract.checks.answers import (
+    check_colors,
+    check_edit,
+    check_loss,
+    check_moves,
+    check_offsets,
+    check_opacity_scale,
+    check_opacity_update,
+    check_sample,
+    check_score,
+)
+from ..contract.checks.scene import validate
+from ..contract.components import Observer, Unavailable
+from ..contract.scene import View
+from ..contract.step import Step
+from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
+from ..pipeline.training_settings import TrainingSettings
+from ..priors import (
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    StereoPrior,
+)
+from ..runs.options import RunOptions
+from ..runs.training_run import start
+from ..toolkit.cache import FOLDER_VARIABLE
+from ..training.initial_model import initial_gaussians
+from .assertions import require, require_files
+from .bench import Bench
+from .companions import pipeline_of
+
+_SHORT = TrainingSettings(iterations=3, sh_degree=1)
+_EVENTS = ("started", "iterated", "evaluated", "ended")
+
+
+def _scene(bench: Bench, built: Any) -> Any:
+    scene = validate(bench.call(built.load))
+    return [(v.name, v.image, v.camera.world_to_camera) for v in (*scene.train, *scene.test)]
+
+
+def _initializer(bench: Bench, built: Any) -> Any:
+    points = bench.call(built.initialize, bench.scene.for_training(), bench.priors)
+    if bench.size.degenerate and not len(points):
+        return None  # the host reports it
+    return initial_gaussians(points, TrainingSettings(sh_degree=0))
+
+
+def _prior(bench: Bench, built: Any) -> Any:
+    capability = getattr(built, "capability", None)
+    require(isinstance(capability, str), "a prior must have a class variable `capability`, a text")
+    views = bench.scene.train
+    images = [view.image for view in views]
+    for base, method, given in (
+        (StereoPrior, "both", images),
+        (MultiViewDepthPrior, "depths", [views, bench.scene.bounds]),
+        (MonocularDepthPrior, "inverse_depth", images[:1]),
+        (OpticalFlowPrior, "flow", images),
+        (MatchingPrior, "matches", images),
+    ):
+        if isinstance(built, base):
+            with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
+                return bench.call(getattr(built, method), *given)
+    return capability
+
+
+def _sampler(bench: Bench, built: Any) -> Any:
+    step = bench.before_render()
+    sample = check_sample(bench.call(built.sample, step, step.sample), step.model.count)
+    return [sample.view.name, sample.target, sample.background, sample.sh_degree, sample.smoothing]
+
+
+def _appearance(bench: Bench, built: Any) -> Any:
+    step = bench.after_render()
+    rgb = step.rendering.rgb
+    colors = check_colors(bench.call(built.colors, step, rgb), rgb.shape)
+    require(colors.requires_grad, "the colours are cut off from autograd: nothing would be learnt")
+    colors.mean().backward()
+    return [colors, _gradients(step, built)]
+
+
+def _regularizer(bench: Bench, built: Any) -> Any:
+    step = bench.after_render()
+    check_moves(built.moves, PARAMETER_GROUPS)
+    loss = check_loss(bench.call(built.loss, step))
+    if loss.requires_grad:
+        loss.backward()
+    gradients = _gradients(step, built)
+    if loss and not bench.size.degenerate:
+        require(
+            any(bool(gradient.any()) for gradient in gradients),
+            f"the loss is {float(loss.detach()):g} and would change nothing: no gradient reaches the "
+            "Gaussians or the component's own parameters; was it computed outside autograd?",
+        )
+    return [loss, gradients]
+
+
+def _modifier(bench: Bench, built: Any) -> Any:
+    step = bench.before_render()
+    return check_opacity_scale(bench.call(built.opacity_scale, step), step.model.count).clone()
+
+
+def _densification(bench: Bench, built: Any) -> Any:
+    step = bench.after_backward(absolute=built.absolute_gradients)
+    return check_edit(bench.call(built.refine, step), step.model.count)
+
+
+def _opacity(bench: Bench, built: Any) -> Any:
+    step = bench.after_backward()
+    return check_opacity_update(bench.call(built.update, step), step.model.count)
+
+
+def _perturbation(bench: Bench, built: Any) -> Any:
+    step = bench.after_backward()
+    return dict(check_offsets(bench.call(built.offsets, step), step.model.read))
+
+
+def _gradients(step: Step, built: Any) -> list[Tensor]:
+    """Return the gradients of the Gaussians and of the component's own parameters; all finite."""
+    own = [tensor.grad for group in built.parameters() for tensor in group.tensors]
+    gradients = [step.model.gradient(name) for name in PARAMETERS]
+    gradients += [gradient for gradient in own if gradient is not None]
+    for gradient in gradients:
+        require(bool(torch.isfinite(gradient).all()), "a gradient of the answer is not finite")
+    return gradients
+
+
+def _metric(bench: Bench, built: Any) -> Any:
+    first, second = bench.scene.train
+    mask = torch.zeros(first.image.shape[:2], dtype=torch.bool)
+    mask[: -(-len(mask) // 2)] = True
+    cases = (
+        (_render_of(first, 1.0), first),
+        (_render_of(second, 1.5), first),
+        (_render_of(second, 1.5), replace(first, mask=mask)),
+    )
+    scores = [check_score(bench.call(built.measure_view, *case, bench.scene)) for case in cases]
+    reasons = [score.reason for score in scores if isinstance(score, Unavailable)]
+    numbers = [score for score in scores if not isinstance(score, Unavailable)]
+    require(all(reasons), "a metric that is not available must say why")
+    if bench.size.degenerate:
+        return scores
+    require(not (reasons and numbers), "the metric is available for some renders of a view only")
+    if built.equal_images_are_best and numbers:
+        equal, other, _ = numbers
+        require(
+            equal > other if built.higher_is_better else equal < other,
+            "equal images must score better than different ones (`higher_is_better`); a metric that "
+            "does not compare images sets equal_images_are_best = False",
+        )
+    return scores
+
+
+def _render_of(view: View, depth_factor: float) -> Rendering:
+    """Return a render that equals the photograph, with the true depth times a factor."""
+    assert view.depth is not None
+    return Rendering(view.image.clone(), depth_factor * view.depth, torch.ones_like(view.depth))
+
+
+def _exporter(bench: Bench, built: Any) -> Any:
+    with tempfile.TemporaryDirectory() as name:
+        files = bench.call(built.export, bench.model().reader(), bench.scene, Path(name))
+        require_files(files)
+        return [(file.name, file.read_bytes()) for file in sorted(files)]
+
+
+def _report(bench: Bench, built: Any) -> Any:
+    scene = replace(bench.scene, points=bench.points())
+    if bench.size.hidden:
+        scene = replace(scene, test=())
+    options = RunOptions(scene=scene, device=bench.device, progress=False)
+    with tempfile.TemporaryDirectory() as name:
+        run = start(pipeline_of([], _SHORT), options, Path(name) / "run")
+        files = bench.call(built.write, run.folder_or_refuse().path, bench.scene)
+        require_files(files)
+        return [file.name for file in sorted(files)]
+
+
+def _observer(bench: Bench, built: Any) -> Any:
+    """Send the events of a run, which fails if the scene is degenerate."""
+    own = [name for name in _EVENTS if getattr(type(built), name) is not getattr(Observer, name)]
+    require(bool(own), f"the observer handles no event: define one of {', '.join(_EVENTS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        for method, event in zip(_EVENTS, _events(bench, Path(folder)), strict=True):
+            bench.call(getattr(built, method), event)
+
+
+def _events(bench: Bench, folder: Path) -> Iterator[Any]:
+    """Yield an event for each method of `_EVENTS`."""
+    step, succeeds = bench.after_backward(), not bench.size.degenerate
+    yield RunStarted(
+        title="a run",
+        folder=folder,
+        identity=uuid4().hex,
+        iteration=0,
+        resumed=False,
+        iterations=step.iterations,
+        pipeline=pipeline_of([], _SHORT).plain(),
+        facts={"scene": {"name": bench.scene.name}, "seed": 0},
+        scene=step.scene,
+    )
+    seen = step.rendering
+    yield IterationDone(
+        iteration=step.iteration,
+        seconds=1.0,
+        loss=0.5,
+        numbers=MappingProxyType({"photometric": 0.5, "regularizers.one": float("inf")}),
+        gaussians=step.model.count,
+        learning_rates=step.learning_rates,
+        view=step.view,
+        target=step.sample.target,
+        rendering=Rendering(seen.rgb.detach(), seen.depth.detach(), seen.alpha.detach()),
+        model=step.model,
+    )
+    scores: dict[str, dict[str, float | None]] = {
+        "test": {"one": 20.0, "other": None},
+        "train": {"one": None, "other": None},
+    }
+    yield ViewsScored(step.iteration, scores, {k: {"a view": row} for k, row in scores.items()})
+    results = {"hash": "0" * 64, **scores} if succeeds else None
+    error = None if succeeds else "a loss is not finite"
+    yield RunEnded(step.iteration, succeeds, results, error)
+
+
+CALLS: dict[str, Callable[[Bench, Any], Any]] = {
+    "scene": _scene,
+    "initializer": _initializer,
+    "priors": _prior,
+    "samplers": _sampler,
+    "appearances": _appearance,
+    "regularizers": _regularizer,
+    "modifiers": _modifier,
+    "densification": _densification,
+    "opacity": _opacity,
+    "perturbations": _perturbation,
+    "metrics": _metric,
+    "exporters": _exporter,
+    "reports": _report,
+    "observers": _observer,
+}
+"""How to call a built component, by section of the pipeline; returns what must be reproducible."""
