@@ -93,7 +93,7 @@ def _pictures(scene: str, count: int | None) -> tuple[list[UnposedPhoto], dict[s
     folder = Path(os.environ["STEREOGS_DATA"], scene)
     published = dict(_dtu(folder) if scene.startswith("dtu") else _llff(folder))
     images = next(path for path in sorted(folder.glob("image*")) if path.is_dir())
-    photos = [photo for photo in read_folder(images) if photo.path.stem in published]
+    photos = [photo for photo in read_folder(images).photos if photo.path.stem in published]
     return [photos[k] for k in evenly_spaced(list(range(len(photos))), count)], published
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
@@ -18,7 +20,13 @@ from registry import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
+
+    from registry import TrainingView
+
+_log = logging.getLogger("stereogs.sfm")
 
 
 class SfmSettings(Settings):
@@ -60,7 +68,28 @@ class SfmInitializer(Initializer[SfmSettings]):
                 where=scene.name,
                 fix="use `source: triangulate`, or the initializer `random`",
             )
-        return scene.points
+        points = scene.points
+        if len(points) > 1 and bool((points.colors == points.colors[0]).all()):
+            _log.warning("all points have the same colour; colours of the photographs are used")
+            return replace(points, colors=mean_colors(points.positions, scene.train))
+        return points
+
+
+def mean_colors(positions: Tensor, views: Sequence[TrainingView]) -> Tensor:
+    """Colours of points `[P, 3]` in [0, 1]: the mean over the views that contain them, occluded or not.
+
+    Grey where no view contains the point. Black points would stay black: a colour that is clamped at zero
+    has no gradient.
+    """
+    import torch
+
+    total, count = torch.zeros(len(positions), 3), torch.zeros(len(positions), 1)
+    for view in views:
+        u, v, z = view.camera.project(positions)
+        inside = view.camera.contains(u, v, z)
+        total[inside] += view.image[v[inside].long(), u[inside].long()]
+        count[inside] += 1
+    return torch.where(count > 0, total / count.clamp(min=1), torch.tensor(0.5))
 
 
 @hookimpl

@@ -1,10 +1,16 @@
-"""Error message for photographs whose cameras could not be estimated."""
+"""Photographs whose cameras were not found: what to train on, why the others are left out, what to do."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from registry import SceneError
+
+from .learned_matches import FOLDER_VARIABLE, known_files
+from .mapping import connected
+from .unposed_photos import MIN_PHOTOS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,26 +29,47 @@ MANY_MATCHES = 200
 _PARTNERS = 3
 
 
-def require_one_piece(cameras: FoundCameras, names: Sequence[str], where: str) -> ColmapModel:
-    """Return the model if it is one piece with every photograph.
+def largest_group(
+    cameras: FoundCameras, names: Sequence[str], where: str, *, require_all: bool
+) -> tuple[ColmapModel, dict[int, str]]:
+    """Return the model of the largest group of photographs that fit together.
 
     Args:
         names: file names of the photographs, in the order of the indices.
+        require_all: raise an error if the group does not contain every photograph.
+
+    Returns:
+        the model, and advice for each photograph outside it, by index.
 
     Raises:
-        SceneError: lists which photographs connect, their matches, and what to photograph next.
+        SceneError: fewer than three photographs fit together, or one does not although `require_all` is set;
+            lists which photographs connect, their matches, and what to photograph next.
     """
     found = cameras.reconstruction
     groups = _groups(found, len(names))
-    if len(groups) == 1 and cameras.model is not None:
-        return cameras.model
-    what = _summary(found, len(groups[0]), len(names))
-    lines = [what]
+    main = groups[0]
+    placed = cameras.model is not None and len(main) >= MIN_PHOTOS
+    if placed and cameras.model is not None and (len(groups) == 1 or not require_all):
+        reasons = {k: _bridge(found, group, main, names) for group in groups[1:] for k in group}
+        return cameras.model, reasons
+    lines = [_summary(found, len(main), len(names))]
     if found.pieces:
         lines += [f"  group {n}: {_names(group, names)}" for n, group in enumerate(groups, start=1)]
     lines += _table(found, names)
     lines.append(f"  matched by {', by '.join(found.tried)}")
-    raise SceneError("\n".join(lines), where=where, fix=_advice(found, groups, names))
+    fix = _advice(found, groups, names)
+    if require_all and placed:
+        fix += "\nor set `require_all_photos: false` to train on group 1"
+    raise SceneError("\n".join(lines), where=where, fix=fix + _networks_advice())
+
+
+def _networks_advice() -> str:
+    if known_files() is not None:
+        return ""
+    return (
+        f"\nor set {FOLDER_VARIABLE} to a folder with the networks ALIKED and LightGlue, which match "
+        "pictures that are farther apart (docs/prior_models.md)"
+    )
 
 
 def _summary(found: Reconstruction, placed: int, count: int) -> str:
@@ -73,20 +100,11 @@ def _groups(found: Reconstruction, count: int) -> list[list[int]]:
         if own:
             groups.append(own)
     # COLMAP searches less for an initial pair once it has a piece.
-    return groups + _connected(sorted(left), found.matches)
-
-
-def _connected(photos: list[int], matches: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Groups of photographs connected by pairs with enough matches."""
-    label = {k: k for k in photos}
-    for (first, second), count in matches.items():
-        if count >= ENOUGH_MATCHES and first in label and second in label:
-            old, new = label[second], label[first]
-            label = {k: new if value == old else value for k, value in label.items()}
-    groups: dict[int, list[int]] = {}
-    for k in photos:
-        groups.setdefault(label[k], []).append(k)
-    return list(groups.values())
+    rest = sorted(left)
+    links = np.array(
+        [[found.matches.get((a, b), 0) >= ENOUGH_MATCHES for b in rest] for a in rest], dtype=int
+    )
+    return groups + [[rest[k] for k in group] for group in (connected(links) if rest else ())]
 
 
 def _names(group: Sequence[int], names: Sequence[str]) -> str:
@@ -111,8 +129,9 @@ def _table(found: Reconstruction, names: Sequence[str]) -> list[str]:
 
 def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[str]) -> str:
     if found.pieces:
-        advice = [_bridge(found, group, groups[0], names) for group in groups[1:]]
-        return "\n".join([*advice, "or remove those photographs from the folder"])
+        # One line per reason: groups without any match share theirs.
+        bridges = [_bridge(found, group, groups[0], names) for group in groups[1:]]
+        return "\n".join(dict.fromkeys(bridges))
     if _most_matches(found) < ENOUGH_MATCHES:
         return (
             "photograph the scene again with small steps to the side between pictures, so that two thirds of "
@@ -146,7 +165,13 @@ def _bridge(
             f"take a picture between {names[-a]} and {names[-b]}, which share only "
             f"{matches} matches"
         )
+    apart = [k for k in range(len(names)) if not _matches_with(found, k, main)]
     return (
-        f"no overlap between {_names(group, names)} and the rest: take pictures between them, "
-        "each with two thirds of the previous picture"
+        f"{_names(apart, names)} {'has' if len(apart) == 1 else 'have'} no matches with the largest group: "
+        "take pictures between them, each with two thirds of the previous picture"
     )
+
+
+def _matches_with(found: Reconstruction, photo: int, main: Sequence[int]) -> bool:
+    """Whether a photograph belongs to the main group or matches one of it."""
+    return photo in main or any(photo in pair and (set(pair) & set(main)) for pair in found.matches)

@@ -1,17 +1,19 @@
-"""Matches by the networks XFeat and LighterGlue, for photographs that SIFT does not match.
+"""Matches by the networks ALIKED and LightGlue, for photographs that SIFT does not match.
 
-The files are read from the model folder if it has them, checked by hash (docs/prior_models.md), and never
-downloaded. Their matches are added to those of SIFT, which are more exact.
+ALIKED (Zhao et al. 2023) finds keypoints, LightGlue (Lindenberger et al., ICCV 2023) matches them. The files
+are read from the model folder if it has them, checked by hash (docs/prior_models.md), and never downloaded.
+Their matches are added to those of SIFT, which are more exact.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.networks import KeypointNetworks, OnnxModel
+from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
 
 from .unposed_photos import image_index, image_name
 
@@ -19,23 +21,25 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from registry.toolkit.networks import Keypoints
-
 FOLDER_VARIABLE = "STEREOGS_MODELS"
 """Environment variable with the path of the model folder."""
 FINDER = (
-    Path("xfeat", "xfeat_2048_640x360.onnx"),
-    "78038a53f1f095a67ed1a0be424a5a5e7e64df4cc572e269df9de5d60c564fba",
+    Path("aliked_lightglue", "aliked_n16.onnx"),
+    "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
 )
 MATCHER = (
-    Path("xfeat", "lighterglue_L3.onnx"),
-    "4b57f744da904cf3d7f6e8f4787c6f8a0165e7be7d83ff460a747b9ca826e6e7",
+    Path("aliked_lightglue", "lightglue_aliked.onnx"),
+    "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
 )
 """Paths relative to the folder, with SHA-256."""
-FEWEST = 3
-"""Least photographs of a piece: the networks match noise too, which fits two photographs but never three."""
 MIN_SCORE = 0.1
 """Least score of a match; geometric verification removes the remaining wrong ones."""
+LONGER_SIDE = 1024
+"""Longer side of the pictures that ALIKED sees, in pixels."""
+MOST_ENLARGED = 2.0
+MOST_KEYPOINTS = 1024
+"""Keypoints of a picture to match, best first; matching twice as many takes four times as long."""
+_log = logging.getLogger("stereogs.photos")
 
 
 def known_files() -> tuple[Path, Path] | None:
@@ -54,7 +58,7 @@ def add_learned_matches(
 
     Args:
         files: result of `known_files`.
-        images: folder of the photographs, named by index.
+        images: folder of the upright photographs, named by index.
         sift: database with the keypoints and matches of SIFT.
         database: database with the same photographs only.
 
@@ -64,7 +68,8 @@ def add_learned_matches(
     import numpy as np
 
     networks = KeypointNetworks(
-        *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True))
+        *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True)),
+        multiple=1,
     )
     with colmap.Database.open(sift) as known, colmap.Database.open(database) as opened:
         there = {image_index(image.name): image.image_id for image in known.read_all_images()}
@@ -73,22 +78,34 @@ def add_learned_matches(
         before = {k: known.read_keypoints(there[k])[:, :2] for k in found}
         for k, keypoints in found.items():
             opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
-        for first, second in combinations(found, 2):
-            pairs, _ = networks.match(found[first], found[second], MIN_SCORE)
-            new = pairs.numpy() + np.array([len(before[first]), len(before[second])])
+        pairs = list(combinations(found, 2))
+        for number, (first, second) in enumerate(pairs, start=1):
+            _log.info("matching by networks: pair %d of %d", number, len(pairs))
+            rows, _ = networks.match(found[first], found[second], MIN_SCORE)
+            new = rows.numpy() + np.array([len(before[first]), len(before[second])])
             old = known.read_matches(there[first], there[second])
             opened.write_matches(here[first], here[second], _joined(old, new))
 
 
 def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
+    """The best keypoints of a picture, which is scaled to `LONGER_SIDE` first."""
     import numpy as np
     import torch
     from PIL import Image
 
     with Image.open(file) as opened:
-        image = torch.from_numpy(np.asarray(opened.convert("RGB"), np.float32) / 255)
-    # Orientation per photograph: landscape and portrait match badly in any case.
-    return networks.keypoints(image, turned=networks.turns(image))
+        picture = opened.convert("RGB")
+    scale = min(LONGER_SIDE / max(picture.size), MOST_ENLARGED)
+    width, height = (round(side * scale) for side in picture.size)
+    scaled = picture.resize((width, height), Image.Resampling.BICUBIC)
+    image = torch.from_numpy(np.asarray(scaled, np.float32) / 255)
+    found = networks.keypoints(image, turned=False)
+    back = torch.tensor([picture.width / width, picture.height / height])
+    return Keypoints(
+        found.points[:MOST_KEYPOINTS] * back,
+        found.normalized[:, :MOST_KEYPOINTS],
+        found.descriptors[:, :MOST_KEYPOINTS],
+    )
 
 
 def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.generic]:

@@ -8,37 +8,42 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Register, Scene, SceneLoader, hookimpl
+from registry import Fact, Register, Scene, SceneLoader, Settings, hookimpl
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
     LoadedPhotos,
     PosedPhoto,
     ResizeFilter,
-    SplitSettings,
     estimate_bounds,
     longest_side,
     split,
     split_rule,
 )
 
-from .picture_files import is_pictures_alone, list_content
+from .picture_files import NOT_A_PICTURE, is_picture_folder
 
 if TYPE_CHECKING:
+    from .found_cameras import FoundCameras
+    from .picture_files import LeftOut
     from .unposed_photos import UnposedPhoto
 
+HELD_OUT_EVERY = 8
+"""Every eighth photograph is a test view, where there are at least as many."""
 
 _log = logging.getLogger("stereogs.photos")
 
 
-class PhotosSettings(SplitSettings):
+class PhotosSettings(Settings):
     path: Path
     """Path of the folder of photographs."""
     train_views: int | None = Field(None, ge=0)
     """Number of training views; null or 0 takes all photographs that are not test views."""
-    test_every: int = Field(8, ge=0)
+    test_every: int | None = Field(None, ge=0)
     """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
-    views."""
+    views. null means 8, and 0 for fewer than eight photographs."""
+    require_all_photos: bool = False
+    """Raise an error if a photograph does not connect to the others; false leaves it out with a warning."""
     max_size: int = Field(800, ge=16)
     """Longer side of the training photographs after resizing, in pixels."""
     resize_filter: ResizeFilter = "bicubic"
@@ -53,64 +58,85 @@ class PhotosSettings(SplitSettings):
 class PhotosScene(SceneLoader[PhotosSettings]):
     """Estimates the cameras of all photographs, including test views, and undistorts them.
 
+    Photographs that cannot be read or do not connect to the largest group are left out with a warning.
+
     Cameras are kept in the user's cache folder. Scale and horizon of the world are arbitrary.
     """
 
-    recognized_by: ClassVar[str] = "pictures and nothing else"
+    recognized_by: ClassVar[str] = "pictures, and no files of a data set"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Return True if the folder and its subfolders contain only pictures and their companion files."""
-        return is_pictures_alone(folder)
+        """Return True if the folder and its subfolders contain pictures and no files of a data set."""
+        return is_picture_folder(folder)
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: fewer than three photographs, an unreadable one, duplicates, or photographs that do
-                not connect; the message lists those that do and suggests what to photograph next.
+            SceneError: fewer than three photographs are readable or connect, or one does not although
+                `require_all_photos` is set; the message lists those that connect and suggests what to
+                photograph next.
         """
+        from .disconnected import largest_group
         from .unposed_photos import read_folder
 
         settings = self.settings
         folder = settings.path.expanduser()
-        found = read_folder(folder)
-        train, test = split(len(found), settings.test_every, settings.train_views, str(folder))
-        model = self._find_cameras(found, folder)
-        all_photos = _posed(model, found)
-        photos = [all_photos[index] for index in train + test]
+        found, other_files = read_folder(folder)
+        _warn_of_left_out(folder, other_files)
+        names = [photo.name for photo in found]
+        model, disconnected = largest_group(
+            self._find_cameras(found),
+            names,
+            str(folder),
+            require_all=settings.require_all_photos,
+        )
+        _warn_of_disconnected(names, disconnected)
+        placed = _posed(model, found)
+        test_every = self._test_every(len(placed))
+        train, test = split(len(placed), test_every, settings.train_views, str(folder))
+        photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
         _warn_of_transparency(found, decoder)
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         tracks = model.tracks()
-        tracks.check(len(found), str(folder))
+        tracks.check(len(placed), str(folder))
         points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
         facts = (
-            Fact("cameras", "found in all photographs by COLMAP"),
+            Fact("cameras", "found in the photographs by COLMAP"),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
-            *_left_out_facts(folder),
-            *loaded.split_facts(split_rule(settings.test_every), len(found)),
+            *_facts_of_left_out(folder, other_files, [names[k] for k in disconnected]),
+            *loaded.split_facts(split_rule(test_every), len(placed)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
 
-    def _find_cameras(self, found: list[UnposedPhoto], folder: Path) -> ColmapModel:
-        from .disconnected import require_one_piece
+    def _test_every(self, count: int) -> int:
+        if self.settings.test_every is not None:
+            return self.settings.test_every
+        if count < HELD_OUT_EVERY:
+            return 0
+        _log.info(
+            "%d photographs: every %dth is held out to measure quality; scene.test_every=0 trains on all",
+            *(count, HELD_OUT_EVERY),
+        )
+        return HELD_OUT_EVERY
+
+    def _find_cameras(self, found: list[UnposedPhoto]) -> FoundCameras:
         from .found_cameras import remembered_cameras
         from .learned_matches import known_files
         from .structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
-        cameras = remembered_cameras(
+        return remembered_cameras(
             found,
             f"{settings.matching_size} {settings.share_lens} {known_files() is not None}",
             lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
         )
-        names = [photo.name for photo in found]
-        return require_one_piece(cameras, names, str(folder))
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
@@ -149,12 +175,37 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
         )
 
 
-def _left_out_facts(folder: Path) -> list[Fact]:
-    """Number and names of the files that are not photographs."""
-    names = [path.name for path in list_content(folder).left_out]
+def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
+    pictures = [one for one in files if one.reason != NOT_A_PICTURE]
+    if pictures:
+        lines = (f"  {path.relative_to(folder)}: {reason}" for path, reason in pictures)
+        _log.warning("%d pictures are left out:\n%s", len(pictures), "\n".join(lines))
+
+
+def _warn_of_disconnected(names: list[str], disconnected: dict[int, str]) -> None:
+    if not disconnected:
+        return
+    by_reason: dict[str, list[str]] = {}
+    for index, reason in disconnected.items():
+        by_reason.setdefault(reason, []).append(names[index])
+    lines = (f"  {', '.join(few)}: {reason}" for reason, few in by_reason.items())
+    _log.warning(
+        "the cameras of %d of %d photographs fit together; the scene consists of these. Left out:\n%s\n"
+        "--set scene.require_all_photos=true stops here instead",
+        *(len(names) - len(disconnected), len(names), "\n".join(lines)),
+    )
+
+
+def _facts_of_left_out(folder: Path, files: list[LeftOut], disconnected: list[str]) -> list[Fact]:
+    names = [str(path.relative_to(folder)) for path, _ in files]
     few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-    text = f"{len(names)} left out: {few}"
-    return [Fact("other_files", len(names), text, affects_scores=False)] if names else []
+    facts = []
+    if names:
+        text = f"{len(names)} left out: {few}"
+        facts.append(Fact("other_files", len(names), text, affects_scores=False))
+    if disconnected:
+        facts.append(Fact("disconnected_photographs", ", ".join(disconnected)))
+    return facts
 
 
 @hookimpl

@@ -2,8 +2,8 @@
 
 Incremental mapping (Schoenberger and Frahm 2016) starts from a pair with a wide triangulation angle. COLMAP
 requires 16 degrees, which gives an exact start but excludes forward-facing captures; 2 degrees suffice for
-those. Global mapping (Pan et al. 2024) needs no initial pair. Wrong models leave matches unexplained
-(`agreeing_share`) or have implausible lenses.
+those. Global mapping (Pan et al. 2024) needs no initial pair. Matches contradict wrong models
+(`drop_unsupported`), or these have implausible lenses.
 """
 
 from __future__ import annotations
@@ -31,9 +31,27 @@ FOCAL_RANGE = (0.3, 4.0)
 MOST_DISTORTION = 1.0
 """Largest radial term k1; beyond it the picture would fold before its corners."""
 LEAST_SUPPORT = 0.9
-"""Least share of matches that agree with a model; correct ones have 0.99 or more, wrong ones at most 0.8."""
+"""Least share of the matches of a pair that agree with a model; correct ones have 0.95 or more in general."""
 _FIRST_PAIR_DEGREES = (16.0, 2.0)
 _log = logging.getLogger("stereogs.photos")
+
+
+class Trust(NamedTuple):
+    """Matches that connect two photographs, if `LEAST_SUPPORT` of them agree with the cameras.
+
+    Args:
+        fewest: least number that agree.
+        alone: number that suffices without a third photograph that is connected to both.
+    """
+
+    fewest: int
+    alone: int
+
+
+SIFT_TRUST = Trust(15, 15)
+LEARNED_TRUST = Trust(30, 200)
+"""Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
+sides of symmetric objects (up to 150)."""
 
 
 class Piece(NamedTuple):
@@ -51,18 +69,19 @@ class Piece(NamedTuple):
 
 
 def place_cameras(
-    colmap: Any, database: Path, images: Path, folder: Path, count: int
+    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
 ) -> list[Piece]:
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
-    Models that the matches contradict are discarded. Attempts run in order of cost until one places all
-    photographs with a plausible lens; otherwise the one of the highest `worth` is returned.
+    Photographs and models that the matches contradict are discarded. Attempts run in order of cost until one
+    places all photographs with a plausible lens; otherwise the one of the highest `worth` is returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
         images: folder of the photographs, for the colours of points.
         folder: folder for the models.
         count: number of photographs.
+        trust: which matches connect photographs.
     """
     best: list[Piece] = []
     for name, attempt in _attempts(colmap):
@@ -71,7 +90,7 @@ def place_cameras(
         found = [
             model
             for model in attempt(database, images, target).values()
-            if agreeing_share(colmap, database, model, 2 * MAX_ERROR) >= LEAST_SUPPORT
+            if drop_unsupported(colmap, database, model, trust)
         ]
         pieces = _pieces(found, target)
         if pieces and worth(pieces) > worth(best):
@@ -135,15 +154,48 @@ def _is_plausible(camera: Any) -> bool:
     return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
 
 
-def agreeing_share(colmap: Any, database: Path, model: Any, max_error: float) -> float:
-    """Share of the verified matches between a model's photographs that agree with its cameras.
+def drop_unsupported(colmap: Any, database: Path, model: Any, trust: Trust) -> bool:
+    """Remove the photographs that matches do not connect to the others of a model.
+
+    A wrong model can be consistent in itself because the mapper drops matches that disagree; nearly all
+    verified matches agree with a correct one. Two photographs are connected if enough of their matches agree
+    with the cameras, and a third photograph is connected to both or they have very many (`Trust`).
+
+    Returns:
+        whether a connected pair is left.
+    """
+    images = sorted(model.reg_image_ids())
+    linked = np.zeros((len(images), len(images)), dtype=int)
+    counts = _agreeing_matches(colmap, database, model, 2 * MAX_ERROR)
+    for (first, second), (agreeing, total) in counts.items():
+        if agreeing >= max(trust.fewest, LEAST_SUPPORT * total):
+            row, column = images.index(first), images.index(second)
+            linked[row, column] = linked[column, row] = agreeing
+    in_triangle = (linked > 0).astype(int) @ (linked > 0) > 0
+    groups = connected(linked * (in_triangle | (linked >= trust.alone)))
+    for k in {*range(len(images))}.difference(groups[0]):
+        model.deregister_frame(model.image(images[k]).frame_id)
+    return len(groups[0]) > 1
+
+
+def connected(links: NDArray[np.integer[Any]]) -> list[list[int]]:
+    """Sorted indices of connected groups, the largest and first one first, of a matrix `[N, N]` of links."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, labels = connected_components(links, directed=False)
+    groups = [np.flatnonzero(labels == label).tolist() for label in range(count)]
+    return sorted(groups, key=lambda group: (-len(group), group))
+
+
+def _agreeing_matches(
+    colmap: Any, database: Path, model: Any, max_error: float
+) -> dict[tuple[int, int], tuple[int, int]]:
+    """Number of matches that agree with the cameras, and of all verified ones, by pair of image ids.
 
     A match agrees if its Sampson distance (Hartley and Zisserman 2004, 11.4.3) is at most `max_error` pixels.
-    0 without matches. A wrong model can be consistent in itself because the mapper drops matches that
-    disagree; nearly all verified matches agree with a correct one.
     """
     registered = set(model.reg_image_ids())
-    agreeing = total = 0
+    found = {}
     with colmap.Database.open(database) as opened:
         pairs, geometries = opened.read_two_view_geometries()
         for pair, geometry in zip(pairs, geometries, strict=True):
@@ -156,9 +208,8 @@ def agreeing_share(colmap: Any, database: Path, model: Any, max_error: float) ->
                 for side, image in enumerate((first, second))
             )
             errors = _sampson_distances(model, (first, second), *points)
-            agreeing += int((errors <= max_error).sum())
-            total += len(errors)
-    return agreeing / total if total else 0.0
+            found[first, second] = (int((errors <= max_error).sum()), len(errors))
+    return found
 
 
 def _sampson_distances(

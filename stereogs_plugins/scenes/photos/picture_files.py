@@ -14,7 +14,7 @@ from registry import SceneError
 from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, read_heif
 
 UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
-"""Suffixes of unsupported picture formats, which raise an error."""
+"""Suffixes of unsupported picture formats, which are left out."""
 _COMPANION_NAMES = ("thumbs.db", "ehthumbs.db", "desktop.ini", "picasa.ini", "icon\r")
 _COMPANION_SUFFIXES = (
     ".aae",
@@ -29,6 +29,17 @@ _COMPANION_SUFFIXES = (
     ".avi",
 )
 _COMPANION_FOLDERS = ("__macosx", "@eadir")
+_DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr", ".pfm")
+_DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
+"""Files of data sets, which other loaders read."""
+NOT_A_PICTURE = "not a picture"
+
+
+class LeftOut(NamedTuple):
+    """A file that is not used, and why."""
+
+    path: Path
+    reason: str
 
 
 class FolderContent(NamedTuple):
@@ -45,11 +56,6 @@ class FolderContent(NamedTuple):
     unreadable: list[Path]
     companions: list[Path]
     others: list[Path]
-
-    @property
-    def left_out(self) -> list[Path]:
-        """Files that are not photographs."""
-        return [*self.companions, *self.others]
 
 
 def list_content(folder: Path) -> FolderContent:
@@ -79,17 +85,25 @@ def _kind(content: FolderContent, name: str) -> list[Path]:
     return content.others
 
 
-def is_pictures_alone(folder: Path) -> bool:
-    """Return True if a folder contains only pictures and their companion files."""
+def is_picture_folder(folder: Path) -> bool:
+    """Return True if a folder contains pictures, and neither files of a data set nor links to folders."""
     content = list_content(folder)
-    return bool(content.pictures or content.unreadable) and not content.others
+    return bool(content.pictures or content.unreadable) and not any(map(_is_data, content.others))
 
 
-def readable_pictures(folder: Path) -> list[Path]:
-    """Photographs of a folder and its subfolders, sorted by path.
+def _is_data(path: Path) -> bool:
+    return (
+        path.is_symlink()
+        or path.suffix.lower() in _DATA_SUFFIXES
+        or path.name.lower() in _DATA_NAMES
+    )
+
+
+def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
+    """Photographs of a folder and its subfolders, sorted by path, and the other files.
 
     Raises:
-        SceneError: the folder is missing, or has pictures in an unsupported format.
+        SceneError: the folder is missing.
     """
     if not folder.is_dir():
         raise SceneError(
@@ -98,23 +112,18 @@ def readable_pictures(folder: Path) -> list[Path]:
             fix="set `path` to a folder with pictures",
         )
     content = list_content(folder)
-    if content.unreadable:
-        raise SceneError(
-            f"pictures in unsupported formats: {_few(content.unreadable)}",
-            where=str(folder),
-            fix="convert them to JPEG or PNG, or remove them from the folder",
-        )
+    without_suffix = {path.with_suffix("") for path in content.pictures}
+    left_out = [LeftOut(path, NOT_A_PICTURE) for path in content.companions + content.others]
+    for path in content.unreadable:
+        if path.with_suffix("") in without_suffix:
+            left_out.append(LeftOut(path, "the folder has the same picture in a supported format"))
+        else:
+            left_out.append(LeftOut(path, "unsupported format; convert it to JPEG or PNG"))
     heif = [path for path in content.pictures if path.suffix.lower() in HEIF_SUFFIXES]
     if heif and not read_heif():
-        raise SceneError(
-            f"HEIC needs the package pillow-heif, which is not installed: {_few(heif)}",
-            where=str(folder),
-            fix="pip install 'stereogs-plugins[heic]', or convert them to JPEG",
+        reason = (
+            "HEIC needs pillow-heif (pip install 'stereogs-plugins[heic]'), or convert it to JPEG"
         )
-    return content.pictures
-
-
-def _few(paths: list[Path]) -> str:
-    """The first names, and the number of others."""
-    names = ", ".join(path.name for path in paths[:3])
-    return names if len(paths) <= 3 else f"{names} and {len(paths) - 3} more"
+        left_out += [LeftOut(path, reason) for path in heif]
+        content.pictures[:] = [path for path in content.pictures if path not in heif]
+    return content.pictures, left_out

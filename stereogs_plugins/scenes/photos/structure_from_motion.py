@@ -17,8 +17,17 @@ from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
-from .learned_matches import FEWEST, add_learned_matches, known_files
-from .mapping import MAX_ERROR, SEED, Piece, place_cameras, worth
+from .learned_matches import add_learned_matches, known_files
+from .mapping import (
+    LEARNED_TRUST,
+    MAX_ERROR,
+    SEED,
+    SIFT_TRUST,
+    Piece,
+    Trust,
+    place_cameras,
+    worth,
+)
 from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
@@ -81,7 +90,7 @@ def reconstruct(
     lenses = _lenses(photos, share_lens)
     best: Reconstruction | None = None
     tried: list[str] = []
-    for name, fewest, fill in _ways(colmap, images, folder):
+    for name, trust, fill in _ways(colmap, images, folder):
         workplace = folder / name
         workplace.mkdir()
         database = workplace / MATCHES
@@ -91,8 +100,7 @@ def reconstruct(
             _import(colmap, database, images, group, photos[group[0]], decoder)
         fill(database)
         tried.append(name)
-        found = _placed(colmap, database, images, workplace, len(photos))
-        found = replace(found, pieces=[p for p in found.pieces if len(p.members) >= fewest])
+        found = _placed(colmap, database, images, workplace, len(photos), trust)
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
@@ -104,9 +112,10 @@ def reconstruct(
     return replace(best, tried=tuple(tried))
 
 
-def _ways(colmap: Any, images: Path, folder: Path) -> list[tuple[str, int, Callable[[Path], None]]]:
-    """Kinds of matches, cheapest first: name, least photographs of a reliable piece, and a function that
-    fills a database."""
+def _ways(
+    colmap: Any, images: Path, folder: Path
+) -> list[tuple[str, Trust, Callable[[Path], None]]]:
+    """Kinds of matches, cheapest first: name, trust in them, and a function that fills a database."""
 
     def by_sift(pooled: bool) -> Callable[[Path], None]:
         def fill(database: Path) -> None:
@@ -115,7 +124,7 @@ def _ways(colmap: Any, images: Path, folder: Path) -> list[tuple[str, int, Calla
 
         return fill
 
-    ways = [("SIFT", 2, by_sift(False)), ("pooled SIFT", 2, by_sift(True))]
+    ways = [("SIFT", SIFT_TRUST, by_sift(False)), ("pooled SIFT", SIFT_TRUST, by_sift(True))]
     files = known_files()
     if files is not None:
 
@@ -123,17 +132,19 @@ def _ways(colmap: Any, images: Path, folder: Path) -> list[tuple[str, int, Calla
             add_learned_matches(colmap, files, images, folder / ways[0][0] / MATCHES, database)
             colmap.geometric_verification(database, two_view_geometry_options=_geometry(colmap))
 
-        ways.append(("SIFT with XFeat and LighterGlue", FEWEST, by_networks))
+        ways.append(("SIFT with ALIKED and LightGlue", LEARNED_TRUST, by_networks))
     return ways
 
 
-def _placed(colmap: Any, database: Path, images: Path, folder: Path, count: int) -> Reconstruction:
+def _placed(
+    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
+) -> Reconstruction:
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches = _verified_matches(colmap, opened, index)
     _log.info("%d pairs match; placing the cameras", len(matches))
-    pieces = place_cameras(colmap, database, images, folder, count)
+    pieces = place_cameras(colmap, database, images, folder, count, trust)
     return Reconstruction(pieces, matches, [features[k] for k in range(count)])
 
 

@@ -6,16 +6,14 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry import SceneError
 from registry.toolkit.photos import Size, in_parallel, open_image, upright_size
 
-from .picture_files import readable_pictures
+from .picture_files import LeftOut, readable_pictures
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from PIL import Image
 
 MIN_PHOTOS = 3
@@ -56,34 +54,64 @@ class UnposedPhoto:
     transparent: bool
 
 
-def read_folder(folder: Path) -> list[UnposedPhoto]:
-    """Read the pictures in a folder and its subfolders, sorted by path.
+class PictureFolder(NamedTuple):
+    """Content of a folder.
+
+    Args:
+        photos: photographs, sorted by path.
+        left_out: the other files.
+    """
+
+    photos: list[UnposedPhoto]
+    left_out: list[LeftOut]
+
+
+def read_folder(folder: Path) -> PictureFolder:
+    """Read the pictures in a folder and its subfolders.
+
+    Pictures that cannot be read and copies of other pictures are left out.
 
     Raises:
-        SceneError: the folder is missing, has fewer than three pictures, an unsupported or unreadable one,
-            or duplicates.
+        SceneError: the folder is missing, or has fewer than three usable pictures.
     """
-    paths = readable_pictures(folder)
-    if len(paths) < MIN_PHOTOS:
+    paths, left_out = readable_pictures(folder)
+    read = in_parallel(lambda path: _read(path, path.relative_to(folder).as_posix()), paths)
+    photos = [one for one in read if isinstance(one, UnposedPhoto)]
+    left_out += [one for one in read if isinstance(one, LeftOut)]
+    original: dict[str, UnposedPhoto] = {}
+    for photo in sorted(photos, key=lambda photo: len(photo.name)):
+        original.setdefault(photo.digest, photo)
+    for photo in photos:
+        if original[photo.digest] is not photo:
+            left_out.append(LeftOut(photo.path, f"a copy of {original[photo.digest].name}"))
+    photos = [photo for photo in photos if original[photo.digest] is photo]
+    if len(photos) < MIN_PHOTOS:
+        what = f"camera estimation needs at least {MIN_PHOTOS} photographs; the folder has {len(photos)}"
         raise SceneError(
-            f"camera estimation needs at least {MIN_PHOTOS} photographs; the folder has {len(paths)}",
+            "\n".join([what, *(f"  left out: {path.name}: {reason}" for path, reason in left_out)]),
             where=str(folder),
             fix="add photographs that overlap, taken from different places",
         )
-    photos = in_parallel(lambda path: _read(path, path.relative_to(folder).as_posix()), paths)
-    _refuse_copies(photos, folder)
-    return photos
+    return PictureFolder(photos, left_out)
 
 
-def _read(path: Path, name: str) -> UnposedPhoto:
-    with open_image(path, "the photograph", _FIX) as file:
-        size = upright_size(file)
-        turned = size != file.size
-        exif = file.getexif()
-        camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL)).strip()
-        focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        transparent = file.has_transparency_data and _has_clear_pixels(file)
+def _read(path: Path, name: str) -> UnposedPhoto | LeftOut:
+    try:
+        with open_image(path, "the photograph", _FIX) as file:
+            size = upright_size(file)
+            turned = size != file.size
+            exif = file.getexif()
+            camera = " ".join(
+                str(exif.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL)
+            ).strip()
+            focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            # Decode it to find damage; at a lower resolution where the format (JPEG) allows it.
+            file.draft(None, (1, 1))
+            file.load()
+            transparent = file.has_transparency_data and _has_clear_pixels(file)
+    except SceneError as error:
+        return LeftOut(path, error.what)
     return UnposedPhoto(path, name, size, turned, focal, camera, digest, transparent)
 
 
@@ -118,26 +146,6 @@ def _number(exif: dict[int, Any], tag: int) -> float | None:
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
     return value if 0 < value < math.inf else None
-
-
-def _refuse_copies(photos: Sequence[UnposedPhoto], folder: Path) -> None:
-    """Raise SceneError that lists all duplicates; the one with the shortest name is the original."""
-    first: dict[str, UnposedPhoto] = {}
-    for photo in sorted(photos, key=lambda photo: len(photo.name)):
-        first.setdefault(photo.digest, photo)
-    copies = [photo for photo in photos if first[photo.digest] is not photo]
-    if not copies:
-        return
-    if len(copies) == 1:
-        what = f"{first[copies[0].digest].name} and {copies[0].name} are the same picture"
-    else:
-        lines = (f"  {photo.name} is {first[photo.digest].name}" for photo in copies)
-        what = "\n".join([f"{len(copies)} files are copies of other pictures:", *lines])
-    raise SceneError(
-        what,
-        where=str(folder),
-        fix=f"remove from the folder: {', '.join(photo.name for photo in copies)}",
-    )
 
 
 def image_name(index: int) -> str:

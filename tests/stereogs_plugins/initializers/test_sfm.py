@@ -67,6 +67,19 @@ def test_source_chooses(scene: Scene, points: PointCloud) -> None:
     assert "triangulate" in caught.value.fix
 
 
+def test_points_of_one_color_get_the_colors_of_the_photographs(
+    scene: Scene, points: PointCloud, caplog: pytest.LogCaptureFixture
+) -> None:
+    outside = torch.full((1, 3), 1e4)
+    positions = torch.cat([points.positions, outside])
+    black = PointCloud(positions, torch.zeros_like(positions))
+    found = build(SfmInitializer).initialize(replace(scene, points=black), {})
+    assert "all points have the same colour" in caplog.text
+    assert torch.equal(found.positions, positions)
+    assert (found.colors[:-1] - points.colors).abs().mean(dim=1).median() < 0.1
+    assert found.colors[-1].tolist() == [0.5, 0.5, 0.5]
+
+
 def test_zero_points_are_explained(scene: Scene) -> None:
     grey = tuple(replace(view, image=torch.full_like(view.image, 0.5)) for view in scene.train)
     with pytest.raises(SceneError, match="no point could be triangulated") as caught:

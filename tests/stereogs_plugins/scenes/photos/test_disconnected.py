@@ -11,7 +11,8 @@ from PIL import Image
 
 from registry import SceneError
 from registry.toolkit.photos import ColmapModel
-from stereogs_plugins.scenes.photos.disconnected import require_one_piece
+from stereogs_plugins.scenes.photos import disconnected
+from stereogs_plugins.scenes.photos.disconnected import largest_group
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.mapping import Piece
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
@@ -31,7 +32,7 @@ class TestExplanation:
         found = Reconstruction([Piece(Path(), p) for p in pieces], matches, list(features))
         model = ColmapModel({}, [], [], Path()) if pieces else None
         with pytest.raises(SceneError) as caught:
-            require_one_piece(FoundCameras(found, model), NAMES, "folder")
+            largest_group(FoundCameras(found, model), NAMES, "folder", require_all=True)
         return caught.value
 
     def test_groups_matches_and_the_picture_between(self) -> None:
@@ -53,7 +54,8 @@ class TestExplanation:
         error = self.explain([[0, 1, 2]], matches={(0, 1): 200, (1, 2): 150})
         assert "group 3: e.jpg" in error.what
         assert "    e.jpg  none" in error.what.splitlines()
-        assert "no overlap between e.jpg and the rest" in error.fix
+        assert "d.jpg, e.jpg have no matches with the largest group" in error.fix
+        assert error.fix.count("no matches") == 1
 
     def test_a_blurred_photograph(self) -> None:
         error = self.explain([[0, 1, 2, 3]], (900, 900, 900, 900, 17))
@@ -78,21 +80,51 @@ class TestExplanation:
     def test_one_piece_is_accepted(self) -> None:
         found = Reconstruction([Piece(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
         model = ColmapModel({}, [], [], Path())
-        assert require_one_piece(FoundCameras(found, model), NAMES, "folder") is model
+        cameras = FoundCameras(found, model)
+        assert largest_group(cameras, NAMES, "folder", require_all=True) == (model, {})
+
+    def test_photographs_outside_the_largest_group_have_reasons(self) -> None:
+        found = Reconstruction([Piece(Path(), [0, 1, 2])], MATCHES, [900] * 5)
+        model = ColmapModel({}, [], [], Path())
+        cameras = FoundCameras(found, model)
+        used, reasons = largest_group(cameras, NAMES, "folder", require_all=False)
+        assert used is model
+        assert list(reasons) == [3, 4]
+        assert "take a picture between d.jpg and c.jpg" in reasons[4]
+
+    def test_two_photographs_are_too_few(self) -> None:
+        found = Reconstruction([Piece(Path(), [0, 1])], MATCHES, [900] * 5)
+        cameras = FoundCameras(found, ColmapModel({}, [], [], Path()))
+        with pytest.raises(SceneError, match="2 of 5 photographs"):
+            largest_group(cameras, NAMES, "folder", require_all=False)
+
+    @pytest.mark.parametrize("available", [False, True])
+    def test_networks_are_suggested_if_they_are_missing(
+        self, available: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        files = (Path("a"), Path("b")) if available else None
+        monkeypatch.setattr(disconnected, "known_files", lambda: files)
+        assert ("ALIKED and LightGlue" in self.explain([[0, 1, 2]]).fix) is not available
 
 
 @pytest.mark.proof
-def test_a_photograph_of_something_else_is_listed(folder: Path, tmp_path: Path) -> None:
+def test_a_photograph_of_something_else_is_left_out(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     from skimage import data
 
     copy = shutil.copytree(folder, tmp_path / "mixed")
     (copy / "train_01.jpg").unlink()
     Image.fromarray(data.coffee()).resize((360, 270)).save(copy / "coffee.png")
     with pytest.raises(SceneError) as caught:
-        load(copy)
+        load(copy, require_all_photos=True)
     assert "the cameras of 4 of 5 photographs fit together" in caught.value.what
     assert "group 2: coffee.png" in caught.value.what
     assert "coffee.png" in caught.value.fix
+    scene = load(copy)
+    assert len(scene.train) == 4
+    assert scene.fact("disconnected_photographs") == "coffee.png"
+    assert "coffee.png: " in caplog.text
 
 
 def test_photographs_without_overlap(tmp_path: Path) -> None:

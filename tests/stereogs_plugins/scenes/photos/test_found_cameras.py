@@ -34,7 +34,7 @@ def test_damaged_cameras_are_estimated_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     (whole,) = cached.glob("cameras/*")
-    photos = read_folder(folder)
+    photos = read_folder(folder).photos
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
@@ -70,7 +70,7 @@ def test_damaged_cameras_are_estimated_again(
 def test_other_photographs_or_settings_are_other_cameras(
     folder: Path, cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    photos = read_folder(folder)
+    photos = read_folder(folder).photos
     (whole,) = cached.glob("cameras/*")
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []

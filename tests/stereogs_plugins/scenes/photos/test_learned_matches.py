@@ -21,7 +21,7 @@ def test_networks_are_used_if_both_files_exist(
     monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     assert known_files() is None
     monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
-    (tmp_path / "xfeat").mkdir()
+    (tmp_path / FINDER[0].parent).mkdir()
     (tmp_path / FINDER[0]).write_bytes(b"not a network")
     assert known_files() is None
     (tmp_path / MATCHER[0]).write_bytes(b"nor is this")
@@ -35,14 +35,14 @@ def test_networks_are_used_if_both_files_exist(
 @pytest.mark.proof
 def test_pictures_far_apart_are_placed_by_the_networks(tmp_path: Path) -> None:
     """Six of dtu_scan65's 49: SIFT places two of them."""
-    models_folder("xfeat")
-    photos = read_folder(data_folder("dtu_scan65") / "image")
+    models_folder("aliked_lightglue")
+    photos = read_folder(data_folder("dtu_scan65") / "image").photos
     chosen = [photos[k] for k in evenly_spaced(list(range(len(photos))), 6)]
     decoder = Decoder(longest_side(1200), "box", upright=True)
     for folder in ("first", "again"):
         (tmp_path / folder).mkdir()
     found, same = (reconstruct(chosen, decoder, True, tmp_path / x) for x in ("first", "again"))
-    assert found.tried == ("SIFT", "pooled SIFT", "SIFT with XFeat and LighterGlue")
+    assert found.tried == ("SIFT", "pooled SIFT", "SIFT with ALIKED and LightGlue")
     assert len(found.pieces[0].members) >= 4
     files = [(one.pieces[0].folder / "images.bin").read_bytes() for one in (found, same)]
     assert files[0] == files[1], "the same bits"

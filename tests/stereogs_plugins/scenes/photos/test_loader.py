@@ -65,6 +65,18 @@ def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
         load(folder, test_every=3, train_views=4)
 
 
+def test_few_photographs_all_train(folder: Path, cached: Path) -> None:
+    scene = load(folder)
+    assert (len(scene.train), len(scene.test)) == (5, 0)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(7, 0), (8, 8), (100, 8)])
+def test_from_eight_photographs_on_every_eighth_tests(count: int, expected: int) -> None:
+    loader = build(PhotosScene, path="folder")
+    assert isinstance(loader, PhotosScene)
+    assert loader._test_every(count) == expected
+
+
 def test_photographs_are_reduced(folder: Path, cached: Path) -> None:
     view = load(folder, max_size=120).train[0]
     assert max(view.image.shape[:2]) <= 130  # cropping by undistortion changes it a little
@@ -88,7 +100,9 @@ def test_transparent_pictures_are_laid_on_the_background(
         picture.paste((255, 0, 0, alpha), (0, 0, 5, 5))
         picture.save(copy / f"{path}.png")
         (copy / f"{path}.jpg").unlink()
-    assert [photo.name for photo in read_folder(copy) if photo.transparent] == ["train_01.png"]
+    assert [photo.name for photo in read_folder(copy).photos if photo.transparent] == [
+        "train_01.png"
+    ]
     scene = load(copy, test_every=0)
     assert "in 1 of 5 pictures, train_01.png first, are laid on" in caplog.text
     assert "background (0 0 0)" in caplog.text
@@ -107,6 +121,12 @@ def test_folders_that_are_recognized(tmp_path: Path) -> None:
     assert PhotosScene.recognizes(tmp_path)
     (tmp_path / "Thumbs.db").touch()
     assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "IMG_1.DNG").touch()
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "transforms.json").touch()
+    assert not PhotosScene.recognizes(tmp_path)
+    (tmp_path / "transforms.json").unlink()
     (tmp_path / "cameras.txt").touch()
     assert not PhotosScene.recognizes(tmp_path)
     (tmp_path / "cameras.txt").unlink()

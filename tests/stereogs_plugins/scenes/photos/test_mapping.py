@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos.mapping import (
-    LEAST_SUPPORT,
-    MAX_ERROR,
+    LEARNED_TRUST,
+    SIFT_TRUST,
     Piece,
-    agreeing_share,
+    Trust,
+    connected,
+    drop_unsupported,
     worth,
 )
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
@@ -19,7 +23,9 @@ from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 
 
-def test_a_model_with_a_wrong_camera_is_contradicted_by_its_matches(tmp_path: Path) -> None:
+@pytest.fixture
+def made(tmp_path: Path) -> tuple[Any, Path, Any]:
+    """pycolmap, a database of four photographs with exact matches, and their model."""
     colmap = import_pycolmap(3)
     colmap.set_random_seed(0)
     options = colmap.SyntheticDatasetOptions()
@@ -27,13 +33,54 @@ def test_a_model_with_a_wrong_camera_is_contradicted_by_its_matches(tmp_path: Pa
     options.num_points3D = 60
     path = tmp_path / "matches.db"
     with colmap.Database.open(path) as database:
-        model = colmap.synthesize_dataset(options, database)
-    assert agreeing_share(colmap, path, model, 2 * MAX_ERROR) == 1
-    frame = model.frame(next(iter(model.reg_frame_ids())))
-    moved = frame.rig_from_world
-    turn = colmap.Rotation3d(np.array([0.0, 0.0, np.sin(0.2), np.cos(0.2)]))
-    frame.rig_from_world = colmap.Rigid3d(turn * moved.rotation, moved.translation)
-    assert agreeing_share(colmap, path, model, 2 * MAX_ERROR) < LEAST_SUPPORT
+        return colmap, path, colmap.synthesize_dataset(options, database)
+
+
+def turn(colmap: Any, model: Any, count: int) -> list[int]:
+    """Turn the cameras of some photographs by 23 degrees; return their ids."""
+    ids = sorted(model.reg_image_ids())[:count]
+    for number, image in enumerate(ids, start=1):
+        frame = model.frame(model.image(image).frame_id)
+        half = 0.2 * number
+        turned = colmap.Rotation3d(np.array([0.0, 0.0, np.sin(half), np.cos(half)]))
+        moved = frame.rig_from_world
+        frame.rig_from_world = colmap.Rigid3d(turned * moved.rotation, moved.translation)
+    return ids
+
+
+def test_a_supported_model_keeps_its_photographs(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    assert drop_unsupported(colmap, path, model, LEARNED_TRUST)
+    assert model.num_reg_images() == 4
+
+
+def test_a_wrong_camera_is_removed(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    (wrong,) = turn(colmap, model, 1)
+    assert drop_unsupported(colmap, path, model, SIFT_TRUST)
+    assert wrong not in model.reg_image_ids()
+    assert model.num_reg_images() == 3
+
+
+def test_a_wrong_model_is_discarded(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    turn(colmap, model, 4)
+    assert not drop_unsupported(colmap, path, model, SIFT_TRUST)
+
+
+def test_a_pair_without_a_third_photograph_needs_more_matches(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    turn(colmap, model, 2)
+    copy = type(model)(model)
+    assert drop_unsupported(colmap, path, model, Trust(15, 15))
+    assert model.num_reg_images() == 2
+    assert not drop_unsupported(colmap, path, copy, Trust(15, 1000))
+
+
+def test_connected_groups() -> None:
+    links = np.zeros((5, 5), dtype=int)
+    links[1, 4] = links[0, 3] = links[3, 2] = 7
+    assert connected(links) == [[0, 2, 3], [1, 4]]
 
 
 def test_the_larger_piece_with_a_plausible_lens_wins() -> None:
@@ -53,7 +100,7 @@ def test_forward_facing_pictures_are_placed(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     decoder = Decoder(longest_side(1200), "box", upright=True)
-    photos = [photo for photo in read_folder(tmp_path) if photo.path.parent == tmp_path]
+    photos = [photo for photo in read_folder(tmp_path).photos if photo.path.parent == tmp_path]
     found = reconstruct(photos, decoder, True, out)
     assert found.pieces[0].members == [0, 1, 2]
     assert found.pieces[0].plausible
