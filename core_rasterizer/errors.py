@@ -27,12 +27,9 @@ class ExplainedError(Exception):
         self.fix = fix
 
     def __str__(self) -> str:
-        lines = [self.what]
-        if self.where:
-            lines.append(f"  where  {self.where}")
-        if self.fix:
-            lines.append(f"  fix    {self.fix}")
-        return "\n".join(lines)
+        labelled = (("where", self.where), ("fix", self.fix))
+        indented = [(label, text.replace("\n", "\n" + " " * 9)) for label, text in labelled if text]
+        return "\n".join([self.what, *(f"  {label:<6} {text}" for label, text in indented)])
 
 
 class DeviceError(ExplainedError):

@@ -40,23 +40,22 @@ if TYPE_CHECKING:
         Unavailable,
         ViewMetric,
     )
-    from .contract.fact import Fact
     from .contract.hook_points import API_VERSION, Register, hookimpl
     from .contract.prior import Prior
-    from .contract.scene import PointCloud, Scene, TrainingScene, TrainingView, View
+    from .contract.scene import Fact, PointCloud, Scene, TrainingScene, TrainingView, View
     from .contract.step import OtherField, Render, Sample, Step
     from .errors import PluginError, RunError, SceneError
 else:
     _get, __dir__ = names_on_first_use(__name__)
 
     def __getattr__(name: str) -> Any:
-        """A name of the contract, or, with a warning, one that moved since version 0.1.0."""
-        if name not in _MOVED:
+        """Return a name of the contract, or, with a warning, one that moved since version 0.1.0."""
+        home = next((module for module, moved in _MOVED.items() if name in moved.split()), None)
+        if home is None:
             return _get(name)
         import pkgutil
         import warnings
 
-        home = _MOVED[name]
         warnings.warn(
             f"registry.{name} has moved: import it from {home}", DeprecationWarning, stacklevel=2
         )
@@ -64,27 +63,17 @@ else:
 
 
 _MOVED = {
-    "LoggerSettings": "registry.toolkit.drawing",
-    "MonocularDepthPrior": "registry.priors",
-    "MultiViewDepthPrior": "registry.priors",
-    "OnnxModelSettings": "registry.toolkit.networks",
-    "RunEnded": "registry.events",
-    "RunStarted": "registry.events",
-    "ViewParameters": "registry.toolkit.views",
-    "ViewPictures": "registry.toolkit.drawing",
-    "cache": "registry.toolkit",
-    "depth_ends": "registry.toolkit.drawing",
-    "epipolar_distances": "registry.toolkit.views",
-    "image_fitting": "registry.toolkit.networks",
-    "optional_module": "registry.plugins",
-    "read_results": "registry.runs",
-    "trained_gaussians": "registry.runs",
-    "triangulation": "registry.toolkit.views",
-    "virtual_views": "registry.toolkit.views",
-    "web_page": "registry.toolkit",
-    "write_text": "registry.system",
+    "registry.events": "RunEnded RunStarted",
+    "registry.plugins": "optional_module",
+    "registry.priors": "MonocularDepthPrior MultiViewDepthPrior",
+    "registry.runs": "read_results trained_gaussians",
+    "registry.system": "write_text",
+    "registry.toolkit": "cache web_page",
+    "registry.toolkit.drawing": "LoggerSettings ViewPictures depth_ends",
+    "registry.toolkit.networks": "OnnxModelSettings image_fitting",
+    "registry.toolkit.views": "ViewParameters epipolar_distances triangulation virtual_views",
 }
-"""Names that example packages or the documentation of version 0.1.0 used, and their modules now."""
+"""Names that example packages or the documentation of version 0.1.0 used, by their modules now."""
 
 __all__ = [
     "API_VERSION",

@@ -1,37 +1,41 @@
 """The `stereogs` command.
 
-Help, the version and mistakes are answered without importing torch: only the verb that is given is imported,
-and it imports the rest in its `run`.
+Help, the version and usage errors do not import torch: only the given verb is imported, and its `run` imports
+the rest.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import logging
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 from core_rasterizer.errors import ExplainedError
 
-from .commands.output import add_verb, error_console
-from .commands.plugins import with_verb
+from .commands.arguments import add_verb
+from .commands.inspecting import with_verb
+from .commands.output import INTERRUPTED, console
 from .errors import PluginError
-from .messages.command_parser import CommandParser
-from .messages.help_text import HelpFormatter
+from .messages.command_line import CommandParser, HelpFormatter
 from .messages.suggestions import did_you_mean, listing
-from .plugins.commands import Verb, verbs
+from .messages.terminal import PlainFormatter
+from .plugins.commands import verbs
 
 USAGE_ERROR = 2
-INTERRUPTED = 130
 TRACE = "STEREOGS_TRACE"
 """Environment variable: 1 shows the Python traceback of every error."""
 
 COMPLETING = "_ARGCOMPLETE"
-"""Environment variable that a shell sets to ask how a command line continues."""
+"""Environment variable that a shell sets to request completions of a command line."""
+PIPELINE_ARGUMENTS = ("pipeline", "file", "data")
+"""Arguments that take the name of a ready pipeline, for completion."""
 
 PROGRESS = "stereogs"
-"""Logger whose INFO lines are shown: a component that takes long tells of it there."""
+"""Logger whose INFO lines are shown; slow components report their progress there."""
 
 _EPILOG = """\
 examples:
@@ -54,20 +58,26 @@ environment:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status.
+    """Run the command line; return the exit status.
 
-    0 done; 1 a check found a fault; 2 something is wrong and was explained; 130 after Ctrl-C or SIGTERM.
+    0 done; 1 a check found a fault; 2 an error was explained; 130 after Ctrl-C or SIGTERM.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    _log_to_the_terminal()
+    handler = logging.StreamHandler()
+    handler.setFormatter(PlainFormatter("stereogs: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
         if COMPLETING in os.environ:
-            from .commands.completing import answer_shell
+            import argcomplete
 
-            answer_shell(build_parser(None))
+            # The annotation of `default_completer` is too narrow.
+            argcomplete.autocomplete(build_parser(None), default_completer=_completions)  # type: ignore[arg-type]
         if not given:
             build_parser(given).print_help()
+            return 0
+        if given[0] == "--version":
+            print(f"stereogs {importlib.metadata.version('stereogs-plugins')}")
             return 0
         parsed = parse(given)
         status = _run(parsed, given[0])
@@ -75,34 +85,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ExplainedError as error:
         return _explain(error)
     except BrokenPipeError:
-        return _reader_left()
+        # The reader, such as `head`, has ended; Python must not flush to it on exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         where = str(error.filename or "")
         what = f"a file operation failed: {error.strerror or error}"
         return _explain(ExplainedError(what, where=where, fix="check the path and the free space"))
     except KeyboardInterrupt as stop:
         notes = getattr(stop, "__notes__", ())
-        error_console().print(" ".join(["stereogs: interrupted", *notes]))
+        console(stderr=True).print(" ".join(["stereogs: interrupted", *notes]))
         return INTERRUPTED
     return status
 
 
-def _reader_left() -> int:
-    """Whoever read the output has seen enough, as `head` does; Python must not flush to it on exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+def _completions(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
+    """Return values of an argument for a shell's completion."""
+    from argcomplete.completers import FilesCompleter
 
+    if action.dest == "name":
+        from .plugins.discovery import Plugins, offered_name
 
-def _log_to_the_terminal() -> None:
-    from .messages.terminal import PlainFormatter
+        return [name for e in Plugins().entries if (name := offered_name(e)).startswith(prefix)]
+    found = [str(path) for path in FilesCompleter()(prefix)]
+    if action.dest in PIPELINE_ARGUMENTS:
+        from .pipeline.ready import ready_pipelines
 
-    handler = logging.StreamHandler()
-    handler.setFormatter(PlainFormatter("stereogs: %(message)s"))
-    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+        found += [name for name in ready_pipelines() if name.startswith(prefix)]
+    return found
 
 
 def _run(parsed: argparse.Namespace, verb: str) -> int:
-    """Run the verb; an error that explains nothing is blamed on the plugin that offers the verb."""
+    """Run the verb; attribute an unexplained error to the plugin that offers the verb."""
     try:
         status: int = parsed.command.run(parsed)
     except (ExplainedError, OSError):
@@ -126,7 +140,7 @@ def parse(given: Sequence[str]) -> argparse.Namespace:
 
 
 def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
-    """The parser of a command line: of the verb that is given, or with a line for each verb.
+    """Return the parser of the given verb, or one that lists all verbs.
 
     Args:
         given: the command line; None adds the arguments of every verb.
@@ -140,42 +154,24 @@ def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=HelpFormatter,
     )
-    parser.add_argument("--version", action=_Version, help="print the version and exit")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
     actions, known = parser.add_subparsers(title="verbs", metavar="VERB", required=True), verbs()
     if given and not given[0].startswith("-") and given[0] not in known:
-        raise _unknown_verb(given[0], known)
+        raise ExplainedError(
+            f"unknown verb {given[0]!r}{did_you_mean(given[0], known)}",
+            where="the command line",
+            fix=f"verbs: {listing(known)}; `stereogs --help` describes them",
+        )
     chosen = list(known) if given is None else [name for name in given[:1] if name in known]
-    for name in chosen or known:
-        verb = known[name]
-        if chosen:
-            command = verb.load()
-            own = add_verb(actions, name, verb.summary, command.epilog)
-            command.add_arguments(own)
-            own.set_defaults(command=command)
-        else:
-            add_verb(actions, name, verb.summary, "")
+    for name in chosen:
+        command = known[name].load()
+        own = add_verb(actions, name, known[name].summary, command.epilog)
+        command.add_arguments(own)
+        own.set_defaults(command=command)
+    if not chosen:
+        for name in known:
+            add_verb(actions, name, known[name].summary, "")
     return parser
-
-
-class _Version(argparse.Action):
-    """Looks the version up only when it is asked for."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
-        super().__init__(option_strings, dest, nargs=0, help=help)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
-
-        print(f"{parser.prog} {version('stereogs-plugins')}")
-        parser.exit()
-
-
-def _unknown_verb(name: str, known: Mapping[str, Verb]) -> ExplainedError:
-    return ExplainedError(
-        f"unknown verb {name!r}{did_you_mean(name, known)}",
-        where="the command line",
-        fix=f"verbs: {listing(known)}; `stereogs --help` describes them",
-    )
 
 
 def _explain(error: ExplainedError) -> int:
@@ -183,12 +179,7 @@ def _explain(error: ExplainedError) -> int:
         import traceback
 
         traceback.print_exception(error)
-    console = error_console()
-    console.print(f"stereogs: {error.what}")
-    for label, text in (("where", error.where), ("fix", error.fix)):
-        if text:
-            indented = text.replace("\n", "\n" + " " * 9)
-            console.print(f"  {label:<6} {indented}")
+    console(stderr=True).print(f"stereogs: {error}")
     return USAGE_ERROR
 
 

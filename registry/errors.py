@@ -1,12 +1,4 @@
-"""Errors of the host. Each says what happened, where, and how to mend it (`ExplainedError`).
-
-ExplainedError
-├── (the engine's errors, see core_rasterizer.errors)
-├── PipelineError             the YAML file: unknown names, wrong types; carries file and line
-├── PluginError               a plugin that cannot be loaded, or that failed while running
-├── SceneError                photographs, poses or points that cannot be used
-└── RunError                  the run folder: cannot be created, resumed or read
-"""
+"""Errors of the host: `ExplainedError`s, as those of `core_rasterizer.errors`."""
 
 from __future__ import annotations
 
@@ -16,7 +8,7 @@ __all__ = ["PipelineError", "PluginError", "RunError", "SceneError"]
 
 
 class PipelineError(ExplainedError):
-    """The pipeline file is wrong; `where` names file and line."""
+    """The pipeline is invalid; `where` names file and line."""
 
 
 class PluginError(ExplainedError):
@@ -24,7 +16,7 @@ class PluginError(ExplainedError):
 
 
 class SceneError(ExplainedError):
-    """A scene could not be read, or what was read cannot be used."""
+    """Photographs, cameras or points could not be read or cannot be used."""
 
 
 class RunError(ExplainedError):

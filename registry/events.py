@@ -1,4 +1,4 @@
-"""What observers are told of a run."""
+"""Events of a run, passed to observers."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ __all__ = ["IterationDone", "RunEnded", "RunStarted", "ViewsScored"]
 
 @dataclass(frozen=True, eq=False)
 class RunStarted:
-    """A run begins, or goes on.
+    """A run begins or is resumed.
 
     Args:
-        title: the run folder's name; the pipeline's for a run that is kept in memory.
-        folder: for this observer's files: `observers/NAME` in the run folder, which exists. None for a
-            run that is kept in memory and is to leave no file.
-        identity: what tells the run from all others, 32 hexadecimal digits; a resumed run keeps it. Empty
-            for a run in memory.
-        iteration: the last one that is complete; training goes on with the next.
-        resumed: whether the run was stopped before; then 0 is a possible iteration too.
-        iterations: how many there will be.
-        pipeline: the resolved pipeline as plain values, every default written out.
-        facts: what is trained on what, as results.json will say it: scene, device, seed, ...
-        scene: what components see of it: without test views and true depth.
+        title: name of the run folder; of the pipeline for a run in memory.
+        folder: existing folder for this observer's files, `observers/NAME` in the run folder; None for a
+            run in memory, which must not leave files.
+        identity: 32 hexadecimal digits, unique for each run and kept when it is resumed; empty for a run
+            in memory.
+        iteration: the last complete iteration.
+        resumed: whether the run was stopped before; possibly at iteration 0.
+        iterations: the total number of iterations.
+        pipeline: the resolved pipeline as plain values, with all defaults.
+        facts: scene, device, seed and others, as in results.json.
+        scene: the scene without test views and true depth.
     """
 
     title: str
@@ -48,22 +48,22 @@ class RunStarted:
 
 @dataclass(frozen=True, eq=False)
 class IterationDone:
-    """An iteration is complete. Of several fields of Gaussians it tells of the first.
+    """An iteration is complete. With several fields of Gaussians, data are of the first.
 
     Args:
         iteration: 1-based.
-        seconds: spent training so far, in this run and before it was resumed.
+        seconds: training time so far, including before the run was resumed.
         loss: the total loss before the optimizer's step.
-        numbers: what the iteration recorded, by name: `photometric`, each regularizer that was due as
-            `regularizers.NAME`, and what `Step.log` was given; those of further fields begin with
-            `field1/`, `field2/`, ...
-        gaussians: how many there are now.
+        numbers: values that the iteration recorded, by name: `photometric`, each regularizer that was due
+            as `regularizers.NAME`, and those of `Step.log`; names of further fields begin with `field1/`,
+            `field2/`, ...
+        gaussians: the number of Gaussians now.
         learning_rates: Adam's step size of each parameter group.
-        view: the photograph that was learnt from.
-        target: `[H, W, 3]`, what its render was compared with: the photograph, unless a sampler changed it.
+        view: the training view.
+        target: `Sample.target`, `[H, W, 3]`.
         rendering: the render before the optimizer's step, without gradients: `rgb [H, W, 3]`, not
-            clamped above, `depth [H, W]` and `alpha [H, W]`; of as many Gaussians as there were then.
-        model: the Gaussians as they are now, to be read.
+            clamped above, `depth [H, W]` and `alpha [H, W]`.
+        model: the Gaussians now, read only.
     """
 
     iteration: int
@@ -78,7 +78,7 @@ class IterationDone:
     model: GaussianReader
 
     def scalars(self) -> dict[str, float]:
-        """All numbers for curves by name: `loss`, `numbers`, `gaussians`, `seconds`, `learning_rates/...`."""
+        """Return `loss`, `numbers`, `gaussians`, `seconds` and `learning_rates/...` by name."""
         rates = {f"learning_rates/{name}": rate for name, rate in self.learning_rates.items()}
         counts = {"gaussians": float(self.gaussians), "seconds": self.seconds}
         return {"loss": self.loss, **self.numbers, **counts, **rates}
@@ -89,10 +89,10 @@ class ViewsScored:
     """Views were rendered and scored.
 
     Args:
-        iteration: after which one.
-        mean: each metric's mean over the views, by split, "test" or "train", and by metric; None
-            where no view has it. While training goes on, only test views are scored.
-        views: the scores by split, view and metric; None where the metric is not available.
+        iteration: the last complete iteration.
+        mean: means over the views by split, "test" or "train", and metric; None if no view has a score.
+            During training only test views are scored.
+        views: the scores by split, view and metric; None if the metric is not available.
     """
 
     iteration: int
@@ -100,7 +100,7 @@ class ViewsScored:
     views: Mapping[str, Mapping[str, Mapping[str, float | None]]]
 
     def scalars(self) -> dict[str, float]:
-        """The means that there are, by `test/psnr` and the like."""
+        """Return the means that are not None, by names such as `test/psnr`."""
         return {
             f"{split}/{metric}": value
             for split, means in self.mean.items()
@@ -111,14 +111,13 @@ class ViewsScored:
 
 @dataclass(frozen=True, eq=False)
 class RunEnded:
-    """Nothing more will be told.
+    """A run has ended.
 
     Args:
-        iteration: the last one that is complete.
-        finished: whether it is the pipeline's last; else the run was stopped, and may be resumed.
-        results: what results.json holds; None where there is none: the run is kept in memory, was
-            stopped or failed.
-        error: what went wrong, for people; None if nothing did.
+        iteration: the last complete iteration.
+        finished: whether it is the pipeline's last; otherwise the run can be resumed.
+        results: content of results.json; None if the run is in memory, was stopped or failed.
+        error: message of the error that ended the run, or None.
     """
 
     iteration: int

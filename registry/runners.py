@@ -1,4 +1,4 @@
-"""Runners: where trainings run that do not depend on each other, such as a cluster."""
+"""Runners of independent trainings, for example on a cluster."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["Runner", "RunningTask", "TrainingTask"]
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """One training that depends on no other: files in, a run folder out.
+    """One training, independent of others.
 
     Args:
-        pipeline: YAML, complete; equal pipelines give equal bits on equal devices, wherever they run.
-        folder: where the finished run folder is to lie. It may hold a run of this pipeline that was
-            stopped; a runner that does not go on with it puts a whole one in its place.
-        log: the file for what the training prints.
+        pipeline: complete YAML; equal pipelines give equal bits on equal devices.
+        folder: the run folder to write. If it holds a stopped run of this pipeline, the runner resumes or
+            replaces it.
+        log: file for the training's output.
         device: part of a device's name, as for `--device`; None: each machine chooses.
     """
 
@@ -30,41 +30,41 @@ class TrainingTask:
 
 
 class RunningTask(ABC):
-    """A task that a runner has begun."""
+    """A task that a runner has started."""
 
     @property
     @abstractmethod
     def ended(self) -> bool:
-        """Whether it has come to its end, well or not; returns at once."""
+        """Whether it has ended, successfully or not; returns immediately."""
 
     @abstractmethod
     def failure(self) -> str:
-        """After its end: what went wrong, in the training's own words; empty if nothing did."""
+        """Return the training's error message after its end; empty if it succeeded."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Ask it to end soon; what it has done may be kept or lost."""
+        """Request its end; its progress may be kept or lost."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End it at once, if it has not ended, and wait for that."""
+        """End it immediately, and wait for the end."""
 
     def progress(self) -> float:
-        """The share of its iterations that is done, as far as it is known."""
+        """Return the share of its iterations that is complete, 0 if unknown."""
         return 0.0
 
 
 class Runner(Component[SettingsType], ABC):
-    """Carries out trainings that do not depend on each other: here, or on other machines."""
+    """Runs independent trainings, on this machine or on others."""
 
     @property
     def places(self) -> int | None:
-        """How many tasks it takes at the same time; None: all there are, and queues them itself."""
+        """Number of tasks that can run at the same time; None: it takes and queues all tasks."""
         return None
 
     @abstractmethod
     def start(self, task: TrainingTask) -> RunningTask:
-        """Begin a task, or queue it; returns at once."""
+        """Start a task, or queue it; return immediately."""
 
     def close(self) -> None:
-        """Let go of what it holds, such as a connection to a cluster."""
+        """Release resources, such as a connection to a cluster."""

@@ -1,4 +1,4 @@
-"""The Python API, used by the command line too.
+"""The Python API, which the command line uses too.
 
     import stereogs
 
@@ -6,7 +6,7 @@
     run = stereogs.train(pipeline, callback=lambda done: print(done.number, done.loss))
     rgb, depth, alpha = run.render(run.scene.test[0].camera)
 
-Importing this module is quick; torch is imported by the first function that computes something.
+Importing this module is fast: torch is imported by the first function that computes something.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .contract.checks.scene import validate
-from .contract.in_memory import IN_MEMORY
+from .contract.components import IN_MEMORY
 from .contract.scene import PointCloud, Scene, View
-from .errors import PipelineError, SceneError
+from .errors import PipelineError, RunError, SceneError
+from .messages.suggestions import did_you_mean, listing
 from .pipeline.edits import SECTIONS
 from .pipeline.pipeline import Item, Pipeline
 from .pipeline.pipeline import build_pipeline as checked_pipeline
@@ -78,9 +79,8 @@ def build_pipeline(
         PluginError: a component cannot be loaded.
     """
     root = _tree(source)
-    if isinstance(root.content, dict) and not any(
-        text.partition("=")[0].strip().startswith("scene") for text in overrides
-    ):
+    changes_scene = any(text.strip().startswith("scene") for text in overrides)
+    if isinstance(root.content, dict) and not changes_scene:
         written = root.content.get("scene")
         if written is None or written.content is None:
             root.content["scene"] = Node(IN_MEMORY, root.place)
@@ -90,8 +90,8 @@ def build_pipeline(
 def _tree(source: Mapping[str, Any] | PathLike) -> Node:
     if isinstance(source, Mapping):
         try:
-            text = to_yaml(json.loads(json.dumps(source, default=_plain)))
-        except TypeError as error:
+            text = to_yaml(json.loads(json.dumps(source, default=os.fspath)))
+        except (TypeError, ValueError) as error:
             raise PipelineError(
                 f"a pipeline consists of plain values: {error}",
                 where="the pipeline's values",
@@ -107,13 +107,6 @@ def _is_text(source: PathLike) -> bool:
     return isinstance(source, str) and ("\n" in source or source.lstrip().startswith("{"))
 
 
-def _plain(value: object) -> object:
-    """Convert a path for JSON."""
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"{value!r} is a {type(value).__name__}")
-
-
 def load_scene(
     source: PipelineSource,
     changes: Sequence[str] = (),
@@ -124,10 +117,10 @@ def load_scene(
     """Load and validate the scene in a folder, or of a pipeline.
 
     Args:
-        source: a folder of photographs or of a data set; a pipeline, or its file, text or values.
+        source: a folder of photographs or of a data set; or a pipeline, its file, text or values.
         changes: `key=value`, settings of the loader; not for a pipeline that is already built.
         format_name: the loader for a folder; None chooses the loader that recognizes the folder.
-        device: see `train`.
+        device: as in `RunOptions`.
 
     Raises:
         ExplainedError: the path does not exist, no loader or several recognize the folder, or loading fails.
@@ -137,13 +130,12 @@ def load_scene(
     if isinstance(source, str | os.PathLike) and not _is_text(source):
         path = Path(source).expanduser()
         found = find_loader(path, Plugins(), format_name=format_name, changes=changes)
-    elif isinstance(source, Pipeline) and changes:
-        raise PipelineError(
-            "the pipeline is already built", fix="give the changes to build_pipeline"
-        )
     else:
         if not isinstance(source, Pipeline):
             source = build_pipeline(source, [f"scene.{x.removeprefix('scene.')}" for x in changes])
+        elif changes:
+            fix = "give the changes to build_pipeline"
+            raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
     from .pipeline.parts import build_part
     from .training.threads import one_torch_thread
@@ -167,29 +159,20 @@ def scene_from_arrays(
     Args:
         images: each `[H, W, 3]`, uint8, or floating point in [0, 1].
         cameras: one for each image, of its size.
-        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
         test: indices of the test views; the others train.
-        points: sparse initial points, or None.
-        background: colour behind the scene, three numbers in [0, 1].
-        name: for titles and tables.
+        bounds, points, background, name: as in `registry.Scene`.
 
     Raises:
         SceneError: the numbers of cameras and images differ, an index in `test` does not exist, or the scene
             is not valid (`registry.validate`).
     """
     if len(images) != len(cameras):
-        raise SceneError(
-            f"{len(images)} images and {len(cameras)} cameras were given",
-            where=name,
-            fix="give one camera for each image",
-        )
-    unknown = [index for index in test if not 0 <= index < len(images)]
-    if unknown:
-        raise SceneError(
-            f"test has the index {unknown[0]}, but there are {len(images)} images",
-            where=name,
-            fix="count from 0",
-        )
+        what = f"{len(images)} images and {len(cameras)} cameras were given"
+        raise SceneError(what, where=name, fix="give one camera for each image")
+    for index in test:
+        if not 0 <= index < len(images):
+            what = f"test has the index {index}, but there are {len(images)} images"
+            raise SceneError(what, where=name, fix="count from 0")
     views = [
         View(f"view_{index:03d}", camera, _colors(image))
         for index, (image, camera) in enumerate(zip(images, cameras, strict=True))
@@ -225,10 +208,10 @@ def train(
         changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
 
     Returns:
-        The run. It is not `finished` if the callback or Ctrl-C stopped it.
+        The run; not `finished` if the callback or Ctrl-C stopped it.
 
     Raises:
-        ExplainedError: anything went wrong.
+        ExplainedError: an error in the pipeline, the scene or a component.
     """
     options = replace(options or RunOptions(), **changes)
     checked = pipeline if isinstance(pipeline, Pipeline) else build_pipeline(pipeline)
@@ -246,13 +229,12 @@ def train(
 
 
 def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:
-    """Return the pipeline for a scene that is given."""
+    """Return the pipeline with a scene that is given."""
     if pipeline.protocol is not None:
-        raise SceneError(
-            f"the protocol {pipeline.protocol.protocol.name!r} does not apply to a scene that is given",
-            where=scene.name,
-            fix='remove it: build_pipeline(..., ["protocol=null"])',
-        )
+        name = pipeline.protocol.protocol.name
+        what = f"the protocol {name!r} does not apply to a scene that is given"
+        fix = 'remove it: build_pipeline(..., ["protocol=null"])'
+        raise SceneError(what, where=scene.name, fix=fix)
     offer = Plugins(()).find(SECTIONS["scene"], IN_MEMORY)
     place = Place("the scene that is given")
     item = Item(IN_MEMORY, offer.settings_type(), HostSettings(use=IN_MEMORY), offer, place)
@@ -267,9 +249,9 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
         options, changes: as for `train`.
 
     Raises:
-        ExplainedError: the folder is not a run, has no checkpoint, or anything goes wrong later.
+        ExplainedError: the folder is not a run or has no checkpoint, or an error as in `train`.
     """
-    path = _run_folder(folder).path
+    path = RunFolder.existing(Path(folder).expanduser()).path
     from .runs.training_run import resume as resume_run
 
     return resume_run(path, replace(options or RunOptions(), **changes), Plugins())
@@ -285,15 +267,14 @@ def open_run(
     """Read a run folder: its pipeline, scene and Gaussians.
 
     Args:
-        folder: written by training.
+        folder: the run folder.
         scene: needed if the run was trained on a scene made in Python.
-        device: see `train`.
-        accept_changed_inputs: open it even if photographs, cameras or model files have changed.
+        device, accept_changed_inputs: as in `RunOptions`.
 
     Raises:
         ExplainedError: the folder is not a run, or a part of it cannot be read.
     """
-    path = _run_folder(folder).path
+    path = RunFolder.existing(Path(folder).expanduser()).path
     from .runs.opening import open_run as read_run
     from .training.threads import one_torch_thread
 
@@ -313,11 +294,7 @@ def results(folder: PathLike) -> dict[str, Any]:
     Raises:
         RunError: the folder is not a run, or the file is damaged.
     """
-    return _run_folder(folder).results()
-
-
-def _run_folder(folder: PathLike) -> RunFolder:
-    return RunFolder.existing(Path(folder).expanduser())
+    return RunFolder.existing(Path(folder).expanduser()).results()
 
 
 def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
@@ -328,9 +305,8 @@ def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
     """
     from .inspection.single_item import qualified, single_item
 
-    point = SECTIONS["exporters"]
-    offer = Plugins().find(point, format_name)
-    return single_item(offer, [qualified(text, point.section) for text in changes])
+    offer = Plugins().find(SECTIONS["exporters"], format_name)
+    return single_item(offer, [qualified(text, "exporters") for text in changes])
 
 
 def export(
@@ -353,16 +329,50 @@ def export(
         The files that were written.
 
     Raises:
-        ExplainedError: no such exporter or kind, wrong settings, no folder, or the exporter failed.
+        ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
+            exporter failed.
     """
-    from .exporting import export as write
-    from .runs.results import EXPORTS
+    from .calls.read_only_guard import ReadOnlyGuard, of_scene
+    from .pipeline.parts import build_part
+    from .runs.results import EXPORTS, existing_files
     from .training.threads import one_torch_thread
 
     item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
     with one_torch_thread():
-        return write(run, item, place, without)
+        model = _model_without(run, without)
+        place.mkdir(parents=True, exist_ok=True)
+        part = build_part(item, run.pipeline.training.seed, run.model.device)
+        with part.at_work(lent=of_scene(run.scene) + ReadOnlyGuard(models=(model,))):
+            return existing_files(part.component.export(model.reader(), run.scene, place))
+
+
+def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:
+    """Return the Gaussians of a run except those of some kinds."""
+    if not kinds:
+        return run.model
+    import torch
+
+    from core_rasterizer import Gaussians
+
+    from .training.initial_model import new_model
+
+    known = run.kinds
+    for kind in kinds:
+        if kind not in known:
+            raise RunError(
+                f"the run's Gaussians have no kind {kind!r}{did_you_mean(kind, known)}",
+                where="--without",
+                fix=f"kinds: {listing(known)}"
+                if known
+                else "its initializer does not distinguish kinds, or an older version trained it",
+            )
+    left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
+    if left_out.all():
+        where = f"--without {','.join(kinds)}"
+        raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
+    kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
+    return new_model(Gaussians(**kept), run.pipeline.training, run.model.device)
 
 
 def render(

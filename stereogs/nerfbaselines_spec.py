@@ -24,15 +24,15 @@ register(
 register(
     {
         "id": "stereogs",
-        "evaluation_protocol_class": "stereogs.nerfbaselines_evaluation:ProtocolScores",
+        "evaluation_protocol_class": "stereogs.nerfbaselines_protocols:ProtocolScores",
     }
 )
-register({"id": "stereogs-views", "load_dataset_function": "stereogs.nerfbaselines_datasets:load"})
+register({"id": "stereogs-views", "load_dataset_function": "stereogs.nerfbaselines_protocols:load"})
 for protocol in map(load_protocol, protocol_names()):
     register(
         {
             "id": f"stereogs-{protocol.name}",
-            "download_dataset_function": "stereogs.nerfbaselines_datasets:prepare",
+            "download_dataset_function": "stereogs.nerfbaselines_protocols:prepare",
             "evaluation_protocol": "stereogs",
             "metadata": {
                 "id": f"stereogs-{protocol.name}",

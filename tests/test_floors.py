@@ -20,7 +20,6 @@ FLOORS = (
     ("priors", "pipeline"),
     ("training", "inspection"),
     ("runs",),
-    ("exporting",),
     ("session", "testing"),
     ("commands",),
     ("cli",),

@@ -1,1 +1,1 @@
-"""Around every call into a plugin: how long it takes, and what it must leave as it was."""
+"""Checks around every call into a plugin: duration, memory, and state that it must not change."""

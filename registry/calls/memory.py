@@ -1,58 +1,23 @@
-"""Memory that plugins take and do not give back."""
+"""Memory that plugins allocate and keep."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from ..errors import PluginError
+from ..system.memory import available_bytes, resident_bytes
 
 SHARE = 0.9
-"""Of the memory that is available when the first component is called."""
-
-
-def resident_bytes() -> int:
-    """What the process holds in memory; 0 where the system does not say (it is Linux that does)."""
-    try:
-        file = os.open("/proc/self/statm", os.O_RDONLY)
-    except OSError:
-        return 0
-    try:
-        return int(os.read(file, 64).split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    finally:
-        os.close(file)
-
-
-def available_bytes() -> float:
-    """What the machine, or the container, has left; infinite where it does not say."""
-    left = [_container_bytes()]
-    try:
-        lines = Path("/proc/meminfo").read_text("ascii").splitlines()
-    except OSError:
-        lines = []
-    left += [1024.0 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-    return min(left)
-
-
-def _container_bytes() -> float:
-    folder = Path("/sys/fs/cgroup")
-    try:
-        limit, used = (
-            (folder / f"memory.{name}").read_text("ascii") for name in ("max", "current")
-        )
-        return float("inf") if limit.strip() == "max" else float(limit) - float(used)
-    except (OSError, ValueError):
-        return float("inf")
+"""Of the memory that is available at the first call: what the process may add."""
 
 
 class MemoryLedger:
-    """By how much the process grew while each component was at work.
+    """Growth of the process during the calls of each component.
 
     Args:
-        limit: bytes that the process may hold; None: a share of what is available at the first call.
-        resident: says how many it holds.
+        limit: most bytes that the process may hold; None: set from `SHARE` at the first call.
+        resident: returns the bytes that it holds.
     """
 
     def __init__(
@@ -64,11 +29,11 @@ class MemoryLedger:
 
     @contextmanager
     def watching(self, who: str) -> Iterator[None]:
-        """Somebody is at work within the block.
+        """Count the growth during the block for a component.
 
         Raises:
-            PluginError: beyond the limit, if at least half of the growth came within such blocks of
-                theirs.
+            PluginError: the process holds more than the limit, and at least half of its growth came
+                during this component's calls.
         """
         before = self._resident()
         if self._start is None:
@@ -80,11 +45,11 @@ class MemoryLedger:
         grown = self._grown[who] = self._grown.get(who, 0) + now - before
         if now > (self._limit or 0) and 2 * grown >= now - self._start:
             raise PluginError(
-                f"memory runs out: the process holds {now / 1e6:,.0f} MB, and {grown / 1e6:,.0f} MB of "
-                "it came while this component was at work",
+                f"memory runs out: the process holds {now / 1e6:,.0f} MB, of which this component "
+                f"allocated {grown / 1e6:,.0f} MB",
                 fix="let it keep no more than it needs, and no tensor in autograd (`tensor.detach()`)",
             )
 
 
 LEDGER = MemoryLedger()
-"""The process's own."""
+"""Counts all calls of the process."""

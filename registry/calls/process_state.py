@@ -1,4 +1,4 @@
-"""What the whole process shares, and a plugin could change under everybody's feet."""
+"""State that the whole process shares: plugins must not change it."""
 
 from __future__ import annotations
 
@@ -10,30 +10,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..errors import PluginError
 
 _MT19937_BYTES = 625 * 4
-_TOLD_OF_THREADS: set[str] = set()
+_WARNED_OF_THREADS: set[str] = set()
 _log = logging.getLogger("stereogs")
-
-
-class Shared(NamedTuple):
-    """Something that all of a process share.
-
-    Args:
-        name: for messages.
-        read: what it is now.
-        put_back: make it what it was.
-        fix: what to do instead of changing it.
-    """
-
-    name: str
-    read: Callable[[], Any]
-    put_back: Callable[[Any], None]
-    fix: str
 
 
 def _folder() -> str:
@@ -43,51 +26,64 @@ def _folder() -> str:
         return ""
 
 
-_PLACE = Shared(
-    "the working directory", _folder, os.chdir, "give paths in full instead of os.chdir"
-)
+_TORCH = {
+    "gradient mode": ("is_grad_enabled", "set_grad_enabled", "use `with torch.no_grad():`"),
+    "default type": (
+        "get_default_dtype",
+        "set_default_dtype",
+        "give tensors a dtype where they are made",
+    ),
+    "number of threads": ("get_num_threads", "set_num_threads", "leave it: sums depend on it"),
+}
+"""Functions that read and write torch's state, and what to do instead of changing it."""
+
+
+def _shared() -> Iterator[tuple[str, Callable[[], Any], Callable[[Any], None], str]]:
+    """Yield name, functions that read and write it, and fix, of each part of the process's state."""
+    yield "the working directory", _folder, os.chdir, "give paths in full instead of os.chdir"
+    if torch := sys.modules.get("torch"):
+        for name, (read, write, fix) in _TORCH.items():
+            yield f"torch's {name}", getattr(torch, read), getattr(torch, write), fix
 
 
 @contextmanager
 def left_as_found(who: object, *, threads: bool = True) -> Iterator[None]:
-    """Refuse a block that changes what the whole process shares, and put it back.
+    """Restore the process's state after the block, and refuse a block that changed it.
 
-    The working directory, and torch's gradient mode, default type and number of threads. Of threads
-    that the block leaves behind it tells in a warning, once for each `who`.
+    The state is the working directory, and torch's gradient mode, default type and number of threads.
 
     Args:
-        who: whose text says who is at work.
-        threads: whether to tell of threads.
+        who: its text names the plugin.
+        threads: whether to warn, once for each `who`, about threads that the block leaves running.
 
     Raises:
-        PluginError: something was changed; names the first.
+        PluginError: a part was changed; names the first.
     """
-    shared = _shared()
-    before = [one.read() for one in shared]
-    number = threading.active_count()
-    changed: list[Shared] = []
+    shared = list(_shared())
+    before = [read() for _, read, _, _ in shared]
+    count = threading.active_count()
+    changed: list[tuple[str, str]] = []
     try:
         yield
     finally:
-        for one, value in zip(shared, before, strict=True):
-            if one.read() != value:
-                one.put_back(value)
-                changed.append(one)
-    if threads and threading.active_count() > number and str(who) not in _TOLD_OF_THREADS:
-        _TOLD_OF_THREADS.add(str(who))
-        newest = threading.enumerate()[number:]
-        names = ", ".join(repr(thread.name) for thread in newest)
-        _log.warning("%s left a thread behind: %s; join it before you return", who, names)
+        for value, (name, read, write, fix) in zip(before, shared, strict=True):
+            if read() != value:
+                write(value)
+                changed.append((name, fix))
+    if threads and threading.active_count() > count and str(who) not in _WARNED_OF_THREADS:
+        _WARNED_OF_THREADS.add(str(who))
+        names = ", ".join(repr(thread.name) for thread in threading.enumerate()[count:])
+        _log.warning("%s left a thread running: %s; join it before you return", who, names)
     if changed:
-        raise PluginError(f"it changed {changed[0].name}", fix=changed[0].fix)
+        name, fix = changed[0]
+        raise PluginError(f"it changed {name}", fix=fix)
 
 
 @contextmanager
 def own_random_numbers(seed: int) -> Iterator[None]:
-    """Within the block the global generators of torch, numpy and `random` are the block's own.
+    """Seed the global generators of torch, numpy and `random` for the block; restore them afterwards.
 
-    They begin with a seed, so that a network's first weights are the same in every run, and are put
-    back afterwards.
+    So a network's initial weights are the same in every run.
 
     Args:
         seed: in [0, 2^63).
@@ -110,7 +106,7 @@ def own_random_numbers(seed: int) -> Iterator[None]:
 
 @contextmanager
 def no_global_random_numbers() -> Iterator[None]:
-    """Refuse a block that seeds the global generators of torch, numpy or `random`, or draws from them.
+    """Refuse a block that uses or seeds the global generators of torch, numpy or `random`.
 
     Raises:
         PluginError: names the generator.
@@ -127,49 +123,17 @@ def no_global_random_numbers() -> Iterator[None]:
 
 
 def _random_states() -> dict[str, Any]:
-    import torch
-
-    return {
-        "torch's global generator": torch.default_generator.get_state().numpy().tobytes(),
-        "numpy's global generator": _numpy_state(),
-        "Python's global generator": random.getstate(),
-    }
-
-
-def _numpy_state() -> Any:
     import numpy as np
+    import torch
 
     generator: Any = np.random.get_bit_generator()  # type: ignore[attr-defined]
     if type(generator) is np.random.MT19937:
-        # A hundred times as fast as get_state(), which makes numbers of it.
-        return ctypes.string_at(generator.ctypes.state_address, _MT19937_BYTES)
-    return generator.state
-
-
-def _shared() -> tuple[Shared, ...]:
-    torch = sys.modules.get("torch")
-    return (_PLACE,) if torch is None else (_PLACE, *_of_torch(torch))
-
-
-@cache
-def _of_torch(torch: Any) -> tuple[Shared, ...]:
-    return (
-        Shared(
-            "torch's gradient mode",
-            torch.is_grad_enabled,
-            torch.set_grad_enabled,
-            "use `with torch.no_grad():`, which ends by itself",
-        ),
-        Shared(
-            "torch's default type",
-            torch.get_default_dtype,
-            torch.set_default_dtype,
-            "give tensors a dtype where they are made",
-        ),
-        Shared(
-            "torch's number of threads",
-            torch.get_num_threads,
-            torch.set_num_threads,
-            "leave it: sums would depend on it",
-        ),
-    )
+        # A hundred times as fast as get_state(), which converts to numbers.
+        numpy = ctypes.string_at(generator.ctypes.state_address, _MT19937_BYTES)
+    else:
+        numpy = generator.state
+    return {
+        "torch's global generator": torch.default_generator.get_state().numpy().tobytes(),
+        "numpy's global generator": numpy,
+        "Python's global generator": random.getstate(),
+    }

@@ -1,7 +1,7 @@
-"""What components are shown and must leave as it is.
+"""Data that components may read but not write.
 
-torch counts the writes into a tensor, so that every call is held to that for nothing. What writes past
-torch, through numpy or `.data`, is found by comparing every bit: `checked_plugins`.
+torch counts the writes into a tensor, so checking each call is cheap. Writes that bypass torch, through numpy
+or `.data`, are only found within `checked_plugins`, which compares every bit.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..errors import PluginError
@@ -16,7 +17,7 @@ from ..errors import PluginError
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import Camera, GaussianModel, Rendering
+    from core_rasterizer import GaussianModel, Rendering
 
     from ..contract.maps import DepthMap
     from ..contract.scene import Scene, TrainingScene, TrainingView
@@ -25,59 +26,56 @@ _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 
 
 class Overwritten(PluginError):
-    """A component wrote into what it was lent: whatever others make of that now would be wrong."""
+    """A component wrote into data that it may only read: the results of others would be wrong."""
 
 
+@dataclass(frozen=True, eq=False)
 class ReadOnlyGuard:
-    """Tensors that a component may look at.
+    """Data that a component may only read.
 
     Args:
-        tensors: by what they are called in messages.
-        models: Gaussians, compared around each call.
-        renderings: whose images are not fetched for this.
+        tensors: by their names in messages.
+        models: Gaussians, compared before and after each call.
+        renderings: renders; the guard does not fetch images that nobody else fetches.
     """
 
-    def __init__(
-        self,
-        tensors: Mapping[str, Tensor] | None = None,
-        models: tuple[GaussianModel, ...] = (),
-        renderings: tuple[Rendering, ...] = (),
-    ) -> None:
-        self._tensors, self._models = dict(tensors or {}), models
-        self._renderings = renderings
+    tensors: Mapping[str, Tensor] = field(default_factory=dict)
+    models: tuple[GaussianModel, ...] = ()
+    renderings: tuple[Rendering, ...] = ()
 
     def __add__(self, other: ReadOnlyGuard) -> ReadOnlyGuard:
         return ReadOnlyGuard(
-            self._tensors | other._tensors,
-            self._models + other._models,
-            self._renderings + other._renderings,
+            {**self.tensors, **other.tensors},
+            self.models + other.models,
+            self.renderings + other.renderings,
         )
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Refuse a block that writes into something lent.
+        """Refuse a block that writes into the data.
 
         Raises:
             Overwritten: names the first.
         """
-        tensors = self._tensors | self._images(fetch=are_checked())
+        checked = are_checked()
+        tensors = {**self.tensors, **self._images(fetch=checked)}
         marks = {name: _mark(tensor) for name, tensor in tensors.items()}
-        copies = _copies(tensors) if are_checked() else {}
-        gaussians = [model.parameters.read().clone() for model in self._models]
+        copies = {name: t.detach().clone() for name, t in tensors.items()} if checked else {}
+        gaussians = [model.parameters.read().clone() for model in self.models]
         yield
-        for name, tensor in (self._tensors | self._images()).items():
-            # An image that was fetched meanwhile had never been written to.
+        for name, tensor in {**self.tensors, **self._images()}.items():
+            # An image that was fetched within the block has had no writes before.
             mark = marks.get(name, (0, tensor.requires_grad))
             if _mark(tensor) != mark or (copies and not _same(tensor, copies[name])):
-                raise _written(name)
-        for model, before in zip(self._models, gaussians, strict=True):
+                raise _overwritten(name)
+        for model, before in zip(self.models, gaussians, strict=True):
             if not _same(model.parameters.read(), before):
-                raise _written("the Gaussians")
+                raise _overwritten("the Gaussians")
 
     def _images(self, fetch: bool = False) -> dict[str, Tensor]:
-        """The images of the renderings: those that somebody has asked for, or all."""
+        """Return the fetched images of the renderings, or fetch and return all."""
         images: dict[str, Tensor] = {}
-        for rendering in self._renderings:
+        for rendering in self.renderings:
             if fetch:
                 _ = rendering.rgb, rendering.depth, rendering.alpha
             images |= {f"the rendered {name}": image for name, image in rendering.fetched.items()}
@@ -89,7 +87,7 @@ NOTHING = ReadOnlyGuard()
 
 @contextmanager
 def checked_plugins(wanted: bool = True) -> Iterator[None]:
-    """Within the block every bit that components are lent is compared around each call.
+    """Within the block, compare all data before and after each call into a component.
 
     Each call takes longer by a copy and a comparison of the scene and the Gaussians.
     """
@@ -106,34 +104,42 @@ def are_checked() -> bool:
 
 
 def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
-    """The photographs, masks, depths, cameras and points of a scene; of test views if it has any."""
+    """Guard the views and points of a scene, including test views if it has any."""
     tensors: dict[str, Tensor] = {}
-    test = vars(scene).get("test", ())
-    for view in (*scene.train, *test):
-        tensors |= _of_view(view)
+    for view in (*scene.train, *vars(scene).get("test", ())):
+        tensors |= of_view(view).tensors
     for name, value in vars(scene.points).items() if scene.points else ():
         if name in ("positions", "colors", "scales", "opacities") and value is not None:
             tensors[f"the {name} of the scene's points"] = value
     return ReadOnlyGuard(tensors)
 
 
+_VIEW_TENSORS = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
+"""Attributes of views, and their names in messages."""
+
+
 def of_view(view: TrainingView) -> ReadOnlyGuard:
-    """One view's photograph, mask, alpha, depth and camera."""
-    return ReadOnlyGuard(_of_view(view))
+    """Guard a view's photograph, mask, alpha, depth and camera."""
+    tensors = {f"the camera of {view.name}": view.camera.world_to_camera}
+    for attribute, title in _VIEW_TENSORS.items():
+        value = vars(view).get(attribute)
+        if value is not None:
+            tensors[f"the {title} of {view.name}"] = value
+    return ReadOnlyGuard(tensors)
 
 
 def of_rendering(rendering: Rendering) -> ReadOnlyGuard:
-    """What was rendered."""
+    """Guard a render."""
     return ReadOnlyGuard(renderings=(rendering,))
 
 
 def of_kinds(kinds: Mapping[str, Tensor]) -> ReadOnlyGuard:
-    """Which Gaussians descend from which kind of initial point."""
+    """Guard the masks of Gaussians by kind (`Step.kinds`)."""
     return ReadOnlyGuard({f"which Gaussians are {kind}": mask for kind, mask in kinds.items()})
 
 
 def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
-    """The initializer's depth of the training views."""
+    """Guard the initializer's depth of training views (`Step.maps`)."""
     return ReadOnlyGuard(
         {
             f"the initializer's {kind} of {name}": value
@@ -143,26 +149,13 @@ def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
     )
 
 
-_OF_VIEW = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
-
-
-def _of_view(view: TrainingView) -> dict[str, Tensor]:
-    camera: Camera = view.camera
-    tensors = {f"the camera of {view.name}": camera.world_to_camera}
-    for field, called in _OF_VIEW.items():
-        value = vars(view).get(field)
-        if value is not None:
-            tensors[f"the {called} of {view.name}"] = value
-    return tensors
-
-
 def _mark(tensor: Tensor) -> tuple[int, bool]:
-    """What changes with every write through torch."""
+    """Return values that change with every write through torch."""
     return (0 if tensor.is_inference() else tensor._version), tensor.requires_grad
 
 
 def _same(tensor: Tensor, copy: Tensor) -> bool:
-    """Whether two tensors hold the same numbers; NaN is equal to itself."""
+    """Whether two tensors hold the same numbers; NaN equals NaN."""
     import torch
 
     return torch.equal(tensor, copy) or (
@@ -172,12 +165,8 @@ def _same(tensor: Tensor, copy: Tensor) -> bool:
     )
 
 
-def _copies(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name: tensor.detach().clone() for name, tensor in tensors.items()}
-
-
-def _written(name: str) -> Overwritten:
+def _overwritten(name: str) -> Overwritten:
     return Overwritten(
-        f"it wrote into {name}, which it may only look at",
-        fix="work on a copy (`tensor.clone()`), and return what is to change",
+        f"it wrote into {name}, which it may only read",
+        fix="work on a copy (`tensor.clone()`), and return the changed values",
     )

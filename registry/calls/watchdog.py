@@ -1,7 +1,6 @@
-"""Calls into plugins that do not come back: told of, and ended where that is wanted.
+"""Warn about calls into plugins that take long, and end them if requested.
 
-A daemon thread looks at the time each call began, once a second. A call that takes no second costs two
-entries of a dictionary.
+A daemon thread checks the duration of all calls once a second. A call costs one list entry.
 """
 
 from __future__ import annotations
@@ -16,202 +15,182 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
+from typing import Any
 
 from ..errors import PluginError
 
-TELL_AFTER = 60.0
-"""Seconds after which a call that has not come back is told of; again whenever they have doubled."""
+WARN_AFTER = 60.0
+"""Seconds until the first warning about a call; the next follow whenever the time has doubled."""
 GRACE = 10.0
-"""Seconds that a call has to heed the request to end, before the process ends."""
+"""Seconds that a call has to end after it was interrupted, before the process is ended."""
 HUNG = 2
-"""The exit status then: that of every error that was explained."""
-_SIGNAL = "SIGVTALRM"
-"""What interrupts a call. SIGUSR1 and SIGUSR2 are LLVM's, which OpenCL drivers bring along."""
+"""Exit status of a process that is ended, as after all errors."""
+_SIGNAL: Any = getattr(signal, "SIGVTALRM", None)
+"""Interrupts a call; None on Windows. LLVM, which OpenCL drivers load, uses SIGUSR1 and SIGUSR2."""
+_RESUME = "`stereogs resume RUN` continues from the run's last checkpoint"
 
 _log = logging.getLogger("stereogs")
 
 
 @dataclass(eq=False)
 class Call:
-    """Somebody at work.
+    """A call into a plugin.
 
     Args:
-        who: whose text says who it is.
+        who: its text names the plugin.
         iteration: of training; None outside the loop.
-        began: by the monotonic clock.
-        caller: on whose behalf: the initializer that asks a prior.
-        told: how often it was told of.
+        began: time of the monotonic clock.
+        warnings: number of warnings about this call.
+        interrupted: time of the first interrupt, or None.
     """
 
     who: object
     iteration: int | None
     began: float
-    caller: Call | None
-    told: int = 0
-
-    def chain(self) -> Iterator[Call]:
-        """This call, the one that made it, and so on."""
-        call: Call | None = self
-        while call is not None:
-            yield call
-            call = call.caller
+    warnings: int = 0
+    interrupted: float | None = None
 
     def __str__(self) -> str:
         return str(self.who) + (f", iteration {self.iteration}" if self.iteration else "")
 
+    def error(self, what: str) -> PluginError:
+        """Return an error with advice for this call."""
+        fix = "report it to its authors if it hangs; otherwise give it more time with --hang-after"
+        if self.iteration is not None:
+            fix += f"; {_RESUME}"
+        return PluginError(what, where=str(self), fix=fix)
+
 
 class Hang(BaseException):
-    """Raised within a call that takes too long; no `except Exception` of a plugin stops it.
+    """Raised within a call that takes too long; a plugin's `except Exception` does not catch it.
 
     Args:
-        call: the one that does not come back.
-        seconds: how long it was given.
+        call: the call.
+        seconds: its time limit.
     """
 
     def __init__(self, call: Call, seconds: float) -> None:
         self.call, self.seconds = call, seconds
 
     def explained(self) -> PluginError:
-        """The same as an error for people."""
-        return PluginError(
-            f"no answer came within {self.seconds:g} s",
-            where=str(self.call),
-            fix=_mend(self.call),
-        )
+        """Return it as an `ExplainedError`."""
+        return self.call.error(f"no answer came within {self.seconds:g} s")
 
 
 class Watchdog:
-    """Knows who is at work in which thread.
+    """Records the calls of all threads.
 
     Args:
-        tell_after: see `TELL_AFTER`.
-        look_every: seconds between two looks.
-        grace: see `GRACE`.
+        warn_after, grace: see `WARN_AFTER` and `GRACE`.
+        look_every: seconds between two checks.
     """
 
     def __init__(
-        self, tell_after: float = TELL_AFTER, look_every: float = 1.0, grace: float = GRACE
+        self, warn_after: float = WARN_AFTER, look_every: float = 1.0, grace: float = GRACE
     ) -> None:
-        self._tell_after, self._look_every, self._grace = tell_after, look_every, grace
-        self._calls: dict[int, Call] = {}
+        self._warn_after, self._look_every, self._grace = warn_after, look_every, grace
+        self._calls: dict[int, list[Call]] = {}  # by thread, the innermost last
         self._limit: float | None = None
-        self._asked: dict[Call, float] = {}
         self._thread: threading.Thread | None = None
 
     @contextmanager
     def watching(self, who: object, iteration: int | None = None) -> Iterator[None]:
-        """Somebody is at work within the block.
+        """Watch the block as a call.
 
         Args:
-            who: whose text says who it is.
+            who: its text names the plugin.
             iteration: of training; None outside the loop.
         """
-        thread = threading.get_ident()
-        caller = self._calls.get(thread)
         if self._thread is None:
-            self._start()
-        self._calls[thread] = Call(who, iteration, time.monotonic(), caller)
+            self._thread = threading.Thread(
+                target=self._watch, name="stereogs watchdog", daemon=True
+            )
+            self._thread.start()
+        calls = self._calls.setdefault(threading.get_ident(), [])
+        depth = len(calls)
+        calls.append(Call(who, iteration, time.monotonic()))
         try:
             yield
         finally:
-            if caller is None:
-                del self._calls[thread]
-            else:
-                self._calls[thread] = caller
+            del calls[depth:]  # a `Hang` may have skipped the end of an inner block
 
     @contextmanager
     def ending(self, seconds: float | None) -> Iterator[None]:
-        """Within the block, calls of the main thread that take longer are ended by a `Hang`.
+        """Within the block, raise `Hang` in calls of the main thread that take longer.
 
-        A call that does not heed it, because it is stuck in a library, ends the process.
+        If a call does not end, because it is stuck in a library, the process is ended.
 
         Args:
-            seconds: > 0; None ends none.
+            seconds: > 0; None: no limit.
         """
-        number = getattr(signal, _SIGNAL, None)
         main = threading.current_thread() is threading.main_thread()
-        if seconds is None or not main or number is None:
+        if seconds is None or not main or _SIGNAL is None:
             yield
             return
-        previous = signal.signal(number, self._raise)
+        previous = signal.signal(_SIGNAL, self._raise)
         self._limit = seconds
         try:
             yield
         finally:
             self._limit = None
-            signal.signal(number, previous)
+            signal.signal(_SIGNAL, previous)
 
-    def look(self) -> None:
-        """Tell of calls that take long, and ask those to end that take too long."""
-        now = time.monotonic()
-        for innermost in list(self._calls.values()):
-            call = next((c for c in innermost.chain() if now - c.began >= self._tell_after), None)
-            if call is not None and now - call.began >= self._tell_after * 2**call.told:
-                call.told += 1
-                _log.warning(
-                    "%s has been at work for %.0f s. %s", call, now - call.began, _advice(call)
-                )
-        hung = self._hung()
+    def _watch(self) -> None:
+        while True:
+            time.sleep(self._look_every)
+            for calls in list(self._calls.values()):
+                self._warn(calls)
+            self._interrupt()
+
+    def _warn(self, calls: list[Call]) -> None:
+        call = _innermost(calls, self._warn_after)
+        if call is None:
+            return
+        seconds = time.monotonic() - call.began
+        if seconds >= self._warn_after * 2**call.warnings:
+            call.warnings += 1
+            end = "Ctrl-C" if call.iteration is None else f"Ctrl-C, twice; {_RESUME}"
+            _log.warning(
+                "%s has been running for %.0f s. If it hangs, end it with %s. "
+                "`stereogs train --hang-after SECONDS` ends such calls",
+                *(call, seconds, end),
+            )
+
+    def _interrupt(self) -> None:
+        hung, now = self._hung(), time.monotonic()
         if hung is None:
             return
-        since = self._asked.setdefault(hung, now)
-        if now - since > self._grace:
-            _end_process(hung, now - hung.began)
-        signal.pthread_kill(_main_thread(), getattr(signal, _SIGNAL))
+        if hung.interrupted is None:
+            hung.interrupted = now
+        if now - hung.interrupted > self._grace:
+            error = hung.error(
+                f"no answer came within {now - hung.began:.0f} s, and the call could not be interrupted"
+            )
+            print(f"stereogs: {error}", file=sys.stderr, flush=True)
+            os._exit(HUNG)
+        signal.pthread_kill(_main_thread(), _SIGNAL)
 
     def _hung(self) -> Call | None:
-        """The innermost call of the main thread that takes too long."""
-        innermost, limit = self._calls.get(_main_thread()), self._limit
-        if innermost is None or limit is None:
+        """Return the innermost call of the main thread that takes too long."""
+        if self._limit is None:
             return None
-        now = time.monotonic()
-        return next((call for call in innermost.chain() if now - call.began > limit), None)
+        return _innermost(self._calls.get(_main_thread(), []), self._limit)
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
         hung = self._hung()
         if hung is not None and self._limit is not None:
             raise Hang(hung, self._limit)
 
-    def _start(self) -> None:
-        self._thread = threading.Thread(target=self._watch, name="stereogs watchdog", daemon=True)
-        self._thread.start()
-
-    def _watch(self) -> None:
-        while True:
-            time.sleep(self._look_every)
-            self.look()
-
 
 WATCHDOG = Watchdog()
-"""The process's own."""
+"""Watches all calls of the process."""
+
+
+def _innermost(calls: list[Call], seconds: float) -> Call | None:
+    """Return the innermost call that has taken so long."""
+    now = time.monotonic()
+    return next((call for call in reversed(calls.copy()) if now - call.began >= seconds), None)
 
 
 def _main_thread() -> int:
-    ident = threading.main_thread().ident
-    assert ident is not None  # it has started: this code runs
-    return ident
-
-
-def _advice(call: Call) -> str:
-    end = "If it hangs, end it with Ctrl-C"
-    if call.iteration is not None:
-        end += f", twice; {_RESUME}"
-    return f"{end}. `stereogs train --hang-after SECONDS` ends such calls by itself"
-
-
-def _mend(call: Call) -> str:
-    fix = "report it to its authors if it hangs; else give it more time with --hang-after"
-    return fix if call.iteration is None else f"{fix}; {_RESUME}"
-
-
-_RESUME = "`stereogs resume RUN` goes on from the run's last checkpoint"
-
-
-def _end_process(call: Call, seconds: float) -> None:
-    print(
-        f"stereogs: no answer came within {seconds:.0f} s, and the request to end was not heeded\n"
-        f"  where  {call}\n  fix    {_mend(call)}",
-        file=sys.stderr,
-        flush=True,
-    )
-    os._exit(HUNG)
+    return threading.main_thread().ident or 0

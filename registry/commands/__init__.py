@@ -6,16 +6,14 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from ..contract.command import TrainRequest
-    from .output import (
+    from .arguments import (
         add_accept_changed_inputs,
         add_device,
         add_run,
-        console,
         open_given,
         positive_seconds,
     )
-    from .run_table import ABSENT
-    from .train import conclude, print_failures
+    from .output import ABSENT, conclude, console, print_failures
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -1,90 +1,97 @@
-"""Consoles and arguments that several verbs use."""
+"""Output of several verbs: consoles, the table of scores, and the end of a run."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..messages.help_text import HelpFormatter
+from ..messages.terminal import PlainConsole
 
 if TYPE_CHECKING:
-    from ..messages.terminal import PlainConsole
+    from rich.console import Console
+    from rich.table import Table
+
     from ..runs.run import Run
 
-
-def console() -> PlainConsole:
-    """Return a console for the current standard output."""
-    from ..messages.terminal import PlainConsole
-
-    return PlainConsole(markup=False, highlight=False, soft_wrap=True)
-
-
-def error_console() -> PlainConsole:
-    """Return a console for the current standard error."""
-    from ..messages.terminal import PlainConsole
-
-    return PlainConsole(stderr=True, markup=False, highlight=False, soft_wrap=True)
+FAILED = 1
+"""Exit status if a metric, an exporter or a report failed after training."""
+INTERRUPTED = 130
+ABSENT = "\u2013"
+"""Shown in tables if a score is not available: a dash."""
 
 
-def add_verb(verbs: Any, name: str, summary: str, epilog: str) -> argparse.ArgumentParser:
-    """Add the parser of a verb; its help begins with the summary.
+def console(*, stderr: bool = False) -> PlainConsole:
+    """Return a console for the current standard output or standard error."""
+    return PlainConsole(stderr=stderr, markup=False, highlight=False, soft_wrap=True)
 
-    Args:
-        verbs: from `add_subparsers`, whose type is private.
-    """
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=summary,
-        description=summary[:1].upper() + summary[1:] + ".",
-        epilog=epilog,
-        formatter_class=HelpFormatter,
+
+def results_table(results: dict[str, Any]) -> Table:
+    """Return the scores of a results.json as a table: one row per test view, then the means."""
+    from rich.table import Table
+
+    metrics = list(results["train"] | results["test"])
+    missing: dict[str, str] = results["unavailable"]
+    table = Table(
+        title=f"{results['scene']['name']}, {results['pipeline']}",
+        caption="\n".join(f"{ABSENT} {name}: {reason}" for name, reason in missing.items()) or None,
     )
-    return parser
+    table.add_column("view")
+    for name in metrics:
+        table.add_column(name, justify="right")
+
+    def cell(row: dict[str, float | None], name: str) -> str:
+        score = row.get(name)
+        if score is None:  # infinite, as JSON has no infinity
+            return ABSENT if name not in row or name in missing else "inf"
+        return f"{score:.4f}" if abs(score) < 1 else f"{score:.2f}"
+
+    for view, row in results["views"]["test"].items():
+        table.add_row(view, *(cell(row, name) for name in metrics))
+    table.add_section()
+    for split in ("test", "train"):
+        if results[split]:
+            table.add_row(f"{split} mean", *(cell(results[split], name) for name in metrics))
+    return table
 
 
-def add_device(parser: argparse.ArgumentParser) -> None:
-    """Add the option --device."""
-    parser.add_argument(
-        "--device",
-        metavar="NAME",
-        help="part of the OpenCL device's or platform's name; `stereogs doctor` lists them",
+def conclude(run: Run, output: Console) -> int:
+    """Print how the run ended and the paths of its files; return the exit status."""
+    from ..runs.results import RENDERS
+
+    folder = run.folder_or_refuse()
+    if not run.finished:
+        output.print(
+            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.path}"
+        )
+        return INTERRUPTED
+    results: dict[str, Any] = folder.results()
+    output.print(results_table(results), soft_wrap=False)
+    memory = results["peak_memory_mb"]
+    output.print(
+        f"{results['gaussians']:,} Gaussians, {results['iterations']:,} iterations in "
+        f"{results['seconds']:.0f} s ({results['iterations_per_second']:.1f} it/s)"
+        + (f", at most {memory:.0f} MB" if memory is not None else "")
     )
+    for file in results["exports"]:
+        output.print(f"exported  {folder.path / file}")
+    if results["test"]:
+        output.print(f"pictures  {folder.path / RENDERS}")
+    for file in results["reports"]:
+        output.print(f"page      {folder.path / file}")
+    output.print(f"hash      {results['hash']}")
+    return print_failures(results["failures"], folder.path)
 
 
-def positive_seconds(text: str) -> float:
-    """Parse a positive number of seconds."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
-    return value
-
-
-def add_run(parser: argparse.ArgumentParser) -> None:
-    """Add the argument RUN and the options with which `open_given` opens it."""
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
-    add_accept_changed_inputs(parser)
-    add_device(parser)
-
-
-def open_given(arguments: argparse.Namespace) -> Run:
-    """Open the run given by the arguments of `add_run`."""
-    from ..session import open_run
-
-    return open_run(
-        arguments.run_folder,
-        device=arguments.device,
-        accept_changed_inputs=arguments.accept_changed_inputs,
-    )
-
-
-def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
-    """Add the option --accept-changed-inputs."""
-    parser.add_argument(
-        "--accept-changed-inputs",
-        action="store_true",
-        help="continue even if photographs, cameras or model files have changed since the run began",
-    )
+def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:
+    """Print which metrics, exporters and reports failed; return the exit status."""
+    output = console(stderr=True)
+    for failure in failures:
+        output.print(f"stereogs: {failure['component']}: {failure['what']}")
+        output.print(f"  where  {failure['where']}")
+    if failures:
+        output.print(
+            "All other results are saved. After fixing it, score, export and report again:\n"
+            f"  stereogs eval {folder}"
+        )
+    return FAILED if failures else 0

@@ -1,4 +1,4 @@
-"""What plugins implement, and the data they exchange. `registry` exports what most plugins need."""
+"""Base classes and data types of plugins. `registry` exports those that most plugins need."""
 
 from typing import TYPE_CHECKING
 

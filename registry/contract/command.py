@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 class Command(ABC):
     """A verb. The first line of its module's docstring is its line in `stereogs --help`.
 
-    `epilog` is printed below the options in `stereogs VERB --help`. Modules should import only what parsing
-    needs; `run` imports the rest, so that help and mistakes are answered at once.
+    `epilog` is printed below the options in `stereogs VERB --help`. The module should import only what
+    parsing needs, and `run` the rest, so that help and error messages are fast.
     """
 
     epilog: ClassVar[str] = ""
@@ -26,7 +26,7 @@ class Command(ABC):
     def run(self, arguments: argparse.Namespace) -> int:
         """Do the work; return the exit status: 0 done, 1 a check found a fault.
 
-        Raise an `ExplainedError`, such as `RunError`, for what the user can fix.
+        Raise an `ExplainedError`, such as `RunError`, for errors that the user can fix.
         """
 
 

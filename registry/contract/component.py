@@ -1,4 +1,4 @@
-"""What every plugin is built from: typed settings, a context, and a random generator of its own."""
+"""Base class of components: typed settings, a context and a random generator."""
 
 from __future__ import annotations
 
@@ -21,33 +21,32 @@ if TYPE_CHECKING:
 class Settings(pydantic.BaseModel):
     """Base of every component's settings: immutable, unknown keys refused.
 
-    Types are strict: a pipeline's "3" is no number and 3.0 no whole number. The text below a field
-    is its documentation.
+    Types are strict: "3" is not a number and 3.0 not an integer. The string below a field documents it.
     """
 
     model_config = pydantic.ConfigDict(
         extra="forbid",
         frozen=True,
         use_attribute_docstrings=True,
-        defer_build=True,  # what nobody validates with is not built
+        defer_build=True,  # unused models are not built
     )
 
 
-# With a default, which `typing` offers from Python 3.13 on, `StereoPrior.choose(...)` has a full type.
+# With a default (in `typing` from Python 3.13 on), `StereoPrior.choose(...)` has a full type.
 SettingsType = TypeVar("SettingsType", bound=Settings, default=Settings)
 
 
 @dataclass(frozen=True)
 class Context:
-    """What the host gives a component when it builds it.
+    """Data that the host passes to a component's constructor.
 
     Args:
         name: the component's name in the pipeline.
-        seed: derived from the run's seed and the name, so that toggling one component never shifts
-            another's random numbers.
+        seed: derived from the run's seed and the name, so that adding or removing a component does not
+            change the random numbers of others.
         device: the OpenCL device of the run.
-        at_work: a block within which errors are this component's, and not those of whoever asks it: for
-            priors, see `Prior`.
+        at_work: returns a context in which errors are attributed to this component rather than to its
+            caller; see `Prior`.
     """
 
     name: str
@@ -58,11 +57,11 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
-    """Numbers of a component's own that the host trains beside the Gaussians.
+    """Parameters of a component that the host trains along with the Gaussians.
 
     Args:
         name: unique within the component.
-        tensors: torch leaves that require a gradient; the same ones at every call.
+        tensors: torch leaves that require a gradient; the same objects at every call.
         learning_rate: of Adam (`torch.optim.Adam` with its usual betas and epsilon), >= 0.
     """
 
@@ -72,25 +71,23 @@ class ParameterGroup:
 
 
 class Component(Generic[SettingsType]):
-    """Base of all plugins: `class Mine(Regularizer[MySettings])` has settings of type `MySettings`.
+    """Base of all components: `class Mine(Regularizer[MySettings])` has settings of type `MySettings`.
 
     Attributes:
-        Settings: the model of the settings, taken from the brackets behind the base class.
-        settings: this component's own.
-        context: what the host gave it.
-        generator: for every random number; seeded from the run's seed and the component's name, and
-            saved with checkpoints.
+        Settings: type of the settings, taken from the type argument of the base class.
+        settings, context: passed to the constructor.
+        generator: for all random numbers; seeded with `context.seed`, and saved in checkpoints.
     """
 
     Settings: ClassVar[type[Settings]] = Settings
     ablation_baseline: ClassVar[str | None] = None
-    """What stands in its place where an ablation switches it off, as a pipeline writes a component:
-    "name", or "{use: name, ...}". None: nothing does."""
+    """Replacement when an ablation disables it, written as in a pipeline: "name" or "{use: name, ...}";
+    None: no replacement."""
     needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
-    """Capabilities of the priors that it uses; a tuple among them: any of these, the first preferred.
+    """Capabilities of the priors that it uses; a nested tuple means any of these, the first preferred.
     Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""
     needs_fields: ClassVar[int] = 1
-    """How many fields of Gaussians (`training.fields`) it must be trained with at least."""
+    """Minimum number of fields of Gaussians (`training.fields`)."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)
@@ -112,26 +109,23 @@ class Component(Generic[SettingsType]):
         self.generator = torch.Generator().manual_seed(context.seed)
 
     def begin_training(self, scene: TrainingScene) -> None:
-        """Look at the scene, before `parameters` is asked and before the first iteration.
-
-        Asked once of each component of the training loop, in a run that is resumed before `restore`.
-        """
+        """Called once for each component of the training loop, before `restore` and `parameters`."""
 
     def parameters(self) -> Sequence[ParameterGroup]:
-        """Numbers of one's own that take part in the loss; the host steps and saves them."""
+        """Return parameters that take part in the loss; the host optimizes and saves them."""
         return ()
 
     def state(self) -> dict[str, Tensor]:
-        """Running state to be saved in a checkpoint, beside the generator's and the parameters'."""
+        """Return state to save in checkpoints; generator and parameters are saved by the host."""
         return {}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take back what `state` returned."""
+        """Restore a state that `state` returned."""
 
     def carry(self, source: Tensor, fresh: Tensor) -> None:
-        """Follow a change of topology with per-Gaussian state of one's own.
+        """Apply a change of topology to the component's per-Gaussian state.
 
         Args:
             source: `[N_new]` int64, the old index that each new Gaussian comes from.
-            fresh: `[N_new]` bool, True for Gaussians that did not exist before.
+            fresh: `[N_new]` bool, True for added Gaussians.
         """

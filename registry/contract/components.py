@@ -1,7 +1,7 @@
-"""One base class a hook point: what a plugin derives from, and what it answers.
+"""Base classes of components, one for each hook point.
 
-A component *returns* what it wants (a loss, an edit, new opacities) and changes nothing itself: the
-host applies the answer to parameters, optimizer moments and every component's per-Gaussian state.
+A component *returns* a result (a loss, an edit, new opacities) and changes nothing itself: the host
+applies the result to parameters, optimizer moments and every component's per-Gaussian state.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from .component import Component, SettingsType
+from ..errors import SceneError
+from .component import Component, Settings, SettingsType
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,24 +27,22 @@ if TYPE_CHECKING:
 
 
 class SceneLoader(Component[SettingsType], ABC):
-    """Reads photographs and cameras.
-
-    `recognized_by` says what a folder of this format holds, for people, for example
-    "transforms.json"; a loader that leaves it empty is never guessed.
-    """
+    """Reads photographs and cameras."""
 
     recognized_by: ClassVar[str] = ""
+    """Content of a folder of this format, for messages, for example "transforms.json". A loader that
+    leaves it empty is not considered when a folder's format is unknown."""
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Whether a folder, which exists, holds what `recognized_by` says; `stereogs check` asks."""
+        """Whether an existing folder has the content in `recognized_by`; used by `stereogs check`."""
         return False
 
     @classmethod
     def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
-        """Settings beside `path` with which `stereogs demo` reads a folder that this loader recognizes.
+        """Return settings, besides `path`, for `stereogs demo` on a folder that this loader recognizes.
 
-        None where a few training views would not be trained in minutes, or nothing could be scored.
+        None if training on a few views would take longer than minutes, or nothing could be scored.
         """
         return None
 
@@ -52,8 +51,25 @@ class SceneLoader(Component[SettingsType], ABC):
         """Return the scene that the settings describe. The host validates it afterwards."""
 
 
+IN_MEMORY = "in_memory"
+"""Name of `InMemoryScene` in a pipeline. The host offers it, not a plugin."""
+
+
+class InMemoryScene(SceneLoader[Settings]):
+    """Stands for a scene that was passed as an object and is not in a file."""
+
+    def load(self) -> Scene:
+        """Raise a SceneError: the caller must pass the scene again."""
+        raise SceneError(
+            "the pipeline names no photographs: its scene was made in Python",
+            where=f"scene: {IN_MEMORY}",
+            fix="pass the scene too, stereogs.train(pipeline, scene=...) or "
+            "stereogs.open_run(folder, scene=...); or name a loader, scene: {use: ..., path: ...}",
+        )
+
+
 class Initializer(Component[SettingsType], ABC):
-    """Makes the points that Gaussians start from."""
+    """Makes the initial points."""
 
     @abstractmethod
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
@@ -61,7 +77,7 @@ class Initializer(Component[SettingsType], ABC):
 
 
 class Sampler(Component[SettingsType], ABC):
-    """Chooses or changes what an iteration learns from: the view, its camera, target, background."""
+    """Chooses or changes an iteration's training sample: the view, its camera, target, background."""
 
     @abstractmethod
     def sample(self, step: Step, sample: Sample) -> Sample:
@@ -69,7 +85,7 @@ class Sampler(Component[SettingsType], ABC):
 
         Args:
             step: before the render.
-            sample: what the host drew, or what the sampler before this one returned.
+            sample: drawn by the host, or returned by the previous sampler.
         """
 
 
@@ -81,28 +97,27 @@ class Appearance(Component[SettingsType], ABC):
         """Return `[H, W, 3]` colours in autograd.
 
         Args:
-            rgb: the render's, `[H, W, 3]`, or what the appearance before this one returned.
+            rgb: `[H, W, 3]`, the render's, or returned by the previous appearance.
         """
 
 
 class Regularizer(Component[SettingsType], ABC):
-    """Adds a term to the loss. Its weight and schedule belong to the pipeline, not to it."""
+    """Adds a term to the loss; the pipeline sets its weight and schedule."""
 
     @property
     def moves(self) -> Collection[str] | None:
-        """Parameter groups that a step of this term alone moves (`step: alone`); None means all.
+        """Parameter groups that a step of this term alone (`step: alone`) moves; None means all.
 
-        Of the names in `core_rasterizer.layout.PARAMETER_GROUPS`. The others keep their values and
-        their moments.
+        Names from `core_rasterizer.layout.PARAMETER_GROUPS`. Other groups keep their values and moments.
         """
         return None
 
     @abstractmethod
     def loss(self, step: Step) -> Tensor:
-        """Return a scalar that takes part in autograd, finite.
+        """Return a finite scalar in autograd.
 
-        With `step: alone` it is asked before the iteration's own render: `step.rendering` is then
-        made when it is first looked at, without modifiers.
+        With `step: alone` it is called before the iteration's own render: `step.rendering` is then
+        rendered on first access, without modifiers.
         """
 
 
@@ -119,15 +134,15 @@ class Densification(Component[SettingsType], ABC):
 
     @property
     def absolute_gradients(self) -> bool:
-        """Whether it asks for `model.absolute_screen_gradient()`, collected for those who say so."""
+        """Whether it reads `model.absolute_screen_gradient()`, which is collected only if this is True."""
         return False
 
     @abstractmethod
     def refine(self, step: Step) -> Edit | None:
         """Return the edit that is due, or None. Called after the backward pass, when scheduled.
 
-        Any edit, an empty one too, starts the densification statistics anew; None leaves them. In the
-        last iteration the host leaves out what an edit adds: nothing would train it.
+        Any edit, even an empty one, resets the densification statistics; None keeps them. In the last
+        iteration the host omits the Gaussians that an edit adds: they would not be trained.
         """
 
 
@@ -145,7 +160,7 @@ class OpacityUpdate:
 
 
 class OpacityPolicy(Component[SettingsType], ABC):
-    """Keeps opacities honest: resets or decays them."""
+    """Resets or decays opacities."""
 
     @abstractmethod
     def update(self, step: Step) -> OpacityUpdate | None:
@@ -157,12 +172,12 @@ class Perturbation(Component[SettingsType], ABC):
 
     @abstractmethod
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
-        """Return what is to be added, by parameter name, in the shapes of `model.read`; may be empty."""
+        """Return tensors to add, by parameter name, in the shapes of `model.read`; may be empty."""
 
 
 @dataclass(frozen=True)
 class Unavailable:
-    """A metric's answer when there is nothing to measure with: no model file, no true depth.
+    """A metric's result if it cannot measure, for example without a model file or true depth.
 
     Args:
         reason: one sentence, for the results.
@@ -178,16 +193,16 @@ AverageErrorRole = Literal[
 
 
 class ViewMetric(Component[SettingsType], ABC):
-    """Scores one rendered view against whatever the scene knows about it."""
+    """Scores one rendered view against any data of the scene."""
 
     higher_is_better: ClassVar[bool] = True
     unit: ClassVar[str] = ""
     equal_images_are_best: ClassVar[bool] = True
-    """Whether no render scores better than one that equals the photograph; `registry.testing` looks."""
+    """Whether a render equal to the photograph has the best score; checked by `registry.testing`."""
     takes_long: ClassVar[bool] = False
-    """Whether it is measured once, of test views at the end, and not while training goes on."""
+    """Whether it is measured only once, on test views after training."""
     average_error_role: ClassVar[AverageErrorRole | None] = None
-    """The average error takes the pipeline's first metric of each role; None: never this one."""
+    """The average error uses the pipeline's first metric of each role; None: not part of it."""
 
     @abstractmethod
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
@@ -217,15 +232,11 @@ class Exporter(Component[SettingsType], ABC):
 
     @abstractmethod
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write into `folder`, which exists, and return the files written.
-
-        Args:
-            model: the Gaussians, to be read.
-        """
+        """Write into `folder`, which exists, and return the files written."""
 
 
 class Report(Component[SettingsType], ABC):
-    """Turns a finished run into something that a person looks at."""
+    """Writes a page or picture about a finished run."""
 
     @abstractmethod
     def write(self, folder: Path, scene: Scene) -> list[Path]:
@@ -233,23 +244,22 @@ class Report(Component[SettingsType], ABC):
 
 
 class Observer(Component[SettingsType]):
-    """Is told how a run goes, for example to log it; answers nothing and can change nothing.
+    """Receives the events of a run, for example to log them; cannot change the run.
 
-    A run with it ends in the same bits as one without. What an observer does not want to hear of it
-    leaves out. One that fails ends the run.
+    A run has the same bits with and without it. All methods are optional. An error in one ends the run.
     """
 
     def started(self, run: RunStarted) -> None:
-        """Hear that a run begins, or goes on; once, before anything else."""
+        """Called once, first, when a run begins or is resumed."""
 
     def iterated(self, done: IterationDone) -> None:
-        """Hear of an iteration that is complete, when due by `start`, `stop` and `every`."""
+        """Called after an iteration, when due by `start`, `stop` and `every`."""
 
     def evaluated(self, scored: ViewsScored) -> None:
-        """Hear the scores: with `training.evaluate_every` while training goes on, and at the end."""
+        """Called with scores: during training with `training.evaluate_every`, and at the end."""
 
     def ended(self, run: RunEnded) -> None:
-        """Hear that the run is done, was stopped or failed: close what is open. Told once, at last.
+        """Called once, last, when the run has finished, was stopped or failed; close open resources.
 
-        It is told after an error of this observer too, but not to one whose `started` failed.
+        Also called after an error of this observer, except in `started`.
         """

@@ -1,8 +1,8 @@
-"""The hooks through which plugins offer components, in one table.
+"""Table of the hooks with which plugins register components.
 
 A plugin module implements a hook for each kind of component that it offers. The hook receives
-`register(name, component_class)` and calls it once for each component. The name is what users write
-after `use:` in a pipeline; it is unique within its hook point.
+`register(name, component_class)` and calls it once for each component. Users write the name after `use:`
+in a pipeline; it is unique within its hook point.
 """
 
 from __future__ import annotations
@@ -19,14 +19,10 @@ from .component import Component
 from .prior import Prior
 
 API_VERSION = 3
-"""Version of the plugin API. Raised when a plugin written for the one before could break.
+"""Version of the plugin API; increased when plugins for the previous version could break.
 
-3: verbs and train options are plugins; prior models, events, runners and building blocks are imported from
-`registry.priors`, `registry.events`, `registry.runners` and `registry.toolkit`.
-2: samplers, appearances, perturbations, parameters of components, terms stepped alone, several fields,
-edits that add, relocate and split into more than two, optical flow and matches; components see a
-scene without test views and true depth and Gaussians that cannot be written to; scenes have facts in
-place of notes; each component has an entry point of its own name.
+Version 3 moved names from `registry` to `registry.priors`, `registry.events`, `registry.runners` and
+`registry.toolkit`. The host accepts plugins of version 2 as well.
 """
 
 PROJECT = "stereogs"
@@ -63,7 +59,7 @@ class HookPoint:
     Args:
         section: key in a pipeline.
         title: name of this kind in messages.
-        offers: end of the hook's name, `stereogs_register_OFFERS`.
+        offers: last part of the hook's name, `stereogs_register_OFFERS`.
         base: class that a component derives from.
         stage: index in `STAGES`; None for a kind that pipelines do not name.
         reads: data that a component receives, for `stereogs explain`.

@@ -1,4 +1,4 @@
-"""What prior models know of images: maps of every pixel, and points that match."""
+"""Estimates of prior models: maps of pixels, and matches."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Disparity:
-    """A rectified pair's disparity on the grid of the image that it was asked for.
+    """Disparity of a rectified pair on the pixels of one of its images.
 
     Args:
         values: `[H, W]` float32 pixels, > 0 where valid and 0 elsewhere. The left image's pixel
@@ -40,11 +40,11 @@ class DepthMap:
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """Where the pixels of one image went in another.
+    """Optical flow from one image to another.
 
     Args:
-        vectors: `[H, W, 2]` float32 pixels (along columns, along rows); 0 where not valid. What pixel
-            (u, v) of the first image shows is at (u, v) + vectors[v, u] in the second.
+        vectors: `[H, W, 2]` float32 pixels (along columns, along rows); 0 where not valid. Pixel (u, v)
+            of the first image corresponds to (u, v) + vectors[v, u] in the second.
         valid: `[H, W]` bool.
     """
 
@@ -54,12 +54,12 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points of two images that show the same.
+    """Corresponding points of two images.
 
     Args:
         first, second: `[M, 2]` float32 pixel positions (column, row) in the first and in the second
-            image; the middle of the first pixel is (0.5, 0.5).
-        scores: `[M]` float32 in [0, 1], how sure each match is.
+            image; the centre of the first pixel is (0.5, 0.5).
+        scores: `[M]` float32 in [0, 1], confidence of each match.
     """
 
     first: Tensor

@@ -1,4 +1,4 @@
-"""Photographs, cameras and points: what a scene loader returns, and what of it training may see."""
+"""Scenes: photographs, cameras and points, and the part of them that training may use."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
-from .fact import Fact, FactValue
 from .maps import DepthMap
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera
+
+FactValue = str | int | float | tuple[int, ...]
+SOLID = 0.99
+"""Alpha above which a pixel of a photograph or render shows no background (253 of 255 and up)."""
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
@@ -34,14 +37,13 @@ class PointCloud:
         scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
             the distance to the three nearest neighbours.
         opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
-        facts: what the maker of the points wants people to know; goes into the results.
-        pictures: `[H, W, 3]` in [0, 1] by file name without ending; the run keeps them as PNG.
-        maps: what is known of each training view's depth, by the view's name, for components that
-            train on it (`Step.maps`); empty if the initializer knows nothing.
-        kinds: which points are measured and which are guessed, `[P]` bool by the kind's name, for
-            example "confirmed" and "margin"; a point may be of several. Gaussians that descend from a
-            point stay of its kinds, so that a kind can be left out of what is looked at, and components
-            can tell them apart (`Step.kinds`). Empty: nothing is told apart.
+        facts: recorded in the results.
+        pictures: `[H, W, 3]` in [0, 1] by file name without extension; the run saves them as PNG.
+        maps: known depth of training views, by the view's name, for components that train on it
+            (`Step.maps`).
+        kinds: `[P]` bool by the kind's name, for example "confirmed" and "margin"; a point may be of
+            several kinds. Gaussians that descend from a point keep its kinds (`Step.kinds`), and exports
+            can leave a kind out.
     """
 
     positions: Tensor
@@ -57,21 +59,41 @@ class PointCloud:
         return int(self.positions.shape[0])
 
 
-SOLID = 0.99
-"""Of a photograph or a render: a pixel of more alpha shows no background (253 and up of 255)."""
+@dataclass(frozen=True)
+class Fact:
+    """Something about a scene that its loader knows and the scene does not show.
+
+    Args:
+        name: a word of letters, digits, "-" and "_", unique among a scene's facts.
+        value: recorded in the results and compared by `stereogs compare`; numbers finite.
+        text: the value in words; empty if the value needs no explanation.
+        affects_scores: whether scores of runs with different values are not comparable.
+    """
+
+    name: str
+    value: FactValue
+    text: str = ""
+    affects_scores: bool = True
+
+    def __str__(self) -> str:
+        if self.text:
+            return self.text
+        if isinstance(self.value, tuple):
+            return ", ".join(map(str, self.value))
+        return f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingView:
-    """One photograph and the camera that took it, as components see it while they train.
+    """One photograph and its camera, as components see it during training.
 
     Args:
         name: unique within the scene; used as a file name for renders.
         camera: pose and intrinsics; its size is the size of `image`.
         image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background.
         mask: `[H, W]` bool, True where pixels count in metrics; None where all do.
-        alpha: `[H, W]` float32 in [0, 1], how much of each pixel the photographed object covers;
-            None where the photograph does not say.
+        alpha: `[H, W]` float32 in [0, 1], the share of each pixel that the photographed object covers;
+            None if the photograph has no alpha.
     """
 
     name: str
@@ -82,10 +104,10 @@ class TrainingView:
 
     @property
     def solid(self) -> Tensor | None:
-        """`[H, W]` bool, pixels that the object covers wholly; None where the photograph does not say.
+        """`[H, W]` bool, pixels that the object covers completely; None if the photograph has no alpha.
 
-        Depth is to be compared there alone. Where the background shines through, blended depth is too small,
-        and a loss that wants more of it pulls Gaussians of the background's colour over the rim.
+        Depth losses should use only these: where the background shines through, blended depth is too small,
+        and a loss that increases it pulls Gaussians of the background's colour over the object's edge.
         """
         return None if self.alpha is None else self.alpha > SOLID
 
@@ -107,26 +129,23 @@ class View(TrainingView):
     """A photograph as evaluation sees it.
 
     Args:
-        depth: `[H, W]` float32 true z-depth where a data set knows it (0 = unknown).
+        depth: `[H, W]` float32 true z-depth, 0 where unknown; None if the data set has no depth.
     """
 
     depth: Tensor | None = None
 
     def for_training(self) -> TrainingView:
-        """The same photograph without its truth."""
+        """Return the view without true depth."""
         return TrainingView(self.name, self.camera, self.image, self.mask, self.alpha)
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingScene:
-    """What initializers and training may know of a scene: no test views, no true depth.
+    """The part of a scene that initializers and training may use: no test views, no true depth.
 
     Args:
-        name: for messages.
-        train: the photographs to learn from; at least one.
-        bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
-        points: sparse points seen by the training views alone, or None.
-        background: colour behind the scene, three numbers in [0, 1].
+        name, bounds, points, background: as in `Scene`.
+        train: the training views; at least one.
     """
 
     name: str
@@ -137,10 +156,9 @@ class TrainingScene:
 
     @property
     def extent(self) -> float:
-        """That of the training cameras (`camera_extent`), world units.
+        """Extent of the training cameras (`camera_extent`), world units.
 
-        A single camera, or cameras at one place, have no extent; 0.1 times the far bound stands in
-        so that learning rates do not vanish.
+        0.1 times the far bound for a single camera, or cameras at one place: learning rates must not vanish.
         """
         radius = camera_extent([view.camera for view in self.train])
         return radius if radius > 1e-9 * self.bounds[1] else 0.1 * self.bounds[1]
@@ -163,14 +181,14 @@ class Scene:
     """Photographs with known cameras, split into training and test views.
 
     Args:
-        name: for titles and tables.
-        train: the views that training may look at; at least one.
+        name: for titles, tables and messages.
+        train: the views to train on; at least one.
         test: the views that are rendered and scored; may be empty.
         bounds: (near, far) z-depth of the scene's content in world units, 0 < near < far.
-        points: sparse points seen by the training views alone, or None.
+        points: sparse points that were computed from the training views only, or None.
         background: colour behind the scene, three numbers in [0, 1].
-        facts: what the loader wants on record beside that: where photographs come from, how they were
-            changed and split. They go into the results.
+        facts: recorded in the results, for example where photographs come from and how they were changed
+            and split.
     """
 
     name: str
@@ -183,14 +201,14 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """The extent of its training cameras (`TrainingScene.extent`), world units."""
+        """`TrainingScene.extent`, world units."""
         return self.for_training().extent
 
     def for_training(self) -> TrainingScene:
-        """What components may see of it before evaluation."""
+        """Return the part that components may use before evaluation."""
         views = tuple(view.for_training() for view in self.train)
         return TrainingScene(self.name, views, self.bounds, self.points, self.background)
 
     def fact(self, name: str) -> FactValue:
-        """The value of the fact of that name; KeyError if there is none."""
+        """Return the value of a fact; raise KeyError if there is none of that name."""
         return {fact.name: fact.value for fact in self.facts}[name]

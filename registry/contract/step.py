@@ -1,4 +1,4 @@
-"""One training iteration, as components see it."""
+"""Data of one training iteration for components."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Sample:
     Args:
         view: the training view.
         camera: camera of the render: the view's, unless a sampler refines it.
-        target: `[H, W, 3]` float32 in [0, 1], compared with the render: the view's image, unless a
-            sampler changes it. Its size is the camera's.
+        target: `[H, W, 3]` float32 in [0, 1] of the camera's size, compared with the render: the view's
+            image, unless a sampler changes it.
         background: colour behind the render, three numbers.
         sh_degree: spherical-harmonic bands in use; a fraction is the weight of the next band.
         smoothing: `[N]` standard deviations in world units, >= 0, of the 3D smoothing filter of each
@@ -54,28 +54,27 @@ class Render(Protocol):
         detach: Collection[str] = (),
         sh_degree: float | None = None,
     ) -> Rendering:
-        """Render.
+        """Render a camera.
 
         Args:
-            camera: the camera.
             gradient: let gradients flow to the Gaussians, and to the camera's pose if it requires one.
             background: colour behind the scene; None: the iteration's.
             opacity_scale: `[N]` factors >= 0 of the activated opacities.
-            detach: parameter groups that no gradient of this render reaches: of "means",
-                "log_scales", "quaternions", "opacity_logits" and "sh".
+            detach: parameter groups without gradients from this render: any of "means", "log_scales",
+                "quaternions", "opacity_logits" and "sh".
             sh_degree: bands to use; None: the iteration's.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class OtherField:
-    """Another field of Gaussians in lock-step (`training.fields`), read only.
+    """Another field of Gaussians that is trained in parallel (`training.fields`), read only.
 
     Args:
-        index: its number; field 0 is scored.
-        model: its Gaussians.
-        rendering: its render of this iteration's view, without gradients.
-        render: renders it through other cameras, without gradients.
+        index: number of the field; field 0 is scored.
+        model: the field's Gaussians.
+        rendering: render of this iteration's view, without gradients.
+        render: renders other cameras, without gradients.
     """
 
     index: int
@@ -94,14 +93,14 @@ class _Rendered:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One training iteration, as the components see it.
+    """One training iteration.
 
     Args:
         iteration: 1-based.
         iterations: the total number of iterations.
-        scene: the whole scene, without test views and true depth.
+        scene: the scene without test views and true depth.
         sample: training sample of this iteration.
-        model: the Gaussians; `model.read(name)` reads a parameter, `model.gradient(name)` its gradient
+        model: the Gaussians; `model.read(name)` returns a parameter, `model.gradient(name)` its gradient
             after the backward pass.
         extent: the scene's extent in world units (`Scene.extent`).
         priors: the pipeline's prior models by name.
@@ -109,9 +108,8 @@ class Step:
         log: records a number under a name in the run's metrics.
         maps: depth of each training view from the initializer, by the view's name.
         learning_rates: Adam's step size of each parameter group in this iteration.
-        kinds: which Gaussians descend from initial points of a kind, `[N]` bool by its name
-            (`PointCloud.kinds`); empty if the initializer has no kinds. The host updates them whenever
-            the number of Gaussians changes.
+        kinds: `[N]` bool by the kind's name, the Gaussians that descend from initial points of a kind
+            (`PointCloud.kinds`). The host updates them when the number of Gaussians changes.
     """
 
     iteration: int
@@ -159,7 +157,7 @@ class Step:
         self._rendered.rendering, self._rendered.others = rendering, others
 
     def parameter(self, name: str) -> Tensor:
-        """One parameter of all Gaussians, in autograd: a loss on it reaches the Gaussians.
+        """Return one parameter of all Gaussians, in autograd.
 
         Args:
             name: as for `model.read`, or an activated one: "opacities" `[N]`, "scales" `[N, 3]`.

@@ -1,4 +1,4 @@
-"""Text for people: suggestions and the terminal."""
+"""Messages to users: suggestions, the terminal, and the command line's help."""
 
 from typing import TYPE_CHECKING
 

@@ -19,15 +19,15 @@ Kind = TypeVar("Kind", Command, TrainOption)
 COMMANDS, TRAIN_OPTIONS = "stereogs.commands", "stereogs.train_options"
 """Entry-point groups. An entry is named after the verb or option that its module registers."""
 _BUILT_IN = {
-    "train": "train",
-    "resume": "resume",
-    "eval": "evaluate",
-    "explain": "explain",
-    "plugins": "plugins",
-    "schema": "schema",
-    "doctor": "doctor",
+    "train": "running:Train",
+    "resume": "running:Resume",
+    "eval": "running:Eval",
+    "explain": "inspecting:Explain",
+    "plugins": "inspecting:Plugins",
+    "schema": "inspecting:Schema",
+    "doctor": "inspecting:Doctor",
 }
-"""The host's own verbs, and their modules in `registry.commands`."""
+"""The host's own verbs, and their classes in `registry.commands`."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,13 @@ class Verb:
 
     @property
     def summary(self) -> str:
-        """First line of the module's docstring, read without importing the module; "" if it has none."""
-        source = _source(self.entry.module)
-        text = ast.get_docstring(ast.parse(source)) if source else None
+        """First line of the docstring, read without importing the module; "" if there is none.
+
+        Of the module, or for the host's own verbs of the class.
+        """
+        module = ast.parse(_source(self.entry.module) or "")
+        classes = {node.name: node for node in module.body if isinstance(node, ast.ClassDef)}
+        text = ast.get_docstring(classes.get(self.entry.attr, module))
         line = (text or "").partition("\n")[0].rstrip(".")
         return line[:1].lower() + line[1:]
 
@@ -62,8 +66,7 @@ class Verb:
             PluginError: the module cannot be imported or does not register the verb.
         """
         if self.entry.dist is None and self.entry.group == "":
-            module = self.entry.load()
-            command: Command = getattr(module, self.name.capitalize())()
+            command: Command = self.entry.load()()
             return command
         return _registered(self.entry, "stereogs_register_commands", Command)  # type: ignore[type-abstract]
 
@@ -75,8 +78,8 @@ def verbs() -> dict[str, Verb]:
         PluginError: two packages offer a verb of the same name.
     """
     found = {
-        name: Verb(name, EntryPoint(name, f"registry.commands.{module}", ""))
-        for name, module in _BUILT_IN.items()
+        name: Verb(name, EntryPoint(name, f"registry.commands.{value}", ""))
+        for name, value in _BUILT_IN.items()
     }
     for entry in sorted(entry_points(group=COMMANDS), key=lambda entry: entry.name):
         if entry.name in found:

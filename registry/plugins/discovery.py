@@ -14,9 +14,8 @@ from typing import Any
 from ..calls.process_state import left_as_found
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.component import Component, Settings
-from ..contract.components import SceneLoader
+from ..contract.components import IN_MEMORY, InMemoryScene, SceneLoader
 from ..contract.hook_points import API_VERSION, HOOK_POINTS, OTHER_HOOKS, PROJECT, HookPoint
-from ..contract.in_memory import IN_MEMORY, InMemoryScene
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
 

@@ -1,4 +1,4 @@
-"""Files and memory of this machine."""
+"""Files, locks, memory, signals and threads."""
 
 from typing import TYPE_CHECKING
 

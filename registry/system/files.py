@@ -1,10 +1,9 @@
-"""Files that are complete or absent: written beside their place, flushed, then renamed."""
+"""Atomic writes: files are written under a temporary name, flushed and renamed."""
 
 from __future__ import annotations
 
 import glob
 import json
-import math
 import os
 import re
 import shutil
@@ -14,15 +13,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import to_jsonable_python
+
 _LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.partial")
-"""What temporary files and folders are called: after what they become, and who writes them."""
+"""Temporary names: the final name and the number of the writing process."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the same folder; on success it takes the place of `path`.
+    """Yield a temporary path in the same folder, and rename it to `path` after the block.
 
-    If the block raises, the temporary file is removed and `path` stays what it was.
+    If the block raises, the temporary file is removed and `path` stays unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -34,13 +35,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def flush(file: Path) -> None:
-    """Have the disk hold what was written to a file."""
+    """Write a file's buffers to the disk."""
     with file.open("rb+") as opened:
         os.fsync(opened.fileno())
 
 
 def flush_folder(folder: Path) -> None:
-    """Have the disk hold a folder's list of files, and with it the renames in it; not on Windows."""
+    """Write a folder's entries, and so the renames in it, to the disk; not on Windows."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -51,30 +52,27 @@ def flush_folder(folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8: whole, or `path` stays what it was."""
+    """Write a text file in UTF-8, as `replacing` does."""
     with replacing(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON that a person can read; keys keep their order."""
+    """Write indented JSON; keys keep their order."""
     write_text(path, json.dumps(value, indent=2, ensure_ascii=False) + "\n")
 
 
 def jsonable(value: Any) -> Any:
-    """Plain values with infinities and not-a-numbers as None."""
-    if isinstance(value, dict):
-        return {key: jsonable(child) for key, child in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(child) for child in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    """Convert to plain values, infinities and NaN to None."""
+    return to_jsonable_python(value, inf_nan_mode="null")
 
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder beside `path`; on success it becomes `path`, else it vanishes.
+    """Yield a temporary folder beside `path`, and rename it to `path` after the block.
 
-    Parent folders are created. `path` must not exist, or be an empty folder.
+    If the block raises, the folder is removed. Parent folders are created. `path` must not exist, or be an
+    empty folder.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(
@@ -90,10 +88,10 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def remove_leftovers(folder: Path, of: str = "") -> None:
-    """Remove what processes that were killed had begun to write; what living ones write stays.
+    """Remove temporary files and folders of processes that no longer run.
 
     Args:
-        of: only what would have become the file or folder of this name.
+        of: only those for the file or folder of this name.
     """
     for path in folder.glob(f".{glob.escape(of)}*.partial"):
         found = _LEFTOVER.fullmatch(path.name)
@@ -112,6 +110,6 @@ def _is_alive(process: int) -> bool:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except OSError:  # somebody else's
+    except OSError:  # another user's
         return True
     return True

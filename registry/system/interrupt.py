@@ -6,24 +6,25 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+@dataclass
 class StopRequest:
     """Whether a stop was requested."""
 
-    def __init__(self) -> None:
-        self.requested = False
+    requested: bool = False
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C or SIGTERM within the block into a request; a second one acts as usual.
+    """Within the block, the first Ctrl-C or SIGTERM sets the request; a second one acts as usual.
 
-    Schedulers of clusters and containers send SIGTERM before SIGKILL. Outside the main thread signals cannot
-    be caught, and both act as usual.
+    Schedulers of clusters and containers send SIGTERM before SIGKILL. In other threads than the main one
+    signals cannot be caught, and both act as usual.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -1,4 +1,4 @@
-"""A lock that gives one process exclusive use of a folder."""
+"""Exclusive use of a folder by one process."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Lock(NamedTuple):
     """A lock held by this process.
 
     Args:
-        descriptor: file descriptor of the lock, which lasts until all processes that inherited it have ended;
-            None on Windows.
-        killed: number of the process that held the lock before and was killed, or None.
+        descriptor: file descriptor; the lock lasts until all processes that inherited it have ended. None on
+            Windows.
+        killed: number of the previous process if it was killed, or None.
     """
 
     descriptor: int | None
@@ -55,9 +55,9 @@ def locked(folder: Path) -> Iterator[Lock]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             process = _process(descriptor)
+            number = f", number {process}" if process else ""
             raise RunError(
-                "the folder is in use by another process"
-                + (f", number {process}" if process else ""),
+                f"the folder is in use by another process{number}",
                 where=str(folder),
                 fix="wait until it has ended, or use another folder",
             ) from error
@@ -72,7 +72,7 @@ def locked(folder: Path) -> Iterator[Lock]:
 
 
 def _process(descriptor: int) -> int | None:
-    """Return the process in the lock file; None if it released the lock."""
+    """Return the number in the lock file; None if its process released the lock."""
     text = os.pread(descriptor, 20, 0)
     return int(text) if text.isdigit() else None
 

@@ -1,7 +1,8 @@
-"""How much memory this process takes."""
+"""Memory of this process and this machine."""
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -11,28 +12,45 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
-_FORGET = Path("/proc/self/clear_refs")
-_FORGET_THE_PEAK = "5"
-_CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
+_CLEAR_REFS = Path("/proc/self/clear_refs")
+_RESET_PEAK = "5"
 
 
 def machine_memory() -> int | None:
-    """Bytes that this machine has, or this container may use; None where nobody tells (Windows)."""
+    """Bytes that this machine has, or this container may use; None if unknown (Windows)."""
     try:
         machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return None
+    return int(min(machine, _container("max")))
+
+
+def available_bytes() -> float:
+    """Bytes that the machine, or the container, has left; infinite if unknown."""
+    used = _container("current")
+    container = _container("max") - used if used < math.inf else math.inf
+    machine = _listed_bytes(Path("/proc/meminfo"), "MemAvailable")
+    return container if machine is None else min(container, machine)
+
+
+def resident_bytes() -> int:
+    """Bytes that this process holds in memory; 0 if unknown (only Linux tells quickly)."""
     try:
-        return min(machine, int(_CONTAINER_LIMIT.read_text("utf-8")))
-    except (OSError, ValueError):  # no container, or one that says "max"
-        return machine
+        file = os.open("/proc/self/statm", os.O_RDONLY)
+    except OSError:
+        return 0
+    try:
+        return int(os.read(file, 64).split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    finally:
+        os.close(file)
 
 
 def peak_memory_mb() -> float | None:
-    """The largest resident set so far, in megabytes of 10^6 bytes; None where nobody counts it."""
+    """The largest resident set so far, in megabytes of 10^6 bytes; None if unknown (Windows)."""
     if _STATUS.exists():
-        # Linux. getrusage would start from the peak of whoever started this process.
-        return _resident("VmHWM")
+        # Linux, where getrusage would begin with the peak of the parent process.
+        peak = _listed_bytes(_STATUS, "VmHWM")
+        return None if peak is None else peak / 1e6
     try:
         import resource
     except ImportError:  # Windows
@@ -44,9 +62,9 @@ def peak_memory_mb() -> float | None:
 
 @dataclass
 class Added:
-    """What a block added to the resident set, in megabytes of 10^6 bytes; None where nobody counts it.
+    """Growth of the resident set in megabytes of 10^6 bytes; None if unknown.
 
-    Memory that the process had taken before and not given back is used again unseen.
+    Reuse of memory that the process already holds does not count.
     """
 
     megabytes: float | None = None
@@ -54,20 +72,33 @@ class Added:
 
 @contextmanager
 def memory_added() -> Iterator[Added]:
-    """Measure a block; Linux alone can be asked to forget an earlier peak (proc(5), `clear_refs`)."""
+    """Measure a block; only Linux can reset the peak (proc(5), `clear_refs`)."""
     added = Added()
     try:
-        _FORGET.write_text(_FORGET_THE_PEAK)
+        _CLEAR_REFS.write_text(_RESET_PEAK)
     except OSError:
         yield added
         return
-    before = _resident("VmRSS")
+    before = _listed_bytes(_STATUS, "VmRSS")
     yield added
-    peak = _resident("VmHWM")
+    peak = _listed_bytes(_STATUS, "VmHWM")
     if before is not None and peak is not None:
-        added.megabytes = max(0.0, peak - before)
+        added.megabytes = max(0.0, peak - before) / 1e6
 
 
-def _resident(name: str) -> float | None:
-    found = re.search(rf"^{name}:\s+(\d+) kB$", _STATUS.read_text("utf-8"), re.MULTILINE)
-    return int(found[1]) * 1024 / 1e6 if found else None
+def _listed_bytes(file: Path, name: str) -> float | None:
+    """Return a size, in bytes, that a file of /proc lists in kB; None if it does not."""
+    try:
+        text = file.read_text("utf-8")
+    except OSError:
+        return None
+    found = re.search(rf"^{name}:\s+(\d+) kB$", text, re.MULTILINE)
+    return int(found[1]) * 1024.0 if found else None
+
+
+def _container(name: str) -> float:
+    """Return a size from the container's control group; infinite if there is none or no limit."""
+    try:
+        return float(Path(f"/sys/fs/cgroup/memory.{name}").read_text("ascii"))
+    except (OSError, ValueError):  # no container, or "max"
+        return math.inf

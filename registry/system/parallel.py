@@ -1,7 +1,6 @@
-"""Work on many photographs or views at once.
+"""Work on several photographs or views in parallel.
 
-Each thread holds what its work takes: one photograph at full size is 3 or 4 bytes a pixel, a view in memory
-12 bytes a pixel of the training size.
+Memory per thread: 3 or 4 bytes per pixel for a photograph at full size, 12 for a view of the training size.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ Result = TypeVar("Result")
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """`work` done to each item, in order, on as many threads as there are cores.
+    """Return the results of `work` for each item, in order, with one thread per core.
 
-    Pillow and numpy let go of the interpreter's lock while they work.
+    Pillow and numpy release the interpreter's lock while they work.
     """
     threads = min(len(items), os.cpu_count() or 1)
     if threads < 2:

@@ -10,8 +10,7 @@ import sys
 from importlib.metadata import entry_points
 
 from ..contract.command import Command
-from ..messages.command_parser import CommandParser
-from ..messages.help_text import HelpFormatter
+from ..messages.command_line import CommandParser, HelpFormatter
 from ..plugins.commands import COMMANDS, Verb
 from .assertions import require
 

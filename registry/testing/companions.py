@@ -10,9 +10,14 @@ import torch
 from core_rasterizer import Edit, Gaussians, Relocation
 
 from ..contract.component import Component, Settings
-from ..contract.components import Densification, Initializer, Metric
+from ..contract.components import (
+    IN_MEMORY,
+    Densification,
+    Initializer,
+    InMemoryScene,
+    Metric,
+)
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
-from ..contract.in_memory import IN_MEMORY, InMemoryScene
 from ..contract.prior import Prior
 from ..contract.scene import PointCloud, TrainingScene
 from ..contract.step import Step

@@ -1,4 +1,4 @@
-"""Discovery sees nothing that happens to be installed; a test installs what it asks for."""
+"""Fixtures: no plugin is installed, unless a test installs it."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ def _no_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def toys() -> Plugins:
-    """The toy components alone."""
+    """Return the toy components."""
     return Plugins(TOYS)
 
 
 @pytest.fixture
 def extension_points() -> Plugins:
-    """The toy components, and those that use every extension point of the host."""
+    """Return the toy components and those that use every extension point of the host."""
     return Plugins([*TOYS, *EXTENSION_POINTS])
 
 
 @pytest.fixture(scope="session")
 def device() -> Device:
-    """The device that a run would choose."""
+    """Return the default device."""
     return open_device()
 
 

@@ -1,4 +1,4 @@
-"""The example packages are installed from their own folders, found through their entry points, and work."""
+"""The example packages can be installed, discovered and used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any exporter on a finished run, whole or without Gaussians of some kinds."""
+"""Export of a finished run, with and without Gaussians of some kinds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _toys(install: Install) -> None:
 
 
 def two_walls() -> Scene:
-    """The tiny scene with points at z = 2 and z = 4, further apart than any Gaussian is large."""
+    """The tiny scene with points at z = 2 and z = 4, farther apart than the size of any Gaussian."""
     scene = tiny_scene()
     assert scene.points is not None
     positions = scene.points.positions.clone()
@@ -54,29 +54,29 @@ def train(
 
 @cache
 def trained() -> stereogs.Run:
-    """A whole run in memory, to be looked at only."""
+    """Return a finished run in memory, which tests must not change."""
     return train()
 
 
-def assert_told_apart(run: stereogs.Run) -> None:
+def assert_kinds_are_correct(run: stereogs.Run) -> None:
     near = run.model.read("means")[:, 2] < 3
     assert sorted(run.kinds) == ["far", "near"]
     assert torch.equal(run.kinds["near"], near)
     assert torch.equal(run.kinds["far"], ~near)
 
 
-def test_descendants_stay_of_their_kind(tmp_path: Path) -> None:
-    """Through clones, splits and prunings, in a checkpoint, and through a stop."""
+def test_descendants_keep_their_kind(tmp_path: Path) -> None:
+    """After clones, splits and prunings, in a checkpoint, and after resuming."""
     run = train(tmp_path / "run", stop_at=5)
     assert run.model.count != len(two_walls().points or ())
-    assert_told_apart(run)
-    assert_told_apart(stereogs.open_run(tmp_path / "run", scene=two_walls()))
+    assert_kinds_are_correct(run)
+    assert_kinds_are_correct(stereogs.open_run(tmp_path / "run", scene=two_walls()))
     resumed = stereogs.resume(tmp_path / "run", scene=two_walls(), progress=False)
-    assert_told_apart(resumed)
+    assert_kinds_are_correct(resumed)
     assert resumed.hash == trained().hash
 
 
-def test_kinds_change_no_bit_of_the_gaussians(tmp_path: Path) -> None:
+def test_kinds_do_not_change_the_gaussians(tmp_path: Path) -> None:
     without = train(kinds=False)
     assert without.hash == trained().hash
     assert without.kinds == {}
@@ -93,7 +93,7 @@ def test_a_kind_is_left_out_of_an_export(tmp_path: Path) -> None:
     assert int(part.read_text("utf-8")) == int(run.kinds["near"].sum()) < run.model.count
 
 
-def test_what_cannot_be_exported_is_explained(tmp_path: Path) -> None:
+def test_export_errors_are_explained(tmp_path: Path) -> None:
     run, folder = trained(), tmp_path / "exports"
     with pytest.raises(RunError, match="no kind 'fat'; did you mean 'far'") as caught:
         stereogs.export(run, "toy_files", folder, without=["fat"])

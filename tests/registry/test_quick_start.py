@@ -1,4 +1,4 @@
-"""What needs no computing is answered without the libraries that compute."""
+"""Commands that compute nothing do not import slow libraries."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ REFUSED = {
 
 
 def answers(lines: list[list[str]], folder: Path) -> list[tuple[int, str, list[str]]]:
-    """Exit status, output, and which slow libraries are loaded, after each of some command lines."""
+    """Return the exit status, output and loaded slow libraries after each command line."""
     output = subprocess.run(
         [sys.executable, "-c", SCRIPT.format(lines=lines, slow=SLOW)],
         cwd=folder,
@@ -62,7 +62,7 @@ def answers(lines: list[list[str]], folder: Path) -> list[tuple[int, str, list[s
     return found
 
 
-def test_help_version_listing_and_mistakes_load_nothing_slow(tmp_path: Path) -> None:
+def test_help_version_listing_and_usage_errors_import_nothing_slow(tmp_path: Path) -> None:
     lines = [[], ["--help"], ["--version"], ["trian"], ["train", "--help"], ["plugins"]]
     bare, help_, version, mistyped, verb_help, listed = answers(lines, tmp_path)
     assert bare == (0, help_[1], [])
@@ -74,7 +74,7 @@ def test_help_version_listing_and_mistakes_load_nothing_slow(tmp_path: Path) -> 
     assert [answer[2] for answer in (bare, help_, version, mistyped, verb_help, listed)] == [[]] * 6
 
 
-def test_pipelines_are_refused_without_anything_slow(tmp_path: Path) -> None:
+def test_invalid_pipelines_import_nothing_slow(tmp_path: Path) -> None:
     file, broken = tmp_path / "refused.yaml", tmp_path / "broken.yaml"
     file.write_text(TEXT)
     broken.write_text("name: [")
@@ -106,7 +106,7 @@ def test_pipelines_are_refused_without_anything_slow(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("module", ["registry", "stereogs", "registry.cli"])
-def test_modules_are_the_command(module: str) -> None:
+def test_modules_run_the_command(module: str) -> None:
     output = subprocess.run(
         [sys.executable, "-m", module, "--version"],
         cwd=ROOT,

@@ -1,4 +1,4 @@
-"""The host from Python, with files and without."""
+"""The Python API, with files and without."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_without_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert run.metrics[-1]["iteration"] == 12
 
 
-def test_as_many_iterations_as_fit_and_no_more_than_the_pipeline_says() -> None:
+def test_a_time_limit_keeps_all_iterations_that_fit() -> None:
     run = train(fit=stereogs.within(600))
     assert run.finished
     assert run.iteration == 12
@@ -69,7 +69,7 @@ def test_as_many_iterations_as_fit_and_no_more_than_the_pipeline_says() -> None:
         train(fit=stereogs.within(1e-3))
 
 
-def test_saving_later_leaves_what_training_into_a_folder_leaves() -> None:
+def test_saving_later_writes_the_same_files_as_training_into_a_folder() -> None:
     early = train(out="early")
     late = train()
     late.save("late")
@@ -107,7 +107,7 @@ def test_a_run_is_opened_and_exported() -> None:
         stereogs.open_run("nothing")
 
 
-def test_the_callback_stops_and_resume_goes_on() -> None:
+def test_the_callback_stops_training_and_resume_continues() -> None:
     seen = []
 
     def until_five(done: stereogs.Iteration) -> bool:
@@ -143,7 +143,7 @@ def test_a_pipeline_from_values_text_and_file(tmp_path: Path) -> None:
         stereogs.build_pipeline({"name": "x", "initialiser": "toy_points"})
 
 
-def test_a_given_scene_is_told_of() -> None:
+def test_a_given_scene_is_recorded_in_the_pipeline() -> None:
     values = {**PIPELINE, "scene": {"use": "toy_scene", "mode": "crash"}}
     run = stereogs.train(values, scene=tiny_scene(), progress=False, out="run")
     assert run.pipeline.one("scene").offer.name == "in_memory"
@@ -152,13 +152,13 @@ def test_a_given_scene_is_told_of() -> None:
         stereogs.train(PIPELINE)
 
 
-def test_a_ready_pipeline_for_a_scene_of_ones_own() -> None:
+def test_a_pipeline_can_train_on_a_given_scene() -> None:
     text = "name: x\nscene: {use: toy_scene, path: '${NOWHERE}'}\ninitializer: toy_points\n"
     pipeline = stereogs.build_pipeline(text, ["scene=in_memory", "training.iterations=2"])
     assert stereogs.train(pipeline, scene=tiny_scene(), progress=False).finished
 
 
-def test_a_protocol_is_not_claimed_for_a_given_scene() -> None:
+def test_a_protocol_does_not_apply_to_a_given_scene() -> None:
     pipeline = stereogs.build_pipeline({**PIPELINE, "metrics": []})
     from dataclasses import replace
 

@@ -24,7 +24,7 @@ class TargetSettings(r.Settings):
 
 
 class ToyTarget(r.Sampler[TargetSettings]):
-    """Darker photographs before another background; perhaps always the first one."""
+    """Darkens photographs and changes the background; may always choose the first view."""
 
     def sample(self, step: r.Step, sample: r.Sample) -> r.Sample:
         settings = self.settings
@@ -50,7 +50,7 @@ class ExposureSettings(r.Settings):
 
 
 class ToyExposure(r.Appearance[ExposureSettings]):
-    """One brightness for all photographs, trained along; made when the scene is shown."""
+    """Trains one brightness for all photographs; created in `begin_training`."""
 
     def begin_training(self, scene: r.TrainingScene) -> None:
         self.factor = torch.full((), len(scene.train) / 2.0, requires_grad=True)  # there are two
@@ -64,7 +64,7 @@ class ToyExposure(r.Appearance[ExposureSettings]):
 
 
 class ToyPose(r.Sampler[r.Settings]):
-    """Looks a little from the right at what is seen from the true place, and learns to go back."""
+    """Shifts cameras to the right and trains the shift back to zero."""
 
     def __init__(self, settings: r.Settings, context: r.Context) -> None:
         super().__init__(settings, context)
@@ -122,7 +122,7 @@ class PictureSettings(r.Settings):
 
 
 class ToyPicture(r.Regularizer[PictureSettings]):
-    """Alpha of the view at hand, of all Gaussians at one opacity, with parameters left alone."""
+    """A loss on the alpha of the current view, at one opacity and with detached parameters."""
 
     @property
     def moves(self) -> Collection[str] | None:
@@ -144,7 +144,7 @@ class ToyPicture(r.Regularizer[PictureSettings]):
 
 
 class ToyTwin(r.Regularizer[r.Settings]):
-    """Agreement with the other fields' pictures."""
+    """A loss on the difference to the renders of other fields."""
 
     def loss(self, step: r.Step) -> Tensor:
         step.log("others", len(step.others))
@@ -156,7 +156,7 @@ class ToyTwin(r.Regularizer[r.Settings]):
 
 
 class ToyGuide(r.Regularizer[r.Settings]):
-    """Depth as the initializer knows it."""
+    """A loss on the initializer's depth."""
 
     def loss(self, step: r.Step) -> Tensor:
         known = step.maps[step.view.name]
@@ -169,7 +169,7 @@ class PeekSettings(r.Settings):
 
 
 class ToyPeek(r.Modifier[PeekSettings]):
-    """Asks for what training may not know."""
+    """Reads data that is not available during training."""
 
     def opacity_scale(self, step: r.Step) -> Tensor:
         if self.settings.at == "test":
@@ -186,7 +186,7 @@ class GuidedSettings(r.Settings):
 
 
 class ToyGuided(r.Initializer[GuidedSettings]):
-    """The scene's points, those of even and of odd number told apart, and a wall at 3 for each view."""
+    """The scene's points, with kinds for even and odd indices, and depth 3 for each view."""
 
     def initialize(self, scene: r.TrainingScene, priors: Mapping[str, Any]) -> r.PointCloud:
         assert scene.points is not None
@@ -209,7 +209,7 @@ class MoveSettings(r.Settings):
 
 
 class ToyMove(r.Densification[MoveSettings]):
-    """Splits the first Gaussian, adds some, moves some: as the settings say. Counts its calls."""
+    """Splits the first Gaussian, adds and moves some, as set; counts its calls."""
 
     def __init__(self, settings: MoveSettings, context: r.Context) -> None:
         super().__init__(settings, context)

@@ -41,7 +41,7 @@ class ToyScene(r.SceneLoader[ToySceneSettings]):
 class ToyPointsSettings(r.Settings):
     count: int | None = None
     kinds: bool = False
-    """Tell those before z = 3 from those behind."""
+    """Separate points before z = 3 from those behind."""
 
 
 class ToyPoints(r.Initializer[ToyPointsSettings]):
@@ -184,7 +184,7 @@ class ToyDiarySettings(r.Settings):
 
 
 class ToyDiary(r.Observer[ToyDiarySettings]):
-    """Writes down what it hears, a line each; may fail in any of it."""
+    """Writes a line for each event; may fail in any."""
 
     def _note(self, *words: object) -> None:
         if self.folder is not None:

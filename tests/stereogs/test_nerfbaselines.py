@@ -1,4 +1,4 @@
-"""The method through NerfBaselines' own registry and types: `make nerfbaselines`, where it is installed."""
+"""The method through the registry and types of NerfBaselines, if installed: `make nerfbaselines`."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def dataset_of(views: Any, **cameras: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def method_class() -> Any:
-    """Found by NerfBaselines through its entry point, as its command line finds it."""
+    """Load the method through its entry point, as the command line of NerfBaselines does."""
     spec = nerfbaselines.get_method_spec("stereogs")
     with nerfbaselines.build_method_class(spec, backend="python") as found:
         yield found
 
 
-def test_it_trains_renders_saves_and_is_read_again(
+def test_it_trains_renders_saves_and_loads(
     scene: stereogs.Scene, method_class: Any, tmp_path: Path
 ) -> None:
     limits = np.float32([scene.bounds] * len(scene.train))
@@ -83,9 +83,7 @@ def test_it_trains_renders_saves_and_is_read_again(
     np.testing.assert_allclose(same["color"], answer["color"], atol=1e-6)
 
 
-def test_bounds_are_asked_for_where_nothing_tells_them(
-    scene: stereogs.Scene, method_class: Any
-) -> None:
+def test_unknown_bounds_are_refused(scene: stereogs.Scene, method_class: Any) -> None:
     method = method_class(train_dataset=dataset_of(scene.train))
-    with pytest.raises(stereogs.ExplainedError, match="how near and far"):
+    with pytest.raises(stereogs.ExplainedError, match="the depth bounds are unknown"):
         method.train_iteration(0)

@@ -1,4 +1,4 @@
-"""The protocols for few photographs through NerfBaselines' own registry: `make nerfbaselines`."""
+"""The sparse-view protocols through the registry of NerfBaselines: `make nerfbaselines`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ nerfbaselines = pytest.importorskip("nerfbaselines")
 from nerfbaselines.datasets import download_dataset, load_dataset  # noqa: E402
 from nerfbaselines.evaluation import build_evaluation_protocol  # noqa: E402
 
-from stereogs.nerfbaselines_datasets import pipeline_of  # noqa: E402
+from stereogs.nerfbaselines_protocols import pipeline_of  # noqa: E402
 
 
 def prepared(protocol: str, scene: str, folder: Path) -> Path:
@@ -43,7 +43,7 @@ def test_every_protocol_is_a_dataset() -> None:
         ("blender-8", "blender_lego", "lego"),
     ],
 )
-def test_a_dataset_is_what_the_protocol_gives_a_pipeline(
+def test_a_dataset_equals_the_scene_of_a_pipeline_with_the_protocol(
     protocol: str, folder: str, scene: str, tmp_path: Path
 ) -> None:
     expected = stereogs.load_scene(pipeline_of(protocol, data_folder(folder)))
@@ -67,8 +67,8 @@ def test_a_dataset_is_what_the_protocol_gives_a_pipeline(
                 assert (dataset["masks"][index] == view.mask.numpy()).all()
 
 
-def test_scores_are_the_protocols(tmp_path: Path) -> None:
-    """Masks count as in a run here: what is outside of the object changes neither PSNR nor SSIM."""
+def test_scores_use_the_metrics_and_masks_of_the_protocol(tmp_path: Path) -> None:
+    """As in a run, pixels outside the mask change neither PSNR nor SSIM."""
     data_folder("dtu_scan65")
     test = load_dataset(str(prepared("dtu-3", "scan65", tmp_path / "made")), "test")
     view: Any = {"images": [test["images"][0]], "masks": [test["masks"][0]]}
@@ -87,11 +87,13 @@ def test_scores_are_the_protocols(tmp_path: Path) -> None:
     assert mean["psnr"] == pytest.approx(scores["psnr"] + 1)
 
 
-def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_files_and_folders_are_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(nerfbaselines.DatasetNotFoundError, match="does not contain views"):
         load_dataset(str(tmp_path), "train")
     monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
-    with pytest.raises(nerfbaselines.DatasetNotFoundError, match="no folder 'fern'"):
+    with pytest.raises(nerfbaselines.DatasetNotFoundError, match="no folder that is named 'fern'"):
         prepared("llff-3", "fern", tmp_path / "made")
     (tmp_path / "llff_fern").mkdir()
     with pytest.raises(
@@ -103,8 +105,8 @@ def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         prepared("llff-3", "fern", tmp_path / "made")
 
 
-def test_settings_come_as_texts_from_its_command_line() -> None:
-    """`--set training.iterations=7` hands on the text "7"."""
+def test_settings_from_the_command_line_are_strings() -> None:
+    """`--set training.iterations=7` passes the string "7"."""
     from stereogs.nerfbaselines_method import StereoGS
 
     room = {"name": "room", "scene": {"use": "procedural", "width": 64, "height": 48}}

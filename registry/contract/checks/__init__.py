@@ -1,1 +1,1 @@
-"""What components return and what loaders load, held to the contract."""
+"""Checks of the results of components and scene loaders."""

@@ -1,6 +1,6 @@
-"""Checks of what components answer, before any of it reaches the Gaussians.
+"""Checks of what components return, before it reaches the Gaussians.
 
-Each raises a `PluginError`; `blame` adds whose answer it was.
+Each raises a `PluginError`; `blame` adds the component that returned it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ from ..step import Sample
 
 
 def check_loss(loss: Any) -> Tensor:
-    """A regularizer's term: one finite number, which moves something unless it is 0."""
-    tensor = _tensor("the loss", loss)
+    """Check a regularizer's term: one finite number, with a gradient unless it is 0."""
+    tensor: Tensor = _instance("the loss", loss, Tensor, "a torch tensor")
     if tensor.numel() != 1 or not tensor.is_floating_point():
         raise PluginError(
             f"the loss is {tensor.dtype} {tuple(tensor.shape)}, expected one floating-point number"
         )
-    tensor = tensor.reshape(())
-    _finite("the loss", tensor)
+    tensor = _floats("the loss", tensor.reshape(()), ())
     if not tensor.requires_grad and float(tensor) != 0:
         raise PluginError(
             f"the loss is {float(tensor):g} and has no gradient: it would change nothing",
@@ -40,44 +39,40 @@ def check_loss(loss: Any) -> Tensor:
 
 
 def check_opacity_scale(scale: Any, count: int) -> Tensor:
-    """A modifier's factors: `[N]`, finite, at least 0."""
-    return _not_negative("the opacity scale", _per_gaussian("the opacity scale", scale, count))
+    """Check a modifier's factors: `[N]`, finite, at least 0."""
+    tensor = _floats("the opacity scale", scale, (count,))
+    _refuse_any(tensor < 0, "the opacity scale has a negative value")
+    return tensor
 
 
 def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
-    """A policy's new opacities: `[N]`, in [0, 1]; or None."""
+    """Check a policy's new opacities: `[N]`, in [0, 1]; or None."""
     if update is None:
         return None
-    if not isinstance(update, OpacityUpdate):
-        raise PluginError(f"the answer is a {type(update).__name__}, expected an OpacityUpdate")
-    tensor = _per_gaussian("the opacity", update.opacities, count)
-    if tensor.numel() and (tensor.min() < 0 or tensor.max() > 1):
-        outside = (tensor < 0) | (tensor > 1)
-        raise PluginError("an opacity is outside [0, 1]", where=_first(outside))
-    return update
+    checked: OpacityUpdate = _instance("the answer", update, OpacityUpdate, "an OpacityUpdate")
+    tensor = _floats("the opacity", checked.opacities, (count,))
+    _refuse_any((tensor < 0) | (tensor > 1), "an opacity is outside [0, 1]")
+    return checked
 
 
 def check_edit(edit: Any, count: int) -> Edit | None:
-    """A policy's edit, which must fit the Gaussians that there are (`Edit.check`); or None."""
+    """Check a policy's edit, which must fit the Gaussians (`Edit.check`); or None."""
     if edit is None:
         return None
-    if not isinstance(edit, Edit):
-        raise PluginError(f"the answer is a {type(edit).__name__}, expected an Edit")
+    checked: Edit = _instance("the answer", edit, Edit, "an Edit")
     try:
-        edit.check(count)
+        checked.check(count)
     except GaussianError as error:
         raise PluginError(error.what, where=f"Edit.{error.where}", fix=error.fix) from error
-    return edit
+    return checked
 
 
 def check_sample(sample: Any, count: int) -> Sample:
-    """A sampler's answer: a target of the camera's size in [0, 1], and numbers that can be."""
-    if not isinstance(sample, Sample):
-        raise PluginError(f"the answer is a {type(sample).__name__}, expected a Sample")
-    if not isinstance(sample.view, TrainingView):
-        raise PluginError(f"the view is a {type(sample.view).__name__}, expected a TrainingView")
-    target = _tensor("the target", sample.target)
-    expected = (sample.camera.height, sample.camera.width, 3)
+    """Check a sampler's answer: a target of the camera's size in [0, 1], and numbers in range."""
+    checked: Sample = _instance("the answer", sample, Sample, "a Sample")
+    _instance("the view", checked.view, TrainingView, "a TrainingView")
+    target: Tensor = _instance("the target", checked.target, Tensor, "a torch tensor")
+    expected = (checked.camera.height, checked.camera.width, 3)
     if tuple(target.shape) != expected or target.dtype != torch.float32:
         raise PluginError(
             f"the target is {target.dtype} {tuple(target.shape)}, expected torch.float32 {expected}",
@@ -86,28 +81,21 @@ def check_sample(sample: Any, count: int) -> Sample:
     low, high = target.aminmax()  # one pass; a NaN becomes both and compares as false
     if not 0 <= low <= high <= 1:
         raise PluginError("the target has values outside [0, 1] or not finite")
-    if not (math.isfinite(sample.sh_degree) and sample.sh_degree >= 0):
-        raise PluginError(f"the SH degree is {sample.sh_degree}, expected 0 or more")
-    if sample.smoothing is not None:
-        _not_negative("the smoothing", _per_gaussian("the smoothing", sample.smoothing, count))
-    return sample
+    if not (math.isfinite(checked.sh_degree) and checked.sh_degree >= 0):
+        raise PluginError(f"the SH degree is {checked.sh_degree}, expected 0 or more")
+    if checked.smoothing is not None:
+        smoothing = _floats("the smoothing", checked.smoothing, (count,))
+        _refuse_any(smoothing < 0, "the smoothing has a negative value")
+    return checked
 
 
 def check_colors(colors: Any, shape: Sequence[int]) -> Tensor:
-    """An appearance's colours: finite, of the render's shape."""
-    tensor = _tensor("the image", colors)
-    if tuple(tensor.shape) != tuple(shape) or not tensor.is_floating_point():
-        raise PluginError(
-            f"the image is {tensor.dtype} {tuple(tensor.shape)}, expected floating point {tuple(shape)}"
-        )
-    undefined = undefined_places(tensor.detach())
-    if len(undefined):
-        raise PluginError("the image is not finite", where=f"pixel {undefined[0].tolist()}")
-    return tensor
+    """Check an appearance's colours: finite, of the render's shape."""
+    return _floats("the image", colors, shape, pixels=True)
 
 
 def check_moves(moves: Any, groups: Collection[str]) -> Collection[str] | None:
-    """The parameter groups that a term moves alone: known names, or None."""
+    """Check the parameter groups that a term alone moves: known names, or None."""
     if moves is None:
         return None
     unknown = [name for name in moves if name not in groups]
@@ -120,45 +108,37 @@ def check_moves(moves: Any, groups: Collection[str]) -> Collection[str] | None:
 
 
 def check_offsets(offsets: Any, read: Callable[[str], Tensor]) -> Mapping[str, Tensor]:
-    """A perturbation's answer: finite tensors in the shapes of the parameters that they name.
+    """Check a perturbation's answer: finite tensors in the shapes of the named parameters.
 
     Args:
-        read: gives a parameter by its name.
+        read: returns a parameter by its name.
     """
-    if not isinstance(offsets, Mapping):
-        raise PluginError(f"the answer is a {type(offsets).__name__}, expected a mapping by name")
-    for name, offset in offsets.items():
-        tensor, expected = _tensor(f"the offset of {name!r}", offset), tuple(read(name).shape)
-        if tuple(tensor.shape) != expected or not tensor.is_floating_point():
-            raise PluginError(
-                f"the offset of {name!r} is {tensor.dtype} {tuple(tensor.shape)}, "
-                f"expected floating point {expected}"
-            )
-        _finite(f"the offset of {name!r}", tensor)
-    return offsets
+    checked: Mapping[str, Tensor] = _instance("the answer", offsets, Mapping, "a mapping by name")
+    for name, offset in checked.items():
+        _floats(f"the offset of {name!r}", offset, read(name).shape)
+    return checked
 
 
 def check_state(state: Any) -> Mapping[str, Tensor]:
-    """A component's running state: tensors by name, which a file can hold."""
-    if not isinstance(state, Mapping):
-        raise PluginError(f"the state is a {type(state).__name__}, expected tensors by name")
-    for name, value in state.items():
+    """Check a component's running state: tensors by name that a file can hold."""
+    checked: Mapping[str, Tensor] = _instance("the state", state, Mapping, "tensors by name")
+    for name, value in checked.items():
         if not isinstance(value, Tensor) or value.layout != torch.strided:
             raise PluginError(
                 f"the state {name!r} is a {type(value).__name__}, which no checkpoint can hold",
                 fix="keep it as a dense torch tensor",
             )
-    return state
+    return checked
 
 
 def check_carried(
     before: Mapping[str, Tensor], after: Mapping[str, Tensor], count: int, new_count: int
 ) -> None:
-    """What a component keeps for each Gaussian must have followed a change of topology.
+    """Check that a component's state per Gaussian followed a change of topology.
 
     Args:
-        before, after: its state, before and after `carry`.
-        count, new_count: how many Gaussians there were and are.
+        before, after: the state before and after `carry`.
+        count, new_count: numbers of Gaussians before and after.
     """
     for name, value in after.items():
         earlier = before.get(name)
@@ -172,7 +152,7 @@ def check_carried(
 
 
 def check_score(score: Any) -> float | Unavailable:
-    """A metric's score: a number, perhaps infinite; or why there is none."""
+    """Check a metric's score: a number, which may be infinite, or `Unavailable`."""
     if isinstance(score, Unavailable):
         return score
     try:
@@ -186,34 +166,29 @@ def check_score(score: Any) -> float | Unavailable:
     return number
 
 
-def _per_gaussian(what: str, value: Any, count: int) -> Tensor:
-    tensor = _tensor(what, value)
-    if tuple(tensor.shape) != (count,) or not tensor.is_floating_point():
-        raise PluginError(
-            f"{what} is {tensor.dtype} {tuple(tensor.shape)}, expected floating point ({count},)"
-        )
-    _finite(what, tensor)
-    return tensor
-
-
-def _not_negative(what: str, tensor: Tensor) -> Tensor:
-    if tensor.numel() and tensor.min() < 0:
-        raise PluginError(f"{what} has a negative value", where=_first(tensor < 0))
-    return tensor
-
-
-def _tensor(what: str, value: Any) -> Tensor:
-    if not isinstance(value, Tensor):
-        raise PluginError(f"{what} is a {type(value).__name__}, expected a torch tensor")
+def _instance(what: str, value: Any, kind: type[Any], expected: str) -> Any:
+    if not isinstance(value, kind):
+        raise PluginError(f"{what} is a {type(value).__name__}, expected {expected}")
     return value
 
 
-def _finite(what: str, tensor: Tensor) -> None:
+def _floats(what: str, value: Any, shape: Sequence[int], *, pixels: bool = False) -> Tensor:
+    """Return a floating-point tensor of the given shape with finite values, or refuse the value."""
+    tensor: Tensor = _instance(what, value, Tensor, "a torch tensor")
+    expected = tuple(shape)
+    if tuple(tensor.shape) != expected or not tensor.is_floating_point():
+        raise PluginError(
+            f"{what} is {tensor.dtype} {tuple(tensor.shape)}, expected floating point {expected}"
+        )
     undefined = undefined_places(tensor)
     if len(undefined):
-        where = f"Gaussian {int(undefined[0, 0])}" if tensor.ndim else ""
-        raise PluginError(f"{what} is not finite", where=where)
+        first = undefined[0].tolist()
+        gaussian = f"Gaussian {first[0]}" if first else ""
+        raise PluginError(f"{what} is not finite", where=f"pixel {first}" if pixels else gaussian)
+    return tensor
 
 
-def _first(bad: Tensor) -> str:
-    return f"Gaussian {int(bad.nonzero()[0])}"
+def _refuse_any(bad: Tensor, what: str) -> None:
+    """Raise a `PluginError` at the first Gaussian of a mask `[N]`."""
+    if bad.any():
+        raise PluginError(what, where=f"Gaussian {int(bad.nonzero()[0])}")

@@ -1,183 +1,212 @@
-"""The one check that every scene loader ends in."""
+"""Checks that every scene passes after loading.
+
+Each check is a generator of faults: what is wrong, and how to fix it. The first fault is raised, and
+later checks may rely on earlier ones.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...errors import SceneError
-from ..fact import Fact
-from ..scene import PointCloud, Scene, View
+from ..scene import Fact, PointCloud, Scene, View
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera
 
+Faults = Iterator[tuple[str, str]]
+
 _FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _ROTATION_TOLERANCE = 1e-4
 _FARTHEST = 1e9
 """World units; beyond, squares and products of positions leave single precision."""
-_FEWEST_BESIDE_COPIES = 3
+_MIN_VIEWS_WITHOUT_COPIES = 3
 """Training views that a scene must have beside those that are left out."""
-_log = logging.getLogger("stereogs.scene")
 _FOCAL_RANGE = (1e-2, 1e4)
 """In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
+_log = logging.getLogger("stereogs.scene")
 
 
 def validate(scene: Scene) -> Scene:
-    """Refuse a scene that training could not use; return it otherwise.
+    """Return the scene if training can use it.
 
-    Of training views with one pose the first stays, if at least three views do; a warning and a fact
+    Of training views with the same pose the first stays, if at least three views do; a warning and a fact
     name the others.
 
     Raises:
-        SceneError: no training view; a repeated or unsafe name; two of few views from one pose; a
-            rotation that is none (to 1e-4), a focal length or position beyond belief; an image whose
-            size is not the camera's, whose values are not finite or not in [0, 1]; a mask that is not
-            bool, does not fit or leaves no pixel; an alpha that does not fit or is not in [0, 1]; a
-            depth that does not fit or is not finite; points
-            that are not finite or have colours outside [0, 1]; bounds out of order; two facts of one
-            name, or a fact that JSON cannot say.
+        SceneError: no training view; a repeated or unsafe name; views with the same pose; a rotation
+            that is not orthonormal (to 1e-4); a focal length or position out of range; an image, mask,
+            alpha or depth of another size than the camera's, or with values out of range; a mask without
+            pixels; points that are not finite or have colours outside [0, 1]; bounds out of order; a fact
+            with a repeated or unsafe name or a value that is not finite.
     """
     if not scene.train:
-        raise SceneError(
-            "the scene has no training view", where=scene.name, fix="check the folder and the split"
-        )
+        fix = "check the folder and the split"
+        raise SceneError("the scene has no training view", where=scene.name, fix=fix)
     seen: set[str] = set()
     for view in (*scene.train, *scene.test):
-        _validate_view(view, scene.name)
+        _raise_first(_view_faults(view), f"{scene.name}, view {view.name!r}")
         if view.name in seen:
-            raise SceneError(
-                f"two views are named {view.name!r}", where=scene.name, fix="rename one of them"
-            )
+            fault = f"two views are named {view.name!r}"
+            raise SceneError(fault, where=scene.name, fix="rename one of them")
         seen.add(view.name)
     scene = _without_equal_poses(scene)
-    near, far = scene.bounds
-    if not 0 < near < far < float("inf"):
-        raise SceneError(
-            f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
-            where=scene.name,
-            fix="correct them in the file or the code that they come from",
-        )
-    if scene.points is not None:
-        check_points(scene.points, scene.name)
-        colors = scene.points.colors
-        if len(colors) and not 0 <= colors.min() <= colors.max() <= 1:
-            raise SceneError(
-                "the points have colours outside [0, 1]",
-                where=scene.name,
-                fix="divide 8-bit values by 255",
-            )
-    _validate_facts(scene)
+    _raise_first(_scene_faults(scene), scene.name)
     return scene
 
 
-def _validate_view(view: View, scene_name: str) -> None:
-    where = f"{scene_name}, view {view.name!r}"
-    if not is_file_name(view.name):
-        raise SceneError(
-            "a view's name must be a plain file name",
-            where=where,
-            fix="at most 200 printable characters, no slashes, not dots alone",
-        )
-    _validate_camera(view.camera, where)
-    camera, image = view.camera, view.image
-    if image.shape != (camera.height, camera.width, 3):
-        raise SceneError(
-            f"the image has shape {tuple(image.shape)} but its camera is "
-            f"{camera.width}x{camera.height}",
-            where=where,
-            fix="use images of one size, the size that the poses were made for",
-        )
-    low, high = image.aminmax()  # one pass; a NaN becomes both and compares as false
-    if not 0 <= low <= high <= 1:
-        raise SceneError(
-            "the image has values outside [0, 1] or not finite",
-            where=where,
-            fix="divide 8-bit values by 255, and leave damaged pixels to the mask",
-        )
-    _validate_maps(view, where)
+def check_points(points: PointCloud, where: str = "") -> None:
+    """Check the shape and values of positions, colours, scales and opacities.
+
+    Raises:
+        SceneError: a shape is wrong, a value is not finite, a scale is not positive, or an opacity is
+            not in (0, 1).
+    """
+    _raise_first(_point_faults(points), where)
 
 
 def is_file_name(name: str) -> bool:
-    """Whether a name can be a file's, with an ending added, on any usual system."""
+    """Whether a name, with an extension added, is a file name on all usual systems."""
     separators = "/" in name or "\\" in name
     return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200
 
 
-def _validate_camera(camera: Camera, where: str) -> None:
-    """What `Camera` lets pass and no photograph has."""
+def _raise_first(faults: Faults, where: str) -> None:
+    for what, fix in faults:
+        raise SceneError(what, where=where, fix=fix)
+
+
+def _view_faults(view: View) -> Faults:
+    camera, image = view.camera, view.image
+    if not is_file_name(view.name):
+        yield (
+            "a view's name must be a plain file name",
+            "at most 200 printable characters, no slashes, not dots alone",
+        )
+    yield from _camera_faults(camera)
+    if image.shape != (camera.height, camera.width, 3):
+        yield (
+            f"the image has shape {tuple(image.shape)} but its camera is {_size(camera)}",
+            "use images of one size, the size that the poses were made for",
+        )
+    if not _in_unit_range(image):
+        yield (
+            "the image has values outside [0, 1] or not finite",
+            "divide 8-bit values by 255, and leave damaged pixels to the mask",
+        )
+    yield from _map_faults(view)
+
+
+def _camera_faults(camera: Camera) -> Faults:
+    """Faults that `Camera` itself does not refuse."""
     import torch
 
     rotation = camera.world_to_camera[:3, :3]
     residual = float((rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max())
     if residual > _ROTATION_TOLERANCE:
-        raise SceneError(
+        yield (
             f"the rotation is not orthonormal (off by {residual:.2g})",
-            where=where,
-            fix="write poses with more digits, and without scale",
+            "write poses with more digits, and without scale",
         )
     if camera.world_to_camera[:3, 3].abs().max() > _FARTHEST:
-        raise SceneError(
-            "the camera stands too far away for single precision",
-            where=where,
-            fix="scale or move the scene so that positions stay below 1e9",
+        yield (
+            "the camera is too far away for single precision",
+            "scale or move the scene so that positions stay below 1e9",
         )
-    size = max(camera.width, camera.height)
-    for name in ("fx", "fy"):
-        focal = getattr(camera, name)
-        if not size * _FOCAL_RANGE[0] < focal < size * _FOCAL_RANGE[1]:
-            raise SceneError(
-                f"the focal length {name} is {focal:g} px for an image of "
-                f"{camera.width}x{camera.height}",
-                where=where,
-                fix="check whether the focal length belongs to another image size or unit",
+    longer = max(camera.width, camera.height)
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        if not longer * _FOCAL_RANGE[0] < focal < longer * _FOCAL_RANGE[1]:
+            yield (
+                f"the focal length {name} is {focal:g} px for an image of {_size(camera)}",
+                "check whether the focal length belongs to another image size or unit",
             )
 
 
-def _validate_maps(view: View, where: str) -> None:
-    """The mask, the alpha and the depth."""
+def _map_faults(view: View) -> Faults:
+    """Faults of the mask, the alpha and the depth."""
     import torch
 
-    for name, array in (("mask", view.mask), ("alpha", view.alpha), ("depth", view.depth)):
-        if array is not None and array.shape != view.image.shape[:2]:
-            raise SceneError(
-                f"the {name} has shape {tuple(array.shape)}, not {tuple(view.image.shape[:2])}",
-                where=where,
-                fix="resize it as its photograph",
+    mask, alpha, depth = view.mask, view.alpha, view.depth
+    size = tuple(view.image.shape[:2])
+    for name, array in (("mask", mask), ("alpha", alpha), ("depth", depth)):
+        if array is not None and array.shape != size:
+            yield (
+                f"the {name} has shape {tuple(array.shape)}, not {size}",
+                "resize it to the size of its photograph",
             )
-    if view.mask is not None and view.mask.dtype != torch.bool:
-        raise SceneError(
-            f"the mask is {view.mask.dtype}, not bool",
-            where=where,
-            fix="compare it with a threshold",
+    if mask is not None and mask.dtype != torch.bool:
+        yield f"the mask is {mask.dtype}, not bool", "compare it with a threshold"
+    if mask is not None and not mask.any():
+        yield "the mask leaves no pixel to measure", "remove the mask or the view"
+    if alpha is not None and not _in_unit_range(alpha):
+        yield "the alpha has values outside [0, 1] or not finite", "divide 8-bit values by 255"
+    if depth is not None and not (torch.isfinite(depth).all() and depth.min() >= 0):
+        yield "the depth has values that are negative or not finite", "write 0 for unknown depth"
+
+
+def _scene_faults(scene: Scene) -> Faults:
+    near, far = scene.bounds
+    if not 0 < near < far < float("inf"):
+        yield (
+            f"the depth bounds are ({near:g}, {far:g}); they must satisfy 0 < near < far",
+            "correct them in the file or the code that they come from",
         )
-    if view.mask is not None and not view.mask.any():
-        raise SceneError(
-            "the mask leaves no pixel to measure", where=where, fix="take the mask or the view out"
-        )
-    if view.alpha is not None:
-        low, high = view.alpha.aminmax()
-        if not 0 <= low <= high <= 1:
-            raise SceneError(
-                "the alpha has values outside [0, 1] or not finite",
-                where=where,
-                fix="divide 8-bit values by 255",
+    if scene.points is not None:
+        yield from _point_faults(scene.points)
+        if len(scene.points) and not _in_unit_range(scene.points.colors):
+            yield "the points have colours outside [0, 1]", "divide 8-bit values by 255"
+    names = [fact.name for fact in scene.facts]
+    for fact in scene.facts:
+        if not _FACT_NAME.fullmatch(fact.name) or names.count(fact.name) > 1:
+            yield (
+                f"the fact {fact.name!r} does not have a plain, unique name",
+                "letters, digits, '-' and '_'; each name once",
             )
-    if view.depth is not None and not (torch.isfinite(view.depth).all() and view.depth.min() >= 0):
-        raise SceneError(
-            "the depth has values that are negative or not finite",
-            where=where,
-            fix="write 0 where it is not known",
-        )
+        numbers = fact.value if isinstance(fact.value, tuple) else (fact.value,)
+        if not all(isinstance(n, str) or math.isfinite(n) for n in numbers):
+            yield f"the fact {fact.name!r} is not finite", "leave it out, or write it in words"
+
+
+def _point_faults(points: PointCloud) -> Faults:
+    import torch
+
+    count = len(points)
+    shapes = {
+        "positions": (count, 3),
+        "colors": (count, 3),
+        "scales": (count,),
+        "opacities": (count,),
+    }
+    for name, shape in shapes.items():
+        values: Tensor | None = getattr(points, name)
+        if values is None:
+            continue
+        if tuple(values.shape) != shape:
+            yield (
+                f"points.{name} has the shape {tuple(values.shape)}, expected {shape}",
+                "give each point three coordinates and three colour values",
+            )
+        good = finite = torch.isfinite(values)
+        if name == "scales":
+            good = finite & (values > 0)
+        elif name == "opacities":
+            good = finite & (values > 0) & (values < 1)
+        if not good.all():
+            index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
+            is_finite = bool(finite[index].all())
+            fault = f"{values[index].tolist()}, which is not valid" if is_finite else "not finite"
+            yield f"points.{name}[{index}] is {fault}", "leave such points out"
 
 
 def _without_equal_poses(scene: Scene) -> Scene:
-    """Leave out training views whose pose an earlier one has: they have no parallax.
+    """Leave out training views with the pose of an earlier one: they have no parallax.
 
     Raises:
         SceneError: fewer than three others would be left; one of the poses is most likely a copy.
@@ -192,7 +221,7 @@ def _without_equal_poses(scene: Scene) -> Scene:
             copies.append((twin, view))
     if not copies:
         return scene
-    if len(kept) < _FEWEST_BESIDE_COPIES:
+    if len(kept) < _MIN_VIEWS_WITHOUT_COPIES:
         first, second = copies[0]
         raise SceneError(
             f"the training views {first.name!r} and {second.name!r} have the same pose: "
@@ -216,64 +245,10 @@ def _same_pose(view: View, other: View) -> bool:
     return torch.allclose(first, second, rtol=1e-9, atol=1e-9)
 
 
-def _validate_facts(scene: Scene) -> None:
-    names = [fact.name for fact in scene.facts]
-    for fact in scene.facts:
-        if not _FACT_NAME.fullmatch(fact.name) or names.count(fact.name) > 1:
-            raise SceneError(
-                f"the fact {fact.name!r} has no plain name of its own",
-                where=scene.name,
-                fix="letters, digits, '-' and '_'; each name once",
-            )
-        numbers = fact.value if isinstance(fact.value, tuple) else (fact.value,)
-        if not all(isinstance(n, str) or math.isfinite(n) for n in numbers):
-            raise SceneError(
-                f"the fact {fact.name!r} is not finite",
-                where=scene.name,
-                fix="leave it out, or say it in words",
-            )
+def _in_unit_range(values: Tensor) -> bool:
+    low, high = values.aminmax()  # one pass; a NaN becomes both and compares as false
+    return bool(0 <= low <= high <= 1)
 
 
-def check_points(points: PointCloud, where: str = "") -> None:
-    """Check the shape and values of positions, colours, scales and opacities.
-
-    Raises:
-        SceneError: a shape is wrong, a value is not finite, a scale is not positive, or an opacity is
-            not in (0, 1).
-    """
-    import torch
-
-    count = len(points)
-    shapes = {
-        "positions": (count, 3),
-        "colors": (count, 3),
-        "scales": (count,),
-        "opacities": (count,),
-    }
-    for name, shape in shapes.items():
-        values: Tensor | None = getattr(points, name)
-        if values is None:
-            continue
-        if tuple(values.shape) != shape:
-            raise SceneError(
-                f"points.{name} has the shape {tuple(values.shape)}, expected {shape}",
-                where=where,
-                fix="give each point three coordinates and three colour values",
-            )
-        good = finite = torch.isfinite(values)
-        if name == "scales":
-            good = finite & (values > 0)
-        elif name == "opacities":
-            good = finite & (values > 0) & (values < 1)
-        if not good.all():
-            index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
-            raise SceneError(
-                f"points.{name}[{index}] is "
-                + (
-                    f"{values[index].tolist()}, which is not valid"
-                    if finite[index].all()
-                    else "not finite"
-                ),
-                where=where,
-                fix="leave such points out",
-            )
+def _size(camera: Camera) -> str:
+    return f"{camera.width}x{camera.height}"

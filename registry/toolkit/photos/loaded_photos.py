@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from ...contract.checks.scene import validate
-from ...contract.fact import Fact
-from ...contract.scene import PointCloud, Scene, View
+from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ...system.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size

@@ -6,10 +6,11 @@ import pytest
 
 from registry import PluginError
 from registry.calls import memory
-from registry.calls.memory import MemoryLedger, available_bytes, resident_bytes
+from registry.calls.memory import MemoryLedger
+from registry.system.memory import available_bytes, resident_bytes
 
 
-def test_the_process_knows_what_it_holds() -> None:
+def test_resident_bytes_grow_with_allocated_pages() -> None:
     # New pages from the system; what libraries allocate may be memory that earlier tests gave back.
     size, before = 100_000_000, resident_bytes()
     with mmap.mmap(-1, size) as pages:
@@ -19,7 +20,7 @@ def test_the_process_knows_what_it_holds() -> None:
 
 
 class Holder:
-    """A process whose memory is a number."""
+    """Stands for a process: returns the memory that it holds."""
 
     held = 1000
 
@@ -32,7 +33,7 @@ def call(ledger: MemoryLedger, who: str, process: Holder, more: int) -> None:
         process.held += more
 
 
-def test_whoever_took_most_is_refused_at_the_limit() -> None:
+def test_the_component_that_allocated_most_is_refused_at_the_limit() -> None:
     process = Holder()
     ledger = MemoryLedger(limit=2000, resident=process)
     for _ in range(9):
@@ -45,7 +46,7 @@ def test_whoever_took_most_is_refused_at_the_limit() -> None:
     assert "autograd" in caught.value.fix
 
 
-def test_growth_that_is_nobodys_is_not_blamed_on_plugins() -> None:
+def test_growth_outside_calls_is_not_blamed_on_plugins() -> None:
     process = Holder()
     ledger = MemoryLedger(limit=2000, resident=process)
     call(ledger, "modest", process, 100)
@@ -53,7 +54,7 @@ def test_growth_that_is_nobodys_is_not_blamed_on_plugins() -> None:
     call(ledger, "modest", process, 100)
 
 
-def test_the_limit_is_a_share_of_what_is_available(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_is_a_share_of_the_available_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available_bytes", lambda: 1000.0)
     process = Holder()
     ledger = MemoryLedger(resident=process)

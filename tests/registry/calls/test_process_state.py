@@ -37,7 +37,7 @@ from registry.calls.process_state import (
     ],
 )
 @pytest.mark.parametrize("fails", [False, True])
-def test_what_all_share_is_put_back(
+def test_changed_state_is_restored(
     name: str,
     change: Callable[[], object],
     read: Callable[[], object],
@@ -61,7 +61,7 @@ def test_what_all_share_is_put_back(
     assert fails or f"it changed {name}" in str(caught.value)
 
 
-def test_a_thread_that_is_left_behind_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_thread_that_keeps_running_causes_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     stop = threading.Event()
     thread = threading.Thread(target=stop.wait, name="leftover", daemon=True)
     with left_as_found("somebody"):
@@ -69,7 +69,7 @@ def test_a_thread_that_is_left_behind_is_told_of(caplog: pytest.LogCaptureFixtur
     stop.set()
     thread.join()
     assert caplog.messages == [
-        "somebody left a thread behind: 'leftover'; join it before you return"
+        "somebody left a thread running: 'leftover'; join it before you return"
     ]
     caplog.clear()
     with caplog.at_level(logging.WARNING), left_as_found("somebody"):
@@ -104,7 +104,7 @@ def test_global_random_numbers_are_refused(
     assert "self.generator" in caught.value.fix
 
 
-def test_generators_of_ones_own_are_fine() -> None:
+def test_own_generators_are_accepted() -> None:
     with no_global_random_numbers():
         torch.rand(3, generator=torch.Generator().manual_seed(1))
         np.random.default_rng(1).random()
@@ -115,7 +115,9 @@ def test_generators_of_ones_own_are_fine() -> None:
 
 
 @pytest.mark.parametrize("draw", DRAWS.values(), ids=DRAWS)
-def test_outside_the_loop_they_are_the_blocks_own(draw: Callable[[], object]) -> None:
+def test_outside_the_loop_global_generators_are_seeded_and_restored(
+    draw: Callable[[], object],
+) -> None:
     draw()
     answers = []
     for seed in (2**62 + 5, 2**62 + 5, 6):

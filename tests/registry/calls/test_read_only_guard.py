@@ -27,7 +27,7 @@ def positions(scene: Scene) -> torch.Tensor:
     return scene.points.positions
 
 
-SEEN_BY_TORCH: list[tuple[str, Write]] = [
+THROUGH_TORCH: list[tuple[str, Write]] = [
     ("the photograph of view0", lambda s: s.train[0].image.mul_(0.5)),
     ("the photograph of view0", lambda s: s.train[0].image[:4].zero_()),
     ("the photograph of view1", lambda s: s.test[0].image.detach().fill_(1)),
@@ -36,14 +36,14 @@ SEEN_BY_TORCH: list[tuple[str, Write]] = [
     ("the depth of view0", lambda s: torch.add(torch.ones(24, 32), 1, out=s.train[0].depth)),
     ("the positions of the scene's points", lambda s: positions(s).clamp_(max=0)),
 ]
-PAST_TORCH: list[tuple[str, Write]] = [
+BYPASSING_TORCH: list[tuple[str, Write]] = [
     ("the photograph of view0", lambda s: s.train[0].image.numpy().fill(0.5)),
     ("the photograph of view0", lambda s: s.train[0].image.data.mul_(0.5)),
     ("the camera of view0", lambda s: s.train[0].camera.world_to_camera.numpy().fill(float("nan"))),
 ]
 
 
-@pytest.mark.parametrize(("name", "write"), SEEN_BY_TORCH)
+@pytest.mark.parametrize(("name", "write"), THROUGH_TORCH)
 def test_writes_through_torch_are_refused(name: str, write: Write) -> None:
     scene = tiny_scene()
     with pytest.raises(PluginError, match=f"wrote into {name}") as caught, of_scene(scene).kept():
@@ -51,15 +51,17 @@ def test_writes_through_torch_are_refused(name: str, write: Write) -> None:
     assert "clone" in caught.value.fix
 
 
-@pytest.mark.parametrize(("name", "write"), PAST_TORCH)
-def test_writes_past_torch_are_refused_where_plugins_are_checked(name: str, write: Write) -> None:
+@pytest.mark.parametrize(("name", "write"), BYPASSING_TORCH)
+def test_writes_that_bypass_torch_are_refused_if_plugins_are_checked(
+    name: str, write: Write
+) -> None:
     scene = tiny_scene()
-    lent = of_scene(scene)
-    with checked_plugins(), pytest.raises(PluginError, match=f"wrote into {name}"), lent.kept():
+    guard = of_scene(scene)
+    with checked_plugins(), pytest.raises(PluginError, match=f"wrote into {name}"), guard.kept():
         write(scene)
 
 
-def test_looking_is_free() -> None:
+def test_reading_is_accepted() -> None:
     scene = tiny_scene()
     scene.train[0].image[0, 0, 0] = float("nan")
     with checked_plugins(), of_scene(scene).kept():
@@ -67,13 +69,13 @@ def test_looking_is_free() -> None:
         torch.from_numpy(scene.train[0].image.numpy()).sum()
 
 
-def test_the_training_scene_holds_nothing_of_test_views() -> None:
+def test_the_guard_of_a_training_scene_omits_test_views() -> None:
     scene = tiny_scene()
     with of_scene(scene.for_training()).kept():
         scene.test[0].image.zero_()
 
 
-def test_maps_are_lent_too() -> None:
+def test_maps_are_guarded() -> None:
     known = DepthMap(torch.ones(2, 2), torch.ones(2, 2, dtype=torch.bool), torch.ones(2, 2))
     with (
         pytest.raises(PluginError, match="the initializer's depth of view0"),
@@ -82,13 +84,13 @@ def test_maps_are_lent_too() -> None:
         known.depth.add_(1)
 
 
-def test_tensors_without_a_count_of_writes_can_be_lent() -> None:
+def test_inference_tensors_can_be_guarded() -> None:
     with torch.inference_mode():
         tensor = torch.ones(3)
-    lent = ReadOnlyGuard({"it": tensor})
-    with lent.kept():
+    guard = ReadOnlyGuard({"it": tensor})
+    with guard.kept():
         pass
-    with checked_plugins(), pytest.raises(PluginError), lent.kept(), torch.inference_mode():
+    with checked_plugins(), pytest.raises(PluginError), guard.kept(), torch.inference_mode():
         tensor.zero_()
 
 
@@ -96,24 +98,24 @@ def test_gaussians_are_compared(device: Device) -> None:
     points = tiny_scene().points
     assert points is not None
     model = GaussianModel(initial_gaussians(points, TrainingSettings(sh_degree=0)), device)
-    lent = ReadOnlyGuard(models=(model,))
-    with lent.kept():
+    guard = ReadOnlyGuard(models=(model,))
+    with guard.kept():
         model.read("means").clone()
-    with pytest.raises(PluginError, match="wrote into the Gaussians"), lent.kept():
+    with pytest.raises(PluginError, match="wrote into the Gaussians"), guard.kept():
         model.write("opacity_logits", torch.zeros(model.count))
 
 
-def test_images_are_lent_from_when_they_are_fetched(device: Device) -> None:
+def test_images_are_guarded_once_they_are_fetched(device: Device) -> None:
     scene = tiny_scene()
     assert scene.points is not None
     model = GaussianModel(initial_gaussians(scene.points, TrainingSettings()), device)
     rendering = model.render(scene.train[0].camera)
-    lent = of_rendering(rendering)
-    with lent.kept():
+    guard = of_rendering(rendering)
+    with guard.kept():
         assert rendering.rgb.isfinite().all()
     assert list(rendering.fetched) == ["rgb"]
     for name in ("rgb", "depth"):  # fetched before, and within the block
-        with pytest.raises(PluginError, match=f"the rendered {name}"), lent.kept():
+        with pytest.raises(PluginError, match=f"the rendered {name}"), guard.kept():
             getattr(rendering, name).detach().zero_()
-    with checked_plugins(), pytest.raises(PluginError, match="rendered alpha"), lent.kept():
+    with checked_plugins(), pytest.raises(PluginError, match="rendered alpha"), guard.kept():
         rendering.alpha.detach().numpy().fill(0)

@@ -13,11 +13,11 @@ from registry.calls.watchdog import Hang, Watchdog
 
 
 def quick() -> Watchdog:
-    return Watchdog(tell_after=0.4, look_every=0.01)
+    return Watchdog(warn_after=0.4, look_every=0.01)
 
 
 def stubborn() -> None:
-    """What no exception of the usual kind ends."""
+    """Ignore every `Exception`."""
     while True:
         try:
             time.sleep(60)
@@ -25,7 +25,7 @@ def stubborn() -> None:
             pytest.fail("a plugin's `except Exception` must not stop it")
 
 
-def test_a_long_call_is_told_of_by_name(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_long_call_causes_warnings_with_its_name(caplog: pytest.LogCaptureFixture) -> None:
     dog = quick()
     with dog.watching("regularizer 'slow' at p.yaml:4", 20):
         time.sleep(1)
@@ -41,7 +41,7 @@ def test_a_long_call_is_told_of_by_name(caplog: pytest.LogCaptureFixture) -> Non
     assert not caplog.messages
 
 
-def test_who_is_asked_by_somebody_is_told_of_and_then_forgotten(
+def test_short_inner_calls_of_a_long_call_cause_no_warning(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     dog = quick()
@@ -66,20 +66,20 @@ def test_a_hang_is_ended_with_an_error() -> None:
     assert signal.getsignal(signal.SIGVTALRM) == before
 
 
-def test_many_short_calls_of_one_that_hangs_do_not_hide_it() -> None:
+def test_short_inner_calls_do_not_hide_a_hang() -> None:
     dog = quick()
 
-    def ask_for_ever() -> None:
+    def call_forever() -> None:
         while True:
             with dog.watching("prior"):
                 time.sleep(0.01)
 
     with pytest.raises(Hang) as caught, dog.ending(0.5), dog.watching("initializer"):
-        ask_for_ever()
+        call_forever()
     assert caught.value.call.who == "initializer"
 
 
-def test_nothing_is_ended_that_nobody_wants_to_end() -> None:
+def test_calls_within_the_limit_are_not_ended() -> None:
     dog = quick()
     with dog.ending(None), dog.watching("patient"):
         time.sleep(0.1)
@@ -87,7 +87,9 @@ def test_nothing_is_ended_that_nobody_wants_to_end() -> None:
         time.sleep(0.1)
 
 
-def test_other_threads_are_watched_and_not_ended(caplog: pytest.LogCaptureFixture) -> None:
+def test_calls_of_other_threads_cause_warnings_and_are_not_ended(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     dog = quick()
 
     def work() -> None:
@@ -115,7 +117,7 @@ except Hang as hang:
 """
 
 
-def test_libraries_that_the_device_brings_along_do_not_take_the_signal() -> None:
+def test_libraries_of_the_device_do_not_use_the_signal() -> None:
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, timeout=200)
     assert "no answer came within 0.2 s" in done.stdout
     assert done.returncode == 0
@@ -134,7 +136,7 @@ with dog.ending(0.05), dog.watching("loss of p.yaml:4", 3):
 """
 
 
-def test_what_does_not_heed_is_ended_with_the_process() -> None:
+def test_a_call_that_ignores_the_interrupt_ends_the_process() -> None:
     done = subprocess.run(
         [sys.executable, "-c", STUBBORN], capture_output=True, text=True, timeout=60
     )

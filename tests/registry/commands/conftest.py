@@ -1,4 +1,4 @@
-"""What the tests of the verbs share."""
+"""Fixtures of the tests of verbs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ training: {iterations: 5, sh_degree: 0}
 
 @pytest.fixture
 def pipeline(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A pipeline file in an otherwise empty working folder; the toy plugin is installed."""
+    """Return a pipeline file in an otherwise empty working folder; the toy plugin is installed."""
     install("toys", "1.5", TOY_ENTRIES)
     folder = tmp_path / "work"
     folder.mkdir()

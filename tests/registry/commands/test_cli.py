@@ -1,4 +1,4 @@
-"""What the command says to mistakes, to Ctrl-C, and of itself."""
+"""The command: errors, Ctrl-C and help."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def only_the_pipeline(pipeline: Path) -> bool:
         (["render", "."], "not a run folder", ""),
     ],
 )
-def test_mistakes_end_in_one_message_and_no_folder(
+def test_an_error_prints_one_message_and_leaves_no_folder(
     pipeline: Path, capsys: Capture, arguments: list[str], what: str, where: str
 ) -> None:
     assert main(arguments) == 2
@@ -51,7 +51,7 @@ def test_mistakes_end_in_one_message_and_no_folder(
     assert only_the_pipeline(pipeline)
 
 
-def test_a_traceback_can_be_asked_for(
+def test_an_environment_variable_shows_the_traceback(
     pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STEREOGS_TRACE", "1")
@@ -76,7 +76,7 @@ def test_interrupted_before_training(
 
 
 @pytest.mark.parametrize("verb", list(verbs()))
-def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) -> None:
+def test_the_help_of_every_verb_has_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
         parse([verb, "--help"])
     assert caught.value.code == 0
@@ -84,7 +84,7 @@ def test_every_verb_explains_itself_with_examples(verb: str, capsys: Capture) ->
     assert f"stereogs {verb}" in text.split("examples:")[1]
 
 
-def test_an_option_that_is_not_there_is_answered_with_the_nearest(capsys: Capture) -> None:
+def test_an_unknown_option_gets_a_suggestion(capsys: Capture) -> None:
     assert main(["render", "run", "--pth"]) == 2
     error = capsys.readouterr().err
     assert "'--pth' is not understood; did you mean '--path'?" in error
@@ -96,7 +96,7 @@ def test_an_unknown_format_is_refused_before_the_run_is_read(capsys: Capture) ->
     assert "no plugin offers the exporter 'gtlf'" in capsys.readouterr().err
 
 
-def test_a_reader_who_leaves_early_is_no_fault() -> None:
+def test_a_closed_pipe_is_no_error() -> None:
     command = [sys.executable, "-m", "registry", "plugins", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
         assert started.stdout is not None

@@ -26,7 +26,7 @@ def test_doctor(capsys: Capture) -> None:
         (None, None, None),
     ],
 )
-def test_doctor_tells_of_a_driver_that_does_not_know_the_processor(
+def test_doctor_names_the_processor_if_the_driver_does_not_know_it(
     told: str | None,
     better: str | None,
     line: str | None,
@@ -40,7 +40,7 @@ def test_doctor_tells_of_a_driver_that_does_not_know_the_processor(
     assert line in output if line else "kernels" not in output
 
 
-def test_doctor_tells_of_a_device_that_fails_and_goes_on(
+def test_doctor_reports_a_failing_device_and_continues(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails_first(device: Device) -> Verdict:

@@ -38,9 +38,7 @@ def test_the_list_fits_a_terminal(
     assert [line for line in lines if line.startswith("  toy_dropout  ")]
 
 
-def test_a_module_may_say_in_a_sentence_what_its_component_is_for(
-    install: Install, capsys: Capture
-) -> None:
+def test_the_docstring_of_a_module_can_give_the_summary(install: Install, capsys: Capture) -> None:
     code = """
     \"\"\"`slow_fade`: what is seldom seen
     fades.
@@ -73,7 +71,7 @@ def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
     assert "did you mean 'toy_term'" in capsys.readouterr().err
 
 
-def test_a_broken_plugin_is_told_and_fails_the_check(
+def test_a_broken_plugin_is_reported_and_fails_the_check(
     pipeline: Path, install: Install, capsys: Capture
 ) -> None:
     install("wreck", "0.2", {"wreck": "wreck_module"}, wreck_module="import nothing_like_this")

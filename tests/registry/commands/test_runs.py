@@ -1,4 +1,4 @@
-"""The verbs that begin a run, go on with it and look at it."""
+"""The verbs that train, resume, evaluate and render a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a photograph says of itself."""
+"""Properties of views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from registry.testing import tiny_scene
 
 
-def test_solid_is_what_no_background_shines_through() -> None:
+def test_solid_pixels_are_those_without_background() -> None:
     view = tiny_scene().train[0]
     assert view.solid is None
     levels = torch.tensor([[0, 1, 128], [252, 253, 255]])

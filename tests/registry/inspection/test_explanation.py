@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.layout import row_count
-from registry.commands import explain
+from registry.commands.inspecting import FAULT
 from registry.contract.hook_points import PIPELINE_POINTS, STAGES
 from registry.inspection.explanation import explained, faults, memory
 from registry.inspection.prior_needs import needs
@@ -125,5 +125,5 @@ def test_the_command_says_it_and_fails_at_a_fault(
     assert "iterations 100, 200 to 400, 4 times" in said
     assert "exporters.ply" not in said
     assert "max_reprojection_error: 2.0" in said
-    assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == explain.FAULT
+    assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == FAULT
     assert "fault: modifiers.dropout: is never due" in capsys.readouterr().out

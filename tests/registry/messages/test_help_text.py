@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from registry.cli import main
-from registry.messages.help_text import HelpFormatter
+from registry.messages.command_line import HelpFormatter
 from registry.plugins.commands import verbs
 
 TEXT = """\
@@ -31,7 +31,9 @@ def test_the_help_of_every_verb_fits_80_columns(
     assert [line for line in lines if len(line) > 80] == []
 
 
-def test_examples_and_prose_are_wrapped_in_their_own_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_are_wrapped_by_line_and_prose_by_paragraph(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("COLUMNS", "62")
     parser = argparse.ArgumentParser(prog="p", epilog=TEXT, formatter_class=HelpFormatter)
     lines = parser.format_help().partition("examples:")[2].splitlines()

@@ -1,4 +1,4 @@
-"""Names from outside reach the terminal as text."""
+"""Control characters in text do not reach the terminal."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
 TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"
 
 
-def test_control_characters_are_written_out_and_nothing_else() -> None:
+def test_only_control_characters_are_escaped() -> None:
     assert visible(EVIL) == f"{TAMED}\\r\nd"
     harmless = "fern – 21.91 ± 0.03 \t日本\u00a0\n"  # noqa: RUF001
     assert visible(harmless) == harmless
 
 
-def test_a_console_writes_its_own_styles_alone() -> None:
+def test_a_console_escapes_control_characters_in_text() -> None:
     file = io.StringIO()
     console = PlainConsole(file=file, force_terminal=True, width=200, color_system="truecolor")
     table = Table(title=EVIL)
@@ -38,16 +38,18 @@ def test_a_console_writes_its_own_styles_alone() -> None:
     assert "owned" in written
 
 
-def test_every_console_of_the_host_is_one() -> None:
+def test_every_console_of_the_host_is_a_plain_console() -> None:
     assert isinstance(RunOptions().console(), PlainConsole)
 
 
-def test_log_lines_too() -> None:
+def test_log_lines_are_escaped() -> None:
     record = logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (EVIL,), None)
     assert PlainFormatter().format(record).startswith(TAMED)
 
 
-def test_a_folder_with_an_evil_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_in_a_name_are_escaped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "\x1b[2Jscene"
     folder.mkdir()
     assert main(["check", str(folder)]) == 2

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from registry.cli import main
-from registry.commands.plugins import _NEW_EPILOG
+from registry.commands.inspecting import NEW_EPILOG
 from registry.errors import PluginError
 from registry.pipeline.pipeline import load_pipeline
 from registry.plugins.commands import verbs
@@ -97,7 +97,7 @@ def test_what_is_written_is_well_formatted(written: Path) -> None:
 
 
 def test_the_help_names_every_kind() -> None:
-    assert all(kind in _NEW_EPILOG.split("examples:")[0] for kind in KINDS)
+    assert all(kind in NEW_EPILOG.split("examples:")[0] for kind in KINDS)
 
 
 def test_the_command_writes_beside_what_is_there(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, GaussianModel, Rendering
-from registry.commands.run_table import results_table
+from registry.commands.output import results_table
 from registry.contract.component import Context
 from registry.contract.hook_points import HOOK_POINTS
 from registry.pipeline.parts import Part

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError, SceneError
-from registry.commands.train import FAILED, conclude
+from registry.commands.output import FAILED, conclude
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder

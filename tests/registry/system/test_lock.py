@@ -1,4 +1,4 @@
-"""One process at a time in a run folder, and a lock that dies with its process."""
+"""One process uses a folder at a time; the lock ends with its process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ with locked(Path(sys.argv[1])):
 
 @contextmanager
 def other_process(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that has the folder; killed in the end."""
+    """Lock the folder in another process, which is killed afterwards."""
     command = [sys.executable, "-c", HOLD, str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -36,7 +36,7 @@ def other_process(folder: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def test_a_second_process_is_refused_and_a_dead_one_succeeded(
+def test_a_second_process_is_refused_until_the_first_is_killed(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = RunFolder(tmp_path)
@@ -54,7 +54,7 @@ def test_a_second_process_is_refused_and_a_dead_one_succeeded(
     assert caplog.text == ""
 
 
-def test_an_error_leaves_no_word_about_a_kill(tmp_path: Path) -> None:
+def test_an_error_does_not_count_as_a_kill(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), locked(tmp_path):
         raise ZeroDivisionError
     with locked(tmp_path) as lock:

@@ -1,4 +1,4 @@
-"""Peak memory is this process's own."""
+"""Peak memory of this process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from registry.system.memory import peak_memory_mb
 BLOCK_MB = 400
 
 
-def test_grows_with_what_is_touched_and_is_not_inherited() -> None:
+def test_it_grows_with_allocations_and_is_not_inherited() -> None:
     before = peak_memory_mb()
     assert before is not None
     block = torch.ones(BLOCK_MB * 1_000_000, dtype=torch.uint8)

@@ -152,24 +152,27 @@ def test_a_third_party_adds_a_verb(
     ("source", "what"),
     [
         ("import nothing_of_this_name", "cannot be imported: ModuleNotFoundError"),
-        (MODULE.replace("{name}", "cont").replace("{cls}", "Count"), "registers cont, not 'sick'"),
-        (MODULE.replace("{name}", "sick").replace("{cls}", "int"), "not a subclass of registry"),
-        ('"""Do nothing."""\n', "registers nothing, not 'sick'"),
+        (
+            MODULE.replace("{name}", "cont").replace("{cls}", "Count"),
+            "registers cont, not 'faulty'",
+        ),
+        (MODULE.replace("{name}", "faulty").replace("{cls}", "int"), "not a subclass of registry"),
+        ('"""Do nothing."""\n', "registers nothing, not 'faulty'"),
     ],
 )
-def test_a_sick_verb_is_named(
+def test_a_faulty_verb_is_named(
     source: str,
     what: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    write(tmp_path, source, monkeypatch, "acme_sick")
-    monkeypatch.setattr(commands, "entry_points", only("sick", "acme_sick"))
-    assert main(["sick", "1"]) == 2
+    write(tmp_path, source, monkeypatch, "acme_faulty")
+    monkeypatch.setattr(commands, "entry_points", only("faulty", "acme_faulty"))
+    assert main(["faulty", "1"]) == 2
     error = capsys.readouterr().err
     assert what in error
-    assert "acme_sick" in error
+    assert "acme_faulty" in error
     with pytest.raises(SystemExit):  # the others still work
         main(["plugins", "--help"])
 

@@ -1,4 +1,4 @@
-"""`validate`: what every scene must be before anything trains on it."""
+"""`validate` refuses scenes that training could not use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from registry.testing import tiny_scene
 
 
 def with_view(**changes: Any) -> Scene:
-    """The tiny scene with something changed in its second training view."""
+    """Return the tiny scene with changes of its second training view."""
     scene = tiny_scene()
     return replace(scene, train=(scene.train[0], replace(scene.train[1], **changes)))
 
@@ -72,9 +72,12 @@ FAULTS: dict[str, tuple[Scene, str]] = {
     "colours": (some_points(color=1.5), "colours outside [0, 1]"),
     "one fact twice": (
         replace(tiny_scene(), facts=(Fact("lens", 1), Fact("lens", 2))),
-        "'lens' has no plain name of its own",
+        "'lens' does not have a plain, unique name",
     ),
-    "name of a fact": (replace(tiny_scene(), facts=(Fact("a.b", 1),)), "'a.b' has no plain name"),
+    "name of a fact": (
+        replace(tiny_scene(), facts=(Fact("a.b", 1),)),
+        "'a.b' does not have a plain",
+    ),
     "nan in a fact": (
         replace(tiny_scene(), facts=(Fact("scale", float("nan")),)),
         "'scale' is not finite",
@@ -91,7 +94,7 @@ def test_faults_are_refused(scene: Scene, message: str) -> None:
     assert caught.value.fix
 
 
-def test_a_whole_scene_passes_unchanged() -> None:
+def test_a_valid_scene_is_returned_unchanged() -> None:
     for scene in (
         tiny_scene(),
         with_view(mask=MAP > 0, depth=MAP, name="Größe 1.2"),
@@ -101,7 +104,7 @@ def test_a_whole_scene_passes_unchanged() -> None:
         assert validate(scene) is scene
 
 
-def test_of_one_pose_among_many_the_first_view_stays(caplog: pytest.LogCaptureFixture) -> None:
+def test_of_views_with_the_same_pose_the_first_stays(caplog: pytest.LogCaptureFixture) -> None:
     scene = tiny_scene()
     first, second = scene.train[:2]
     moved = replace(second.camera, world_to_camera=pose_with(0, 3, 3.0))
@@ -120,7 +123,7 @@ def test_a_test_view_may_share_a_pose() -> None:
     assert validate(replace(scene, test=(test,))).test == (test,)
 
 
-def test_turning_on_the_spot_is_another_pose() -> None:
+def test_a_rotation_in_place_is_another_pose() -> None:
     scene = tiny_scene()
     pose = torch.eye(4, dtype=torch.float64)
     pose[0, 0] = pose[2, 2] = torch.cos(torch.tensor(0.1, dtype=torch.float64))
