@@ -17,7 +17,7 @@ from registry.system import replacing
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.showing.samples import Curves, curve, read_curves
+from stereogs_plugins.tools.experiments.showing.against_time import Curves, curve, read_curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

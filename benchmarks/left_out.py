@@ -32,7 +32,7 @@ from registry.runs import evaluate
 from registry.session import build_pipeline, load_scene
 from registry.training import Trainer, new_model, one_torch_thread
 from registry.training.initial_model import initial_gaussians
-from stereogs_plugins.tools.experiments.planning.making import pipeline_digest
+from stereogs_plugins.tools.experiments.planning.plan import pipeline_digest
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
 DEFAULT_CASES = "llff_fern-6,llff_flower-6,dtu_scan24-6,dtu_scan65-6"

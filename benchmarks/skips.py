@@ -34,9 +34,8 @@ from registry.system.files import write_json
 from registry.toolkit.cache import FOLDER_VARIABLE
 from stereogs_plugins.tools.experiments.planning.matrix import Matrix, plan_of
 from stereogs_plugins.tools.experiments.planning.plan import Plan, PlannedRun
-from stereogs_plugins.tools.experiments.running.choosing import choose_runner
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.running.runner import train_all
+from stereogs_plugins.tools.experiments.running.runner import choose_runner, train_all
 from stereogs_plugins.tools.experiments.showing.page import as_page
 from stereogs_plugins.tools.quality.table import SHORT
 

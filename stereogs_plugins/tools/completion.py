@@ -1,4 +1,4 @@
-"""Print what makes a shell complete with tab."""
+"""Print the code that enables tab completion in a shell."""
 
 from __future__ import annotations
 
@@ -6,29 +6,24 @@ import argparse
 
 from registry import Command, Register, hookimpl
 
-SHELLS = ("bash", "zsh", "fish")
-
 _EPILOG = """\
 examples:
   stereogs completion bash >> ~/.bashrc
   stereogs completion zsh >> ~/.zshrc
   stereogs completion fish > ~/.config/fish/completions/stereogs.fish
 
-options, files, names of ready pipelines and of components are completed.
+Completes options, files, and the names of ready pipelines and components.
 """
 
 
 class Completion(Command):
-    """The verb `completion`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
-        parser.add_argument("shell", choices=SHELLS, metavar="SHELL", help="bash, zsh or fish")
+        shells = ("bash", "zsh", "fish")
+        parser.add_argument("shell", choices=shells, metavar="SHELL", help="bash, zsh or fish")
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Print the shell's code."""
         from argcomplete.shell_integration import shellcode
 
         print(shellcode(["stereogs"], shell=arguments.shell))

@@ -1,4 +1,4 @@
-"""Train on three views and score unseen ones."""
+"""Train on three views and score other views."""
 
 from __future__ import annotations
 
@@ -15,34 +15,28 @@ if TYPE_CHECKING:
     from registry.plugins import Plugins
 
 DATA = "STEREOGS_DATA"
-PIPELINE = "demo"
-"""The ready pipeline that is run."""
 
 _EPILOG = """\
 examples:
   stereogs demo
-  STEREOGS_DATA=/data stereogs demo     photographs of a scene in /data, not a drawn room
+  STEREOGS_DATA=/data stereogs demo     photographs of a scene in /data, not a synthetic room
 
-It trains for half a minute on two processor cores, scores views that it has not seen, and writes into
-the run folder report.html, a page about the run, and demo.png: truth, render and depth of an unseen
-view, side by side.
+Trains for half a minute on two processor cores and scores test views. Writes report.html, a page about
+the run, and demo.png, a test view with its render and depth, into the run folder.
 """
 
 
 class Demo(Command):
-    """The verb `demo`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         parser.add_argument(
-            "--out", type=Path, metavar="DIR", help="the run folder (default: in runs)"
+            "--out", type=Path, metavar="DIR", help="the run folder (default: a new one in runs)"
         )
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Train the demo's pipeline and show what came out."""
+        """Train the pipeline `demo` and print the results."""
         import shutil
 
         from registry.pipeline import load_pipeline
@@ -54,7 +48,9 @@ class Demo(Command):
 
         output = console()
         plugins = Plugins()
-        pipeline = load_pipeline(Path(PIPELINE), plugins, overrides=_scene(plugins))
+        scene = photographs(plugins)
+        overrides = [] if scene is None else [f"scene={json.dumps(scene)}"]
+        pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
         run = train(
             pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device
         )
@@ -65,15 +61,15 @@ class Demo(Command):
                 shutil.copyfile(comparison, temporary)
         status = conclude(run, output)
         if run.finished:
-            output.print(f"truth, render and depth of an unseen view: {folder.path / 'demo.png'}")
+            output.print(f"photograph, render and depth of a test view: {folder.path / 'demo.png'}")
         return status
 
 
 def photographs(plugins: Plugins) -> dict[str, Any] | None:
-    """The scene in STEREOGS_DATA that a loader would show, as a pipeline writes it; None without one.
+    """Return the section `scene` of a pipeline for a scene in STEREOGS_DATA; None if there is none.
 
-    The variable names either a scene's own folder or one that holds scenes, of which the first by name
-    is taken that a loader recognizes and has settings for.
+    STEREOGS_DATA is the folder of a scene or a folder of scenes; the first by name that a loader recognizes
+    and has demo settings for is used.
     """
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
@@ -90,12 +86,6 @@ def photographs(plugins: Plugins) -> dict[str, Any] | None:
                 path = f"${{{DATA}}}" + ("" if inside == "." else f"/{escape_variables(inside)}")
                 return {"use": offer.name, "path": path, **settings}
     return None
-
-
-def _scene(plugins: Plugins) -> list[str]:
-    """The override that puts photographs in place of the drawn room, if there are any."""
-    scene = photographs(plugins)
-    return [] if scene is None else [f"scene={json.dumps(scene)}"]
 
 
 @hookimpl

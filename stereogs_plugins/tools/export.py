@@ -1,4 +1,4 @@
-"""Write a run for other programs."""
+"""Export a run to other file formats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from registry import Command, Register, hookimpl
 from registry.commands import add_run, console, open_given
 
 MOST_LINES = 3
-"""Files of one folder that are told one by one."""
+"""Largest number of files per folder that are listed one by one."""
 
 _EPILOG = """\
 examples:
@@ -17,34 +17,31 @@ examples:
   stereogs export runs/3dgs-fern --format video --set frames=300 --out films
   stereogs export runs/weightfree-fern --format spz --without margin,back_layer
 
-A format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` says what
-one writes and what can be set. --without leaves out what descends from guessed initial points; the run's
-initialization/facts.json names the kinds (points_by_kind).
+The format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` describes one
+and its settings. --without leaves out Gaussians that descend from guessed initial points;
+initialization/facts.json in the run folder lists the kinds of points (points_by_kind).
 """
 
 
 class Export(Command):
-    """The verb `export`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         parser.add_argument(
-            "--format", required=True, metavar="NAME", help="an exporter, as pipelines name it"
+            "--format", required=True, metavar="NAME", help="the name of an exporter"
         )
         parser.add_argument(
             "--out",
             type=Path,
             metavar="DIR",
-            help="where to write (default: exports in the run folder)",
+            help="the folder to write (default: exports in the run folder)",
         )
         parser.add_argument(
             "--without",
             type=_names,
             default=(),
             metavar="A,B",
-            help="kinds of initial points whose Gaussians are left out",
+            help="leave out the Gaussians of these kinds of initial points",
         )
         parser.add_argument(
             "--set",
@@ -56,11 +53,11 @@ class Export(Command):
         add_run(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Export and say what was written."""
+        """Export and print the written files."""
         output = console()
         from registry.session import export, find_exporter
 
-        find_exporter(arguments.format, arguments.set)  # reading the scene may take minutes
+        find_exporter(arguments.format, arguments.set)  # fails before the scene is loaded
         opened = open_given(arguments)
         written = export(
             opened,

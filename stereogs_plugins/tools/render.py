@@ -1,4 +1,4 @@
-"""Render a run's test views, or a flight."""
+"""Render a run's test views or a camera path."""
 
 from __future__ import annotations
 
@@ -7,39 +7,34 @@ import argparse
 from registry import Command, Register, hookimpl
 from registry.commands import add_run, console, open_given
 
-PATH = "path"
-
 _EPILOG = """\
 examples:
-  stereogs render runs/3dgs-fern          the test views, as pictures
-  stereogs render runs/3dgs-fern --path   a flight between the training views
+  stereogs render runs/3dgs-fern          images of the test views
+  stereogs render runs/3dgs-fern --path   a smooth path through the training views
 
-The flight is a video where the extra `video` is installed (pip install 'stereogs-plugins[video]'),
-else numbered PNG pictures.
+The path is rendered to a video if the extra `video` is installed (pip install 'stereogs-plugins[video]'),
+otherwise to numbered PNG images.
 """
 
 
 class Render(Command):
-    """The verb `render`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         parser.add_argument(
-            "--path", action="store_true", help="fly along a smooth path between the training views"
+            "--path", action="store_true", help="render a smooth path through the training views"
         )
         parser.add_argument(
             "--frames",
             type=int,
             default=120,
             metavar="N",
-            help="pictures of the flight (default 120)",
+            help="number of frames of the path (default 120)",
         )
         add_run(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Render and say where the files lie."""
+        """Render and print where the files are."""
         output = console()
         run = open_given(arguments)
         from registry.runs import RENDERS
@@ -55,7 +50,7 @@ class Render(Command):
                 return 0
             cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
             frames = (run.rendering(camera).rgb for camera in cameras)
-            written, note = write_video(frames, folder / PATH)
+            written, note = write_video(frames, folder / "path")
         output.print(f"{note}: {written}")
         return 0
 

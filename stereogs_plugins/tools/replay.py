@@ -1,4 +1,4 @@
-"""Repeat an iteration that failed."""
+"""Repeat a failed iteration."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ examples:
   stereogs replay runs/3dgs-fern/failures/iteration-0000021
   STEREOGS_TRACE=1 stereogs replay runs/3dgs-fern/failures/iteration-0000021
 
-A run that fails in an iteration keeps the moment before it. This repeats that iteration: it ends in the
-same error, or, once what was wrong is mended, says so.
+A run whose iteration fails saves the state before it. This command repeats the iteration: it reproduces
+the error, or succeeds if the cause has been fixed.
 """
 
 
 class Replay(Command):
-    """The verb `replay`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         parser.add_argument(
             "failure",
             type=Path,
@@ -35,21 +32,21 @@ class Replay(Command):
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Repeat it; 0 if it goes through now."""
+        """Repeat the iteration; return 0 if it succeeds."""
         from core_rasterizer import open_device
         from registry.plugins import Plugins
-        from registry.runs import repeat_failure as replay
+        from registry.runs import repeat_failure
         from registry.training import one_torch_thread
 
         with one_torch_thread():
-            failure = replay(
+            failure = repeat_failure(
                 arguments.failure,
                 plugins=Plugins(),
                 device=open_device(arguments.device),
                 accept_changed_inputs=arguments.accept_changed_inputs,
             )
         console().print(
-            f"iteration {failure.iteration} goes through; when it was kept, it failed: {failure.what}"
+            f"iteration {failure.iteration} succeeds now; it had failed with: {failure.what}"
         )
         return 0
 

@@ -1,9 +1,10 @@
-"""Write a page about a finished run."""
+"""Write the reports of a finished run."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
@@ -13,51 +14,43 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from registry.pipeline import Part
-    from registry.plugins import Offer, Plugins
+    from registry.plugins import Plugins
     from registry.runs import Run
 
 BESIDE = "beside"
-"""The setting of a report that --inline and --beside set."""
+"""The setting of reports for --inline and --beside."""
 
 _EPILOG = """\
 examples:
   stereogs report runs/3dgs-fern
-  stereogs report runs/3dgs-fern --beside     large files beside the page
+  stereogs report runs/3dgs-fern --beside     large files next to the page
 
-Writes the reports that the run's pipeline names; every installed one if it names none. A page with
-all inside can be mailed; one with files beside it opens faster, and holds a scene of any size.
+Writes the reports of the run's pipeline, or all installed reports if it has none. A page that includes all
+data can be sent by mail; a page with files next to it opens faster and can show a scene of any size.
 """
 
 
 class Report(Command):
-    """The verb `report`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         place = parser.add_mutually_exclusive_group()
-        place.add_argument(
-            "--inline", dest=BESIDE, action="store_false", default=None, help="all inside the page"
-        )
-        place.add_argument(
-            "--beside",
-            dest=BESIDE,
-            action="store_true",
-            default=None,
-            help="large data beside the page",
-        )
+        for option, beside, text in (
+            ("--inline", False, "include all data in the page"),
+            ("--beside", True, "write large data to files next to the page"),
+        ):
+            place.add_argument(option, dest=BESIDE, action="store_const", const=beside, help=text)
         add_run(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Write, and say where; 1 if a report failed."""
+        """Write the reports and print their paths; return 1 if a report failed."""
         from registry.plugins import Plugins
 
         output = console()
         given = open_given(arguments)
         if not given.finished or not given.folder_or_refuse().results():
             raise RunError(
-                "the run has not ended: there is nothing to report yet",
+                "the run has not finished, so it has no report yet",
                 where=str(arguments.run_folder),
                 fix=f"stereogs resume {arguments.run_folder}",
             )
@@ -68,43 +61,38 @@ class Report(Command):
 
 
 def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
-    """The pipeline's reports, or all that are installed, with --inline or --beside.
+    """Build the pipeline's reports, or all installed ones, with --inline or --beside applied.
 
     Raises:
-        RunError: there is none, or none that knows of --inline and --beside.
+        RunError: there is none, or none supports --inline and --beside.
     """
     from registry.pipeline import build_part, load_pipeline
 
     items = run.pipeline.items["reports"]
-    offers = [o for o in plugins.all() if o.point.section == "reports"]
-    wanted = [(item.offer, item.settings.model_dump(mode="json")) for item in items]
-    wanted = wanted or [(offer, {}) for offer in offers]
-    if not wanted:
+    if not items:
+        names = [offer.name for offer in plugins.all() if offer.point.section == "reports"]
+        change = f"reports={json.dumps(names)}"
+        pipeline = load_pipeline(run.folder_or_refuse().pipeline, plugins, overrides=[change])
+        items = pipeline.items["reports"]
+    if not items:
         raise RunError(
             "no report is installed",
             where="stereogs report",
-            fix="install a plugin that offers one; `stereogs plugins` lists what there is",
+            fix="install a plugin that offers one; `stereogs plugins` lists the installed components",
         )
-    movable = [offer for offer, _ in wanted if _is_movable(offer)]
-    if beside is not None and not movable:
-        raise RunError(
-            "none of the reports can put data inside its page or beside it",
-            where="--beside" if beside else "--inline",
-            fix="leave the option out",
-        )
-    entries = []
-    for offer, settings in wanted:
-        choice = {BESIDE: beside} if beside is not None and offer in movable else {}
-        entries.append({"use": offer.name, **settings, **choice})
-    asked = load_pipeline(
-        run.folder_or_refuse().pipeline, plugins, overrides=[f"reports={json.dumps(entries)}"]
-    )
-    seed = asked.training.seed
-    return [build_part(item, seed, run.model.device) for item in asked.items["reports"]]
-
-
-def _is_movable(offer: Offer) -> bool:
-    return BESIDE in offer.settings_type.model_fields
+    if beside is not None:
+        supporting = [item for item in items if BESIDE in type(item.settings).model_fields]
+        if not supporting:
+            raise RunError(
+                "none of the reports supports --inline and --beside",
+                where="--beside" if beside else "--inline",
+                fix="remove the option",
+            )
+        for item in supporting:
+            changed = replace(item, settings=item.settings.model_copy(update={BESIDE: beside}))
+            items = tuple(changed if other is item else other for other in items)
+    seed = run.pipeline.training.seed
+    return [build_part(item, seed, run.model.device) for item in items]
 
 
 @hookimpl

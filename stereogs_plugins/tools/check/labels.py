@@ -1,4 +1,4 @@
-"""Names beside places of a picture, none over another."""
+"""Write labels near points of an image without overlaps."""
 
 from __future__ import annotations
 
@@ -14,22 +14,16 @@ Box = tuple[float, float, float, float]
 
 _DIRECTIONS = 16
 _DISTANCES = (6.0, 14.0, 26.0, 42.0, 62.0, 90.0, 130.0, 180.0)
-"""Pixels from the place to the name's nearest point, tried in this order."""
+"""Distances from the point to its label in pixels, tried in this order."""
 _HALO = 2
-"""Pixels of white around letters."""
-_LED_FROM = 14.0
-"""From this distance on a line leads from the place to its name."""
+"""Width of the white outline of letters in pixels."""
+_LINE_FROM = 14.0
+"""From this distance on, a line connects the point with its label."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A name for a place.
-
-    Args:
-        place: column and row, in pixels.
-        text: what is written.
-        color: of the text and the line that leads to it.
-    """
+    """A label of a point; `place` is its column and row in pixels."""
 
     place: tuple[float, float]
     text: str
@@ -43,14 +37,11 @@ def draw_labels(
     size: tuple[int, int],
     font_size: int,
 ) -> int:
-    """Write each name as near to its place as there is room; those without any are left out.
+    """Write each label as close to its point as possible; return how many had no room.
 
     Args:
-        kept_free: pixels (column, row) that no name may cover.
-        size: width and height of the picture.
-
-    Returns:
-        How many were left out.
+        kept_free: pixels (column, row) that no label may cover.
+        size: width and height of the image.
     """
     font = ImageFont.load_default(font_size)
     found: list[tuple[Label, Box]] = []
@@ -70,9 +61,11 @@ def draw_labels(
         distance, box = nearest
         taken.append(box)
         found.append((label, box))
-        if distance >= _LED_FROM:
-            pen.line((label.place, _nearest(box, label.place)), label.color)
-    for label, box in found:  # after all lines, so that none crosses a name
+        if distance >= _LINE_FROM:
+            x, y = label.place
+            nearest_point = (min(max(x, box[0]), box[2]), min(max(y, box[1]), box[3]))
+            pen.line((label.place, nearest_point), label.color)
+    for label, box in found:  # after all lines, so that no line crosses a label
         write(pen, box[:2], label.text, label.color, font_size)
     return left_out
 
@@ -80,7 +73,7 @@ def draw_labels(
 def write(
     pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, color: Color, font_size: int
 ) -> None:
-    """Text that can be read on whatever lies below; `place` is its left upper corner."""
+    """Write outlined text that is readable on any background; `place` is its upper left corner."""
     font = ImageFont.load_default(font_size)
     pen.text(place, text, color, font, stroke_width=_HALO, stroke_fill=(255, 255, 255))
 
@@ -88,7 +81,7 @@ def write(
 def _candidates(
     place: tuple[float, float], width: float, height: float
 ) -> Iterator[tuple[float, Box]]:
-    """Boxes around a place, the nearest first, to the right and below before others."""
+    """Yield distances and boxes around a point, closest first, beginning at the lower right."""
     for distance, step in itertools.product(_DISTANCES, range(_DIRECTIONS)):
         angle = 2 * math.pi * (step / _DIRECTIONS + 1 / 16)
         across, down = math.cos(angle), math.sin(angle)
@@ -103,10 +96,3 @@ def _inside(box: Box, size: tuple[int, int]) -> bool:
 
 def _overlap(one: Box, other: Box) -> bool:
     return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
-
-
-def _nearest(box: Box, place: tuple[float, float]) -> tuple[float, float]:
-    return (
-        min(max(place[0], box[0]), box[2]),
-        min(max(place[1], box[1]), box[3]),
-    )

@@ -1,4 +1,4 @@
-"""Say what a loader finds in a folder of data."""
+"""Show what a scene loader finds in a folder of data."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 examples:
-  stereogs check my-photos            a folder of pictures and nothing else
+  stereogs check my-photos            a folder with only photographs
   stereogs check /data/llff_fern --set downsample=8
   stereogs check /data/scan24 --format dtu --set train_views=6
   stereogs check pipeline.yaml        the scene of a pipeline
 
-The format is guessed from the folder's content; `stereogs plugins` lists the loaders and their
-settings. The picture shows all views (training views framed in orange, test views in blue) and the
-cameras from above, with the sparse points.
+The content of the folder determines the loader; `stereogs plugins` lists the loaders and their settings.
+The image shows all views (training views framed in orange, test views in blue) and the cameras from
+above, with the sparse points.
 """
 
 
 class Check(Command):
-    """The verb `check`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
-        parser.add_argument("data", type=Path, metavar="DATA", help="a folder, or a pipeline file")
-        parser.add_argument("--format", metavar="NAME", help="the scene loader (default: guessed)")
+        parser.add_argument("data", type=Path, metavar="DATA", help="a folder or a pipeline file")
+        parser.add_argument(
+            "--format", metavar="NAME", help="the scene loader (default: by the folder's content)"
+        )
         parser.add_argument(
             "--set",
             action="append",
@@ -48,15 +47,15 @@ class Check(Command):
             type=Path,
             default=Path("check.png"),
             metavar="PATH",
-            help="the picture to write, or a folder for it (default: check.png)",
+            help="the image to write, or a folder for it (default: check.png)",
         )
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Load, print, and draw."""
+        """Load the scene, print its properties, write the image."""
         picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
-        _check_picture(picture)
-        from registry.inspection import find_loader, load
+        _check_writable(picture)
+        from registry.inspection import facts, find_loader, load, warnings
         from registry.plugins import Plugins
 
         output = console()
@@ -64,7 +63,6 @@ class Check(Command):
             arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
         )
         from core_rasterizer import open_device
-        from registry.inspection import facts, warnings
         from registry.pipeline import build_part
         from registry.toolkit.drawing import save_png
         from registry.training import one_torch_thread
@@ -76,20 +74,20 @@ class Check(Command):
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         _print_columns(output, facts(scene))
-        output.print("said by the loader")
+        output.print("reported by the loader")
         _print_columns(output, [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts])
         for text in warnings(scene):
             output.print(f"warning: {text}")
         save_png(scene_picture(scene), picture)
-        output.print(f"picture  {picture}")
+        output.print(f"image  {picture}")
         return 0
 
 
-def _check_picture(path: Path) -> None:
-    """Refuse a place for the picture before the scene is loaded, which may take minutes."""
+def _check_writable(path: Path) -> None:
+    """Check the path of the image before the scene is loaded, which may take minutes."""
     if path.suffix.lower() != ".png" or path.is_dir() or not path.absolute().parent.is_dir():
         raise RunError(
-            "the picture must be a .png file in a folder that exists",
+            "the image must be a .png file in an existing folder",
             where=f"--out {path}",
             fix="for example --out check.png",
         )

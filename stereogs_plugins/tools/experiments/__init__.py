@@ -1,6 +1,7 @@
-"""Ablation: one pipeline with its parts on and off and its settings varied, trained and compared.
+"""The verbs `ablate`, `bench` and `compare`.
 
-planning/   from an ablation file and the command line to every combination, scene and seed
-running/    the plan's runs, each a `stereogs train` in a process of its own, and where they lie
-showing/    what the runs measured, averaged: as text, CSV and one HTML page
+planning/    the runs of an ablation or bench: combinations, scenes, seeds
+running/     train them, each with `stereogs train` in its own process
+showing/     their results as text, CSV and an HTML page
+comparing/   compare finished runs with each other and with published numbers
 """

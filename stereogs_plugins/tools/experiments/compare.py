@@ -1,4 +1,4 @@
-"""Set finished runs side by side."""
+"""Compare finished runs in tables."""
 
 from __future__ import annotations
 
@@ -25,55 +25,48 @@ examples:
   stereogs compare runs/* --format page > comparison.html
   stereogs compare --paper stereogs --protocol dtu-3
 
-Runs of different protocols, of one scene prepared in two ways, or with metrics measured
-differently come in tables of their own, with the reason. Runs of one pipeline are told apart by the
-settings that differ. Where the runs cover several scenes, each method's mean follows, if all methods
-were run on the same scenes. --paper adds what a paper reports for the protocol that the runs follow.
+Runs that are not comparable (different protocols, preparations of a scene or settings of metrics) are in
+separate tables with the reason. Labels of runs with the same pipeline name the settings that differ. If
+all methods were run on the same scenes, the table ends with their means. --paper adds the numbers of a
+paper for the protocol of the runs.
 """
 
 FORMATS = ("table", "csv", "markdown", "latex", "page")
 WIDEST = 500
-"""Columns of text that a table may take where there is no terminal."""
+"""Width of a table in characters if the output is not a terminal."""
 
 
 class Compare(Command):
-    """The verb `compare`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments."""
         parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="a run folder")
         parser.add_argument(
-            "--paper",
-            metavar="NAME",
-            help="add the numbers that a paper reports, for example stereogs",
+            "--paper", metavar="NAME", help="add the numbers of a paper, for example stereogs"
         )
         parser.add_argument(
             "--protocol",
             metavar="NAME",
-            help="which of them (default: the one that the runs follow)",
+            help="the protocol of the paper's numbers (default: that of the runs)",
         )
         parser.add_argument(
             "--format",
             choices=FORMATS,
             default=FORMATS[0],
-            help="csv: the runs alone, every digit; markdown, latex: as the table; page: HTML with the "
-            "renders beside the photographs (default: table)",
+            help="csv: only the runs, with all digits; markdown, latex: the same text as table; page: HTML "
+            "with renders next to the photographs (default: table)",
         )
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Compare and print."""
         if not arguments.runs and arguments.paper is None:
             raise RunError(
                 "there is nothing to compare",
                 where="the command line",
-                fix="give run folders, or --paper NAME --protocol NAME for published numbers alone",
+                fix="give run folders, or --paper NAME --protocol NAME for only published numbers",
             )
         from .comparing.comparability import check_comparable, comparable_groups
         from .comparing.comparison import read_run
-        from .comparing.formats import as_csv
-        from .comparing.table import comparison_table
+        from .comparing.table import as_csv, as_page, comparison_table
 
         runs = [read_run(path) for path in arguments.runs]
         if arguments.paper is not None:
@@ -87,8 +80,6 @@ class Compare(Command):
             groups = comparable_groups(runs)
             tables = [comparison_table(members, None, reason) for members, reason in groups]
         if arguments.format == "page":
-            from .comparing.page import as_page
-
             print(as_page(runs, tables), end="")
             return 0
         for table in tables:
@@ -97,33 +88,32 @@ class Compare(Command):
 
 
 def _print(table: Table, format_name: str) -> None:
-    from .comparing.formats import as_latex, as_markdown
-    from .comparing.table import narrowest
+    from .comparing.table import as_latex, as_markdown, smallest_width
 
     if format_name == "csv":
         raise RunError(
-            "CSV is written of runs alone",
+            "CSV cannot include published numbers",
             where="--format csv",
-            fix="leave --paper out, or choose another format",
+            fix="remove --paper, or choose another format",
         )
     if format_name != "table":
         print(as_markdown(table) if format_name == "markdown" else as_latex(table))
         return
     output = console()
-    # As wide as its numbers need: a cut number would be worse than a line that the terminal folds.
-    output.width = max(output.width, narrowest(table)) if output.has_width else WIDEST
+    # A folded line is better than a truncated number.
+    output.width = max(output.width, smallest_width(table)) if output.has_width else WIDEST
     output.print(table, soft_wrap=False)
 
 
 def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) -> Published:
-    """What the paper reports for the protocol that is named, or that the runs follow.
+    """Return the numbers of a paper for a protocol, by default that of the runs.
 
     Raises:
-        RunError: the paper or the protocol is not known, or a run does not follow it as it is now.
+        RunError: the paper or the protocol is unknown, or a run follows another protocol or an older version.
     """
     from registry.pipeline import protocol_names
 
-    from .comparing.comparability import check_present
+    from .comparing.comparability import check_protocol_is_current
     from .comparing.paper_tables import paper_tables
     from .comparing.table import Published
 
@@ -133,27 +123,25 @@ def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) ->
         protocol = str(runs[0].results["protocol"]["name"])
     if protocol is None:
         raise RunError(
-            "it is not said which of the paper's numbers are wanted"
-            + (": the runs follow no protocol" if runs else ""),
+            "--paper needs a protocol" + (": the runs follow none" if runs else ""),
             where="--paper",
             fix=f"add --protocol; the paper reports {listing(known)}",
         )
     if protocol not in known:
         raise RunError(
-            f"the paper reports nothing for {protocol!r}{did_you_mean(protocol, known)}",
+            f"the paper has no numbers for {protocol!r}{did_you_mean(protocol, known)}",
             where="--paper",
             fix=f"protocols: {listing(known)}",
         )
-    for finished in runs:
-        if finished.protocol != protocol:
-            follows = finished.protocol or "no protocol"
+    for run in runs:
+        if run.protocol != protocol:
             raise RunError(
-                f"the run cannot be set beside the published numbers for {protocol}: it follows "
-                f"{follows}",
-                where=str(finished.folder),
+                f"the run is not comparable with published numbers for {protocol}: it follows "
+                f"{run.protocol or 'no protocol'}",
+                where=str(run.folder),
                 fix=f"train it with --set protocol={protocol}",
             )
-        check_present(finished)
+        check_protocol_is_current(run)
     return Published(tables, protocol)
 
 

@@ -1,4 +1,4 @@
-"""Try the network in an ONNX file on a known scene."""
+"""Test the network in an ONNX file on a scene with known depth."""
 
 from __future__ import annotations
 
@@ -19,28 +19,24 @@ if TYPE_CHECKING:
     from core_rasterizer import Device
     from registry.toolkit.networks import OnnxModel
 
-    from .prior_trials import Guess, Trial
-    from .prior_truth import Truth
+    from .prior_trials import Guess, Trial, Truth
 
 FAULT = 1
 
 _EPILOG = """\
 examples:
   stereogs priors check stereo.onnx
-  stereogs priors check depth.onnx --set size=[512,384]  known already
+  stereogs priors check depth.onnx --set size=[512,384]  a known setting
   stereogs priors check xfeat.onnx --set matcher=lighterglue.onnx
 
-It shows the file's inputs and outputs, asks every installed prior with which settings it would run the
-file, tries them on a drawn room whose depths are known, and prints errors, seconds and the YAML of the
-best. What a network's numbers mean (0..1 or 0..255, depth or its inverse) cannot be read from a file;
-a wrong guess gives plausible nonsense, and only its error tells.
-Exit status 1 if no guess gave an answer.
+Prints the file's inputs and outputs, tries the settings that each installed prior suggests for the file
+on a rendered room with known depth, and prints errors, seconds and the YAML of the best settings. A file
+does not say what its numbers mean (0..1 or 0..255, depth or inverse depth); wrong settings give plausible
+but wrong results, which only the error reveals. Exit status 1 if no settings worked.
 """
 
 
 class Priors(Command):
-    """The verb `priors`."""
-
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -48,7 +44,7 @@ class Priors(Command):
         actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
         check = actions.add_parser(
             "check",
-            help="guess the settings that run a file, and try them",
+            help="find the settings that run a file by trying them",
             epilog=_EPILOG,
             formatter_class=parser.formatter_class,
         )
@@ -58,12 +54,12 @@ class Priors(Command):
             action="append",
             default=[],
             metavar="KEY=VALUE",
-            help="fix a setting of the prior",
+            help="use this value of a setting of the prior",
         )
         add_device(check)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Describe the file, guess settings, try them and print; 1 if nothing worked."""
+        """Print the file's properties, try settings and print the best; return 1 if none worked."""
         from core_rasterizer import open_device
         from registry.plugins import Plugins
         from registry.toolkit.networks import OnnxModel
@@ -73,23 +69,22 @@ class Priors(Command):
 
         output, plugins = console(), Plugins()
         model = OnnxModel(arguments.model)
-        _describe(model, output)
+        _print_properties(model, output)
         found = guesses(model, plugins, arguments.set)
         device = open_device(arguments.device)
-        with one_torch_thread(), _silence():
+        with one_torch_thread(), _quiet_priors():
             truth = known_truth(plugins, device)
-            trials = list(_tried(found, truth, device, output))
+            trials = list(_successful(found, truth, device, output))
         if not trials:
-            output.print("no guess gave an answer")
+            output.print("no settings worked")
             return FAULT
-        best = min(trials, key=lambda trial: trial.score.error)
-        _conclude(best, output)
+        _print_best(min(trials, key=lambda trial: trial.score.error), output)
         return 0
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
-    """Models do not tell what their answers cost: each line here says it."""
+def _quiet_priors() -> Iterator[None]:
+    """Suppress the priors' own log lines about their duration."""
     log = logging.getLogger("stereogs.priors")
     before = log.level
     log.setLevel(logging.WARNING)
@@ -99,7 +94,7 @@ def _silence() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _describe(model: OnnxModel, output: Console) -> None:
+def _print_properties(model: OnnxModel, output: Console) -> None:
     output.print(f"{model.path}\n  SHA-256  {model.sha256}")
     output.print(f"  run on   {model.provider}, {model.threads} threads")
     for kind, specs in (("input", model.inputs), ("output", model.outputs)):
@@ -107,19 +102,17 @@ def _describe(model: OnnxModel, output: Console) -> None:
             output.print(f"  {kind:<7}  {spec}")
 
 
-def _tried(
+def _successful(
     found: Iterable[Guess], truth: Truth, device: Device, output: Console
 ) -> Iterable[Trial]:
-    """Those that gave an answer; says how each went."""
+    """Yield the trials that worked, and print a line per trial."""
     from core_rasterizer import ExplainedError
 
     from .prior_trials import attempt
 
     for guess in found:
-        said = {
-            key: value for key, value in guess.settings.items() if key not in ("model", "sha256")
-        }
-        label = " ".join([guess.offer.name, *(f"{key}={value}" for key, value in said.items())])
+        shown = (f"{k}={v}" for k, v in guess.settings.items() if k not in ("model", "sha256"))
+        label = " ".join([guess.offer.name, *shown])
         try:
             trial = attempt(guess, truth, device)
         except ExplainedError as error:
@@ -129,7 +122,7 @@ def _tried(
         yield trial
 
 
-def _conclude(best: Trial, output: Console) -> None:
+def _print_best(best: Trial, output: Console) -> None:
     from registry.system import peak_memory_mb
 
     output.print(f"\nbest: {best.score.text}")

@@ -1,4 +1,4 @@
-"""Choice of a pipeline and its length from the scene and the time available."""
+"""Choose a pipeline and its length from the scene and the available time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
 
 def within(seconds: float) -> Fit:
-    """For `train(..., fit=within(20))`: as many iterations as fit into the seconds, from now to the end.
+    """Return the argument `fit` of `train` for a run that takes `seconds` in total, from now on.
 
-    Iterations are measured on the scene and this machine; schedules scale with their number, which never
-    exceeds that of the pipeline. `run.pipeline` holds the number: trained again, it gives the same bits.
+    Iterations are timed on the scene and this machine; schedules scale with their number, which never
+    exceeds that of the pipeline. `run.pipeline` stores the number: training it again gives the same bits.
 
     Args:
-        seconds: wall-clock seconds, > 0, scores and files included.
+        seconds: wall-clock seconds, > 0, including scores and files.
     """
     from .fitting import Budget, fit_length
 

@@ -1,4 +1,4 @@
-"""The choice itself: made once the first points are there, before the first iteration."""
+"""Choose the pipeline and its length after initialization, before the first iteration."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
+from registry import RunError
 from registry.pipeline import Pipeline
 
-from .cost import LEAST_ITERATIONS, Cost
-from .messages import Say, tell_choice, tell_cost
 from .table import GROWTH, Quality, by_length, by_quality
 
 if TYPE_CHECKING:
@@ -18,13 +17,16 @@ if TYPE_CHECKING:
 
     from .rehearsal import Clock, Measured
 
+LEAST_ITERATIONS = 50
+"""Shorter trainings are not worth the time that loading and saving take."""
 REHEARSED = 0.04
-"""Of the seconds, for measuring iterations."""
+"""Share of the budget for timing iterations."""
 GROWN = 100_000
-"""Gaussians that a pipeline of unknown growth is expected to end with, if it begins with fewer."""
+"""Assumed final number of Gaussians for a pipeline of unknown growth, if it starts with fewer."""
 
 Load = Callable[[str], Pipeline]
-"""A ready pipeline by name, for the scene at hand, with the user's changes."""
+"""Returns a ready pipeline by name, with the scene and changes of the command line."""
+Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,9 @@ class Budget:
     """Seconds for a run.
 
     Args:
-        seconds: for all of it, > 0.
-        begin: what `clock` showed when they began to count.
-        clock: of the wall, unless a test says otherwise.
+        seconds: for the whole run, > 0.
+        begin: value of `clock` at the start of the run.
+        clock: returns seconds; replaced by tests.
     """
 
     seconds: float
@@ -43,77 +45,116 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Seconds until now."""
+        """Seconds since the start of the run."""
         return self.clock() - self.begin
 
 
-def fit_length(initial: InitialState, budget: Budget, say: Say) -> Pipeline:
-    """The pipeline at hand, as long as fits into the seconds and no longer than it says itself.
+@dataclass(frozen=True)
+class Cost:
+    """Duration of a run in seconds.
+
+    Args:
+        spent: before the first iteration.
+        iteration: per iteration.
+        after: after the last iteration: scores, images, exports, reports.
+    """
+
+    spent: float
+    iteration: float
+    after: float
+
+    def seconds(self, iterations: int) -> float:
+        """Return the duration of a run with so many iterations."""
+        return self.spent + iterations * self.iteration + self.after
+
+    def iterations(self, seconds: float) -> int:
+        """Return how many iterations fit into `seconds`; less than 1 if none fits."""
+        return int((seconds - self.spent - self.after) / self.iteration)
+
+    def require(self, least: int, seconds: float) -> None:
+        """Check that `least` iterations fit into `seconds`.
+
+        Raises:
+            RunError: they do not; the error lists the costs and the seconds needed.
+        """
+        if self.iterations(seconds) >= least:
+            return
+        raise RunError(
+            f"{seconds:g} s are too few: loading and initialization took {self.spent:.1f} s, scores and "
+            f"files will take {self.after:.1f} s, and each iteration {self.iteration:.3f} s",
+            where="--seconds",
+            fix=f"allow at least {self.seconds(least):.0f} s, for {least} iterations; fewer or smaller "
+            "photographs take less time",
+        )
+
+
+def fit_length(initial: InitialState, budget: Budget, log: Log) -> Pipeline:
+    """Return the pipeline with as many iterations as fit into the budget, at most its own number.
 
     Raises:
-        RunError: there are too few seconds.
+        RunError: the budget is too small.
     """
     own, first = initial.pipeline, len(initial.gaussians)
     last = max(first, GROWN) if own.items["densification"] else first
     growth = _growth(own, (first + last) / 2, last)
     cost, measured = _cost(initial, budget, growth)
-    cost.refuse_too_little(budget.seconds, min(LEAST_ITERATIONS, own.training.iterations))
+    cost.require(min(LEAST_ITERATIONS, own.training.iterations), budget.seconds)
     count = min(cost.iterations(budget.seconds), own.training.iterations)
     fitted = _within_budget(own, count, growth)
-    tell_choice(fitted, "", initial, say)
-    tell_cost(cost, measured, count, budget.seconds, say)
+    _log_choice(fitted, "", initial, log)
+    _log_cost(cost, measured, count, budget.seconds, log)
     return fitted
 
 
-def choose(initial: InitialState, wanted: Quality | Budget, load: Load, say: Say) -> Pipeline:
-    """The best pipeline for the scene that needs no network, at the length that is wanted.
+def choose(initial: InitialState, wanted: Quality | Budget, load: Load, log: Log) -> Pipeline:
+    """Return the best pipeline without a network for the scene and the quality or budget.
 
     Args:
-        initial: of the pipeline that `table.SHORT` names.
-        wanted: a quality, or seconds to be kept.
-        load: gives the others, which begin in the same way.
+        initial: state of the pipeline `table.SHORT`.
+        wanted: a quality, or the seconds for the run.
+        load: loads the other pipelines, which initialize in the same way.
 
     Raises:
-        RunError: there are too few seconds.
+        RunError: the budget is too small.
     """
     if not isinstance(wanted, Budget):
-        taken = by_quality(wanted)
-        chosen = _ready(taken.name, initial, load)
-        tell_choice(chosen, taken.because, initial, say)
+        choice = by_quality(wanted)
+        chosen = _ready(choice.name, initial, load)
+        _log_choice(chosen, choice.reason, initial, log)
         return chosen
     growth = _known_growth(initial)
     cost, measured = _cost(initial, wanted, growth)
     affordable = cost.iterations(wanted.seconds)
-    taken = by_length(affordable / initial.pipeline.training.iterations)
-    if taken.name != initial.pipeline.name:
-        initial = initial.of(_ready(taken.name, initial, load))
+    choice = by_length(affordable / initial.pipeline.training.iterations)
+    if choice.name != initial.pipeline.name:
+        initial = initial.of(_ready(choice.name, initial, load))
         growth = _known_growth(initial)
         cost, measured = _cost(initial, wanted, growth)
         affordable = cost.iterations(wanted.seconds)
-    cost.refuse_too_little(wanted.seconds, LEAST_ITERATIONS)
-    count = min(affordable, round(taken.times * initial.pipeline.training.iterations))
+    cost.require(LEAST_ITERATIONS, wanted.seconds)
+    count = min(affordable, round(choice.longest * initial.pipeline.training.iterations))
     chosen = _within_budget(initial.pipeline, count, growth)
-    tell_choice(chosen, taken.because, initial, say)
-    tell_cost(cost, measured, count, wanted.seconds, say)
+    _log_choice(chosen, choice.reason, initial, log)
+    _log_cost(cost, measured, count, wanted.seconds, log)
     return chosen
 
 
 def _ready(name: str, initial: InitialState, load: Load) -> Pipeline:
-    """A pipeline of the table, for the scene's views."""
+    """Load a pipeline of the table for the number of training views."""
     if name == initial.pipeline.name:
         return initial.pipeline
     return load(name).for_views(len(initial.scene.train))
 
 
 class _Growth(NamedTuple):
-    """How many Gaussians a run has on average, and at most."""
+    """Mean and largest number of Gaussians during a run."""
 
     mean: int
     most: int
 
 
 def _growth(pipeline: Pipeline, mean: float, most: float) -> _Growth:
-    """Within the pipeline's own limit."""
+    """Clamp to the pipeline's own limit."""
     limit = pipeline.training.max_gaussians or int(most)
     return _Growth(max(1, min(int(mean), limit)), max(1, min(int(most), limit)))
 
@@ -132,7 +173,32 @@ def _cost(initial: InitialState, budget: Budget, growth: _Growth) -> tuple[Cost,
 
 
 def _within_budget(pipeline: Pipeline, count: int, growth: _Growth) -> Pipeline:
-    """Scaled, with a bound on what may grow, and without scores on the way."""
+    """Scale the pipeline, limit its Gaussians, and turn off scores during training."""
     fitted = pipeline.scaled(count)
     changes = {"max_gaussians": growth.most, "evaluate_every": 0}
     return replace(fitted, training=fitted.training.model_copy(update=changes))
+
+
+def _log_choice(chosen: Pipeline, reason: str, initial: InitialState, log: Log) -> None:
+    """Log the pipeline, the scene and the reason in lines of at most 80 characters."""
+    training, camera = chosen.training, initial.scene.train[0].camera
+    most = f", at most {training.max_gaussians:,} Gaussians" if training.max_gaussians else ""
+    log(f"trained: {chosen.name}, {training.iterations:,} iterations{most}")
+    views = f"{len(initial.scene.train)} training views of {camera.width}x{camera.height} pixels"
+    kind = initial.points.facts.get("scene_kind")
+    log(f"  for     {views}" + (f", {kind}" if kind else ""))
+    if reason:
+        log(f"  because {reason}")
+
+
+def _log_cost(cost: Cost, measured: Measured, count: int, seconds: float, log: Log) -> None:
+    log(
+        f"  measured {1000 * measured.iteration:.1f} ms an iteration with "
+        f"{measured.gaussians:,} Gaussians"
+    )
+    log(
+        f"  expected {cost.spent:.1f} s so far + {count * cost.iteration:.1f} s training + "
+        f"{cost.after:.1f} s afterwards = {cost.seconds(count):.1f} s"
+    )
+    if cost.seconds(count) < 0.9 * seconds:
+        log(f"  less than {seconds:g} s, because more iterations are not known to help")

@@ -33,13 +33,11 @@ class Quality(TrainOption):
             "--seconds",
             type=positive_seconds,
             metavar="N",
-            help="finish the whole run within N seconds, from the command to the last file; iterations are "
-            "measured before training, and never exceed those of the pipeline",
+            help="finish the whole run within N seconds, from the command to the last file; trains at most "
+            "as many iterations as the pipeline specifies",
         )
         length.add_argument(
-            "--quality",
-            choices=QUALITIES,
-            help="which pipeline trains a folder (default: good)",
+            "--quality", choices=QUALITIES, help="which pipeline trains a folder (default: good)"
         )
 
     def check(self, arguments: argparse.Namespace) -> None:
@@ -69,16 +67,16 @@ def _iterations_given(arguments: argparse.Namespace) -> bool:
 
 
 def _fit(request: TrainRequest) -> Fit | None:
-    """Chooses the pipeline or its length; None where the command line specifies both."""
+    """Return a function that chooses the pipeline or its length; None if both are given."""
     from .fitting import Budget, choose, fit_length
 
-    given, say = request.arguments, console().print
+    given, log = request.arguments, console().print
     budget = Budget(given.seconds, request.begin) if given.seconds else None
     if _iterations_given(given) or request.load is None:
         return None
     if request.pipeline_named:
-        return partial(fit_length, budget=budget, say=say) if budget else None
-    return partial(choose, wanted=budget or given.quality or "good", load=request.load, say=say)
+        return partial(fit_length, budget=budget, log=log) if budget else None
+    return partial(choose, wanted=budget or given.quality or "good", load=request.load, log=log)
 
 
 @hookimpl

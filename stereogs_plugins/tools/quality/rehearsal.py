@@ -1,7 +1,7 @@
-"""What iterations and scores cost on this machine, measured on what is about to be trained.
+"""Measure the duration of iterations and scores on this machine, for the run that is about to start.
 
 Iterations from all parts of the schedule train a copy of the Gaussians with a second set of components. The
-run's priors and metrics are used too; their state is restored afterwards.
+priors and metrics are the run's own; their state is restored afterwards.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians
 from registry import View
@@ -23,33 +22,32 @@ from registry.pipeline import Part, Parts
 from registry.runs import InitialState, evaluate, quick
 from registry.training import Trainer, new_model
 
-from .cost import CLOSING
-
 Clock = Callable[[], float]
-"""Gives seconds; only differences count."""
+"""Returns seconds; only differences matter."""
 
 MOMENTS = (1 / 8, 3 / 8, 5 / 8, 7 / 8)
-"""Parts of the run in whose middle iterations are measured: photographs may be small at first."""
+"""Where in the run iterations are measured, as shares of its length: images may be small at first."""
 WARM_UP, WARM = 3, 1
-"""Iterations that are not counted: before all others kernels are loaded and buffers find their sizes, at
-later moments of the run photographs may change theirs."""
+"""Iterations that are not counted, at the first moment (kernels are compiled, buffers allocated) and at each
+later one (image sizes may change)."""
 MOST_MEASURED = 10
-"""Iterations at each moment."""
+"""Largest number of iterations per moment."""
+CLOSING = 0.35
+"""Duration of checkpoints, exports and reports relative to that of the quick scores of all views: both
+decode, render and compress as many images."""
 
 
 class Measured(NamedTuple):
-    """What was measured.
+    """Measured durations.
 
     Args:
-        iteration: seconds of one.
-        after: seconds of what comes after the last one.
-        iterations: how many were measured.
-        gaussians: with how many.
+        iteration: seconds per iteration.
+        after: seconds after the last iteration.
+        gaussians: number of Gaussians in them.
     """
 
     iteration: float
     after: float
-    iterations: int
     gaussians: int
 
 
@@ -57,30 +55,30 @@ def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) ->
     """Measure a pipeline on its scene.
 
     Args:
-        count: Gaussians that a run has on average; the first ones are repeated until there are so many.
-        seconds: about how long iterations are done; at least one beyond the warm-up is.
+        count: mean number of Gaussians of the run; the initial ones are repeated to reach it.
+        seconds: approximate duration of the iterations; at least one is measured after the warm-up.
     """
     pipeline, scene = initial.pipeline, initial.scene
     points, repeated = initial.points, torch.arange(count) % len(initial.gaussians)
-    gaussians = _grown(initial.gaussians, repeated)
+    first = initial.gaussians
+    gaussians = Gaussians(**{f.name: getattr(first, f.name)[repeated] for f in fields(first)})
     model = new_model(gaussians, pipeline.training, initial.device)
     parts = initial.parts.for_field(0)
     kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
-    with _unchanged(parts):
+    with _restored(parts):
         trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
         spans: list[tuple[float, int]] = []
         for moment in MOMENTS:
             skipped = WARM if spans else WARM_UP
             trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
-            spans.append(_measured(trainer, skipped, clock, seconds / len(MOMENTS)))
-        iteration = fmean(took / done for took, done in spans)
-        done = sum(done for _, done in spans)
-        return Measured(iteration, _after(initial, model, parts, clock), done, len(gaussians))
+            spans.append(_measure(trainer, skipped, clock, seconds / len(MOMENTS)))
+        iteration = fmean(taken / done for taken, done in spans)
+        return Measured(iteration, _after(initial, model, parts, clock), len(gaussians))
 
 
 @contextmanager
-def _unchanged(parts: Parts) -> Iterator[None]:
-    """Restore the random generators and the state of the components that the run uses too."""
+def _restored(parts: Parts) -> Iterator[None]:
+    """Restore the random generators and states of the components that the run shares."""
     shared = [part.component for part in parts.shared]
     saved = [(one.generator.get_state(), {**one.state()}) for one in shared]
     yield
@@ -89,12 +87,8 @@ def _unchanged(parts: Parts) -> Iterator[None]:
         one.restore(state)
 
 
-def _measured(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tuple[float, int]:
-    """Seconds of some iterations from where the trainer is, and how many they were.
-
-    Args:
-        skipped: not counted, the first so many.
-    """
+def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tuple[float, int]:
+    """Return the seconds and number of iterations after the first `skipped`."""
     done, begin = 0, clock()
     for count, _ in enumerate(trainer.run(), 1 - skipped):
         if count <= 0:
@@ -107,7 +101,7 @@ def _measured(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> t
 
 
 def _after(initial: InitialState, model: GaussianModel, parts: Parts, clock: Clock) -> float:
-    """Seconds from the last iteration on: one view of each split stands for all."""
+    """Return the seconds after the last iteration, extrapolated from one view of each split."""
     train, test = initial.scene.train, initial.scene.test
     every, fast = parts["metrics"], quick(parts["metrics"])
 
@@ -117,11 +111,7 @@ def _after(initial: InitialState, model: GaussianModel, parts: Parts, clock: Clo
         return clock() - begin
 
     with TemporaryDirectory() as folder:
-        scored(train, fast, Path(folder))  # what is imported at first use is imported now
+        scored(train, fast, Path(folder))  # not counted: it imports modules
         light = scored(train, fast, Path(folder))
         whole = scored(test, every, Path(folder)) if test else 0.0
     return len(test) * whole + len(train) * light + CLOSING * (len(test) + len(train)) * light
-
-
-def _grown(gaussians: Gaussians, which: Tensor) -> Gaussians:
-    return Gaussians(**{f.name: getattr(gaussians, f.name)[which] for f in fields(gaussians)})

@@ -1,1 +1,26 @@
-"""A scene in the browser, rendered here and shown there, through the package viser (extra `viewer`)."""
+"""Show a scene in the browser with the package viser; this process renders it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from registry import RunError
+
+PORT = 8080
+"""The port that is tried first."""
+
+
+def import_viser() -> Any:
+    """Import viser, of the extra `viewer`.
+
+    Raises:
+        RunError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise RunError(
+            "viewing a scene in the browser needs the package viser",
+            fix="pip install 'stereogs-plugins[viewer]'",
+        ) from error
+    return viser

@@ -1,4 +1,4 @@
-"""What the browser draws itself, in front of and behind our picture: cameras, ellipsoids, a box."""
+"""Objects that the browser draws in front of and behind the image: cameras, ellipsoids, a box."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ if TYPE_CHECKING:
     from core_rasterizer import Gaussians
 
     from .picture import Box
-    from .subject import Standpoint
+    from .subject import Viewpoint
 
 TRAINING_COLOR, TEST_COLOR = (230, 120, 20), (50, 110, 220)
-"""Orange and blue, as in the picture of `stereogs check`."""
+"""Orange and blue, as in the image of `stereogs check`."""
 _THUMBNAIL = 160
-"""Pixels of a photograph's longer side within its frustum, about."""
+"""Approximate longer side of the photograph in a frustum, in pixels."""
 _FRUSTUM = 0.08
 """Height of a frustum, in units of the cameras' extent."""
 _BOX_COLOR = (240, 240, 240)
 _BOX_WIDTH = 0.004
-"""Of the crop box's lines, in units of its diagonal."""
+"""Width of the crop box's lines, in units of its diagonal."""
 MOST_ELLIPSOIDS = 10_000
-"""That a browser without a graphics card can still turn."""
+"""A browser without a graphics card can still rotate so many."""
 
 _SH_C0 = 0.28209479177387814
 """The constant spherical harmonic, 1 / (2 sqrt(pi))."""
 
 
 def add_cameras(
-    server: Any, standpoints: Iterable[Standpoint], extent: float, unit: float
+    server: Any, viewpoints: Iterable[Viewpoint], extent: float, unit: float
 ) -> list[Any]:
-    """Each as a frustum with its photograph; returns viser's handles.
+    """Add a frustum with its photograph per camera; return viser's handles.
 
     Args:
         extent: of the cameras, in the browser's units.
-        unit: world units that are one of the browser's.
+        unit: the browser's unit in world units.
     """
-    return [_add_frustum(server, one, _FRUSTUM * extent, unit) for one in standpoints]
+    return [_add_frustum(server, one, _FRUSTUM * extent, unit) for one in viewpoints]
 
 
-def _add_frustum(server: Any, standpoint: Standpoint, size: float, unit: float) -> Any:
-    camera, photograph = standpoint.camera, standpoint.photograph
+def _add_frustum(server: Any, viewpoint: Viewpoint, size: float, unit: float) -> Any:
+    camera, photograph = viewpoint.camera, viewpoint.photograph
     pose = camera.camera_to_world.numpy()
     step = max(1, max(camera.width, camera.height) // _THUMBNAIL)
     image = None if photograph is None else to_bytes(photograph[::step, ::step].contiguous())
     return server.scene.add_camera_frustum(
-        f"/cameras/{standpoint.name}",
+        f"/cameras/{viewpoint.name}",
         fov=2 * np.arctan(0.5 * camera.height / camera.fy),
         aspect=camera.width / camera.height,
         scale=size,
         thickness=0.03 * size,
-        color=TEST_COLOR if standpoint.is_test else TRAINING_COLOR,
+        color=TEST_COLOR if viewpoint.is_test else TRAINING_COLOR,
         image=image,
         wxyz=Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True),
         position=pose[:3, 3] / unit,
@@ -66,11 +66,7 @@ def _add_frustum(server: Any, standpoint: Standpoint, size: float, unit: float) 
 
 
 def add_box(server: Any, box: Box, unit: float) -> Any:
-    """The twelve edges of a box; returns viser's handle.
-
-    Args:
-        unit: world units that are one of the browser's.
-    """
+    """Add the edges of a box; return viser's handle. `unit`: the browser's unit in world units."""
     corners = np.array(list(product(*zip(box.low, box.high, strict=True)))) / unit
     edges = [(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]
     diagonal = float(np.linalg.norm(corners[7] - corners[0]))
@@ -83,21 +79,18 @@ def add_box(server: Any, box: Box, unit: float) -> Any:
 
 
 def add_ellipsoids(
-    server: Any, gaussians: Gaussians, drawn: torch.Tensor | None, unit: float
+    server: Any, gaussians: Gaussians, mask: torch.Tensor | None, unit: float
 ) -> Any:
-    """Gaussians as ellipsoids of one standard deviation; of many, those that cover most.
+    """Add ellipsoids of one standard deviation for the largest, most opaque Gaussians; return viser's handle.
 
     Args:
-        drawn: which are, `[N]` bool; None for all.
-        unit: world units that are one of the browser's.
-
-    Returns:
-        viser's handle.
+        mask: `[N]` bool, the Gaussians to draw; None for all.
+        unit: the browser's unit in world units.
     """
     scales, opacities = gaussians.log_scales.exp(), torch.sigmoid(gaussians.opacity_logits)
     covered = opacities * scales.prod(dim=1) ** (2 / 3)
-    if drawn is not None:
-        covered = torch.where(drawn, covered, 0.0)
+    if mask is not None:
+        covered = torch.where(mask, covered, 0.0)
     order = covered.argsort(descending=True, stable=True)
     chosen = order[: min(MOST_ELLIPSOIDS, int((covered > 0).sum()))]
     vertices, faces = _octasphere()
@@ -115,24 +108,15 @@ def add_ellipsoids(
 
 
 def _octasphere() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """A sphere of 32 triangles: vertices `[V, 3]` at distance 1, and faces `[F, 3]`."""
-    corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    coarse = [
-        (0, 2, 4),
-        (2, 1, 4),
-        (1, 3, 4),
-        (3, 0, 4),
-        (2, 0, 5),
-        (1, 2, 5),
-        (3, 1, 5),
-        (0, 3, 5),
-    ]
+    """Return a unit sphere of 32 triangles: vertices `[V, 3]` and faces `[F, 3]`."""
+    x, y, z = np.eye(3)
+    octahedron = (
+        *((x, y, z), (y, -x, z), (-x, -y, z), (-y, x, z)),
+        *((y, x, -z), (-x, y, -z), (-y, -x, -z), (x, -y, -z)),
+    )
     vertices: list[np.ndarray[Any, Any]] = []
-    faces: list[list[int]] = []
-    for triangle in coarse:
-        a, b, c = corners[list(triangle)].astype(float)
+    for a, b, c in octahedron:
         ab, bc, ca = ((p + q) / np.linalg.norm(p + q) for p, q in ((a, b), (b, c), (c, a)))
-        for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)):
-            faces.append([len(vertices), len(vertices) + 1, len(vertices) + 2])
-            vertices += piece
-    return np.array(vertices, np.float32), np.array(faces, np.uint32)
+        vertices += [a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca]
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    return np.array(vertices, np.float32), faces

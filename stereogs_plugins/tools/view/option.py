@@ -1,4 +1,4 @@
-"""The option `--view` of `train` and `resume`: the scene in the browser while it trains."""
+"""The option `--view` of `train` and `resume`: show the scene in the browser during training."""
 
 from __future__ import annotations
 
@@ -10,75 +10,66 @@ from typing import TYPE_CHECKING
 
 from registry import Register, TrainOption, hookimpl
 
-from .verb import PORT
+from . import PORT, import_viser
 
 if TYPE_CHECKING:
     from registry.commands import TrainRequest
     from registry.runs import Run, RunOptions
-    from registry.training import Iteration
 
-    from .following import Following
+    from .live_page import LivePage
 
 
-class LivePage(TrainOption):
+class LiveView(TrainOption):
     """The option `--view`."""
 
     verbs = ("train", "resume")
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the option."""
         parser.add_argument(
             "--view",
             action="store_true",
-            help="show the scene in the browser while it trains, and after that until Ctrl-C",
+            help="show the scene in the browser during training, and afterwards until Ctrl-C",
         )
 
     @contextmanager
     def running(self, request: TrainRequest, options: RunOptions) -> Iterator[RunOptions]:
-        """Serve the page during training; keep the page of a finished run until Ctrl-C.
+        """Serve the page during training; serve a finished run until Ctrl-C.
 
         Raises:
-            RunError: the viewer package is missing; raised before anything is loaded.
+            RunError: viser is not installed; raised before a scene is loaded.
         """
         if not request.arguments.view:
             yield options
             return
-        from .package import import_viser
-
         import_viser()
         from registry.commands import console
+        from registry.training import one_torch_thread
 
         output = console()
-        pages: list[Following] = []
+        pages: list[LivePage] = []
 
         def begin(run: Run) -> None:
-            from .following import Following
+            from .live_page import LivePage
 
-            page = Following(run, PORT)
-            pages.append(page)
-            output.print(f"{run.scene.name} is at {page.url} while it trains")
-
-        def iterated(done: Iteration) -> None:
-            pages[0].iterated(done)
+            pages.append(LivePage(run, PORT))
+            output.print(f"{run.scene.name} is at {pages[0].url} during training")
 
         try:
-            yield replace(options, on_begin=begin, callback=iterated)
+            yield replace(
+                options, on_begin=begin, callback=lambda iteration: pages[0].update(iteration)
+            )
             for page in pages:
                 if page.run.finished:
-                    output.print(f"{page.run.scene.name} stays at {page.url}; Ctrl-C ends it")
-                    _stay(page)
+                    output.print(
+                        f"{page.run.scene.name} is still at {page.url}; press Ctrl-C to stop"
+                    )
+                    with one_torch_thread():
+                        page.serve_finished_run()
         finally:
             for page in pages:
                 page.close()
 
 
-def _stay(page: Following) -> None:
-    from registry.training import one_torch_thread
-
-    with one_torch_thread():
-        page.stay()
-
-
 @hookimpl
 def stereogs_register_train_options(register: Register[TrainOption]) -> None:
-    register("view", LivePage)
+    register("view", LiveView)

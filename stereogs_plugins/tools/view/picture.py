@@ -1,10 +1,10 @@
-"""One picture for a visitor: colours, depth or alpha, of the Gaussians that are switched on."""
+"""Render an image for the viewer: colors, depth or alpha of the visible Gaussians, in limited time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,10 +20,20 @@ from .subject import Subject
 Channel = Literal["colours", "depth", "alpha"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
+QUICK_SECONDS = 0.08
+"""Time for an image while the camera moves."""
+SHARP_SECONDS = 0.8
+"""Time for an image once the camera stands still."""
+_FEWEST_PIXELS = 120 * 160
+_FIRST_GUESS = 2e6
+"""Pixels per second before an image has been timed."""
+_MEMORY = 0.5
+"""Weight of earlier measurements."""
+
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box: its lowest and its highest corner, world units."""
+    """An axis-aligned box: lowest and highest corner, world units."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -31,21 +41,21 @@ class Box:
 
 @dataclass(frozen=True)
 class Look:
-    """What a visitor has chosen.
+    """The user's choices.
 
     Args:
-        channel: what is shown of each pixel.
-        hidden: kinds of Gaussians that are left out.
-        box: Gaussians whose centres are outside are left out; None keeps all.
+        channel: content of the image.
+        hidden: kinds of Gaussians to leave out.
+        box: Gaussians with centers outside are left out; None for no box.
     """
 
     channel: Channel = "colours"
-    hidden: Collection[str] = field(default=())
+    hidden: Collection[str] = ()
     box: Box | None = None
 
 
-def kept(subject: Subject, look: Look) -> Tensor | None:
-    """Which Gaussians are drawn, `[N]` bool; None for all."""
+def visible(subject: Subject, look: Look) -> Tensor | None:
+    """Return a mask `[N]` bool of the Gaussians to render; None for all."""
     mask = torch.ones(subject.model.count, dtype=torch.bool)
     for kind in look.hidden:
         mask &= ~subject.kinds[kind]
@@ -56,17 +66,17 @@ def kept(subject: Subject, look: Look) -> Tensor | None:
     return None if mask.all() else mask
 
 
-def pictured(
-    subject: Subject, camera: Camera, channel: Channel, drawn: Tensor | None = None
+def render(
+    subject: Subject, camera: Camera, channel: Channel, mask: Tensor | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """The picture `[H, W, 3]`, and the z-depth `[H, W]` of what it shows, world units.
+    """Return an image `[H, W, 3]` and its z-depth `[H, W]`, world units.
 
-    The depth is infinite where the Gaussians stop less than half of the light.
+    The depth is infinite where alpha is at most 0.5.
 
     Args:
-        drawn: which Gaussians are, as `kept` says.
+        mask: from `visible`.
     """
-    scale = None if drawn is None else drawn.float()
+    scale = None if mask is None else mask.float()
     with torch.no_grad():
         rendering = subject.model.render(camera, background=subject.background, opacity_scale=scale)
     hit = rendering.alpha > 0.5
@@ -89,14 +99,32 @@ def camera_of(
     width: int,
     height: int,
 ) -> Camera:
-    """A camera as viser describes it.
+    """Return the camera for viser's description of one.
 
     Args:
-        rotation: `[3, 3]`, camera to world; the camera's axes are OpenCV's.
-        position: `[3]` world units.
+        rotation: `[3, 3]`, camera to world, OpenCV axes.
+        position: `[3]`, world units.
         field_of_view: vertical, radians.
     """
     pose = np.eye(4)
     pose[:3, :3] = rotation.T
     pose[:3, 3] = -rotation.T @ position
     return Camera.centered(pose, 0.5 * height / math.tan(0.5 * field_of_view), width, height)
+
+
+class Pace:
+    """Chooses image sizes by the measured rendering speed."""
+
+    def __init__(self) -> None:
+        self._pixels_per_second = _FIRST_GUESS
+
+    def size(self, width: int, height: int, seconds: float) -> tuple[int, int]:
+        """Return the largest size with the window's aspect ratio that probably renders in `seconds`."""
+        pixels = max(_FEWEST_PIXELS, self._pixels_per_second * seconds)
+        factor = min(1.0, math.sqrt(pixels / (width * height)))
+        return max(1, round(width * factor)), max(1, round(height * factor))
+
+    def add(self, pixels: int, seconds: float) -> None:
+        """Update the speed with the time of an image."""
+        speed = pixels / max(seconds, 1e-6)
+        self._pixels_per_second = _MEMORY * self._pixels_per_second + (1 - _MEMORY) * speed

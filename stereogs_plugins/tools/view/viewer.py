@@ -1,7 +1,7 @@
-"""The page: a server on this machine alone, that renders for whoever has it open.
+"""The viewer's page: a local server that renders for every browser that has it open.
 
-viser's threads only note who wants a picture; `Viewer.serve` draws, in the thread of whoever calls it. So
-nothing is rendered while training works with the same Gaussians.
+viser's threads only record which clients need an image; `Viewer.serve` renders in the thread that calls it,
+so that nothing is rendered while training uses the same Gaussians.
 """
 
 from __future__ import annotations
@@ -9,37 +9,47 @@ from __future__ import annotations
 import io
 import threading
 import time
+from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .controls import Bounds, Controls
+from . import import_viser
 from .decoration import add_box, add_cameras, add_ellipsoids
-from .pace import QUICK_SECONDS, SHARP_SECONDS, Pace
-from .package import import_viser
-from .picture import Look, camera_of, kept, pictured
-from .start_pose import StartPose, start_pose
-from .subject import Subject
+from .picture import (
+    CHANNELS,
+    QUICK_SECONDS,
+    SHARP_SECONDS,
+    Box,
+    Look,
+    Pace,
+    camera_of,
+    render,
+    visible,
+)
+from .subject import StartPose, Subject, start_pose
 
 HOST = "127.0.0.1"
 SETTLED_SECONDS = 0.25
-"""How long a visitor has to stand still for a sharp picture."""
+"""Time without movement before a sharp image is rendered."""
 _WINDOW = (1280, 720)
-"""Pixels, of a window that has not told its size yet."""
+"""Pixels, until a browser has reported the size of its window."""
 _MOST_WIDE = 1920
 _JPEG_QUALITY = 85
-_PATIENCE = 1.0
-"""Seconds between two looks at whether Ctrl-C was pressed."""
+_POLL_SECONDS = 1.0
+"""Time between two checks for Ctrl-C."""
+
+Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 class Viewer:
     """Gaussians in the browser.
 
     Args:
-        subject: what is shown.
-        port: of this machine that is tried first; the next free one is taken.
+        subject: the scene.
+        port: first port to try; if it is in use, the next free one.
 
     Raises:
         RunError: viser is not installed (`import_viser`).
@@ -49,102 +59,99 @@ class Viewer:
         self._subject, self._pace = subject, Pace()
         self._changed = threading.Condition()
         self._moved: dict[int, Any] = {}
-        self._rough: dict[int, Any] = {}
-        self._drawn = kept(subject, Look())
-        self._looked: tuple[Subject, Look] = (subject, Look())
+        self._blurred: dict[int, Any] = {}
+        self._mask = visible(subject, Look())
+        self._masked: tuple[Subject, Look] = (subject, Look())
         self._server = _server(port, subject.name)
         self._ellipsoids: Any = None
         self._box: Any = None
-        self._shown: tuple[Subject, Look, bool] = (subject, Look(), False)
+        self._decorated: tuple[Subject, Look, bool] = (subject, Look(), False)
         start = start_pose(subject)
         self._unit = start.distance
         self._cameras = add_cameras(
-            self._server, subject.standpoints, start.extent / self._unit, self._unit
+            self._server, subject.viewpoints, start.extent / self._unit, self._unit
         )
-        self._controls = Controls(
+        self._controls = _Controls(
             self._server,
             kinds=sorted(subject.kinds),
             bounds=_bounds(subject),
-            on_look=self._everyone,
+            on_look=self._request_all,
             on_cameras=self._show_cameras,
         )
-        self._tell(f"{subject.model.count:,} Gaussians")
-        self._stand(start)
-        self._server.on_client_connect(self._welcome)
+        self._controls.status.content = f"{subject.model.count:,} Gaussians"
+        self._set_start(start)
+        self._server.on_client_connect(self._connect)
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{HOST}:{self._server.get_port()}"
 
     @property
-    def is_visited(self) -> bool:
-        """Whether somebody has the page open."""
+    def has_clients(self) -> bool:
+        """True if a browser has the page open."""
         return bool(self._server.get_clients())
 
     def show(self, subject: Subject, iteration: int) -> None:
-        """Show what training has made of the Gaussians; `serve` draws it.
+        """Replace the Gaussians; the next `serve` renders them.
 
         Args:
-            subject: of the same scene as before.
-            iteration: the last one that is complete.
+            subject: of the same scene.
+            iteration: number of completed iterations.
         """
         self._subject = subject
-        self._tell(f"{subject.model.count:,} Gaussians after iteration {iteration:,}")
-        self._everyone()
+        status = f"{subject.model.count:,} Gaussians after iteration {iteration:,}"
+        self._controls.status.content = status
+        self._request_all()
 
-    def serve(self, patience: float) -> None:
-        """Draw for those who moved; when nobody has for a moment, draw sharply.
-
-        Args:
-            patience: seconds to wait for somebody who moves.
-        """
-        waiting = min(patience, SETTLED_SECONDS) if self._rough else patience
+    def serve(self, timeout: float) -> None:
+        """Render for clients that move within `timeout` seconds; if none does, render sharp images."""
+        timeout = min(timeout, SETTLED_SECONDS) if self._blurred else timeout
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._moved), timeout=waiting)
+            self._changed.wait_for(lambda: bool(self._moved), timeout=timeout)
         if self.serve_moved():
             return
-        self._draw_all(self._rough, SHARP_SECONDS)
-        self._rough = {}
+        self._render_all(self._blurred, SHARP_SECONDS)
+        self._blurred = {}
 
     def serve_moved(self) -> bool:
-        """Draw quickly for those who moved; whether there was anybody."""
+        """Render quick images for clients that moved; return whether there were any."""
         with self._changed:
             moved, self._moved = self._moved, {}
         if not moved:
             return False
         self._decorate()
-        self._rough |= moved
-        self._draw_all(moved, QUICK_SECONDS)
+        self._blurred |= moved
+        self._render_all(moved, QUICK_SECONDS)
         return True
 
     def serve_until_interrupted(self) -> None:
-        """Draw for whoever moves, until Ctrl-C."""
+        """Serve until Ctrl-C."""
         try:
             while True:
-                self.serve(_PATIENCE)
+                self.serve(_POLL_SECONDS)
         except KeyboardInterrupt:
             return
 
     def close(self) -> None:
-        """End the server."""
-        with redirect_stdout(io.StringIO()):  # it says that it has
+        """Stop the server."""
+        with redirect_stdout(io.StringIO()):  # viser prints that it stops
             self._server.stop()
 
-    def _draw_all(self, clients: dict[int, Any], seconds: float) -> None:
-        """Draw for those who have not left."""
-        there = self._server.get_clients()
+    def _render_all(self, clients: dict[int, Any], seconds: float) -> None:
+        """Render for the clients that are still connected."""
+        connected = self._server.get_clients()
         for number, client in clients.items():
-            if number in there:
-                self._draw(client, seconds)
+            if number in connected:
+                self._render(client, seconds)
 
-    def _draw(self, client: Any, seconds: float) -> None:
-        if self._ellipsoids is not None:  # they stand in for the picture
+    def _render(self, client: Any, seconds: float) -> None:
+        if self._ellipsoids is not None:  # they replace the image
             client.scene.set_background_image(None)
             return
         look, seen = self._controls.look, client.camera
-        if (self._subject, look) != self._looked:
-            self._drawn, self._looked = kept(self._subject, look), (self._subject, look)
+        if (self._subject, look) != self._masked:
+            self._mask, self._masked = visible(self._subject, look), (self._subject, look)
         window = (seen.image_width or _WINDOW[0], seen.image_height or _WINDOW[1])
         shrink = min(1.0, _MOST_WIDE / window[0])
         width, height = self._pace.size(
@@ -154,59 +161,113 @@ class Viewer:
         position = np.asarray(seen.position) * self._unit
         camera = camera_of(axes, position, seen.fov, width, height)
         begin = time.monotonic()
-        image, depth = pictured(self._subject, camera, look.channel, self._drawn)
-        self._pace.took(width * height, time.monotonic() - begin)
+        image, depth = render(self._subject, camera, look.channel, self._mask)
+        self._pace.add(width * height, time.monotonic() - begin)
         client.scene.set_background_image(
             image, format="jpeg", jpeg_quality=_JPEG_QUALITY, depth=depth / self._unit
         )
 
-    def _welcome(self, client: Any) -> None:
-        client.camera.on_update(lambda _: self._wants(client))
-        self._wants(client)
+    def _connect(self, client: Any) -> None:
+        client.camera.on_update(lambda _: self._request(client))
+        self._request(client)
 
-    def _wants(self, client: Any) -> None:
+    def _request(self, client: Any) -> None:
         with self._changed:
             self._moved[client.client_id] = client
             self._changed.notify()
 
-    def _everyone(self) -> None:
+    def _request_all(self) -> None:
         for client in self._server.get_clients().values():
-            self._wants(client)
-
-    def _tell(self, text: str) -> None:
-        self._controls.status.content = text
+            self._request(client)
 
     def _show_cameras(self, visible: bool) -> None:
         for frustum in self._cameras:
             frustum.visible = visible
 
     def _decorate(self) -> None:
-        """Bring the ellipsoids and the crop box up to what is chosen."""
+        """Update the ellipsoids and the crop box."""
         subject, look, ellipsoids = self._subject, self._controls.look, self._controls.ellipsoids
-        if self._shown == (subject, look, ellipsoids):
+        if self._decorated == (subject, look, ellipsoids):
             return
-        self._shown = (subject, look, ellipsoids)
+        self._decorated = (subject, look, ellipsoids)
         for handle in filter(None, (self._ellipsoids, self._box)):
             handle.remove()
         self._ellipsoids = self._box = None
         if ellipsoids:
-            gaussians, drawn = subject.model.gaussians(), kept(subject, look)
-            self._ellipsoids = add_ellipsoids(self._server, gaussians, drawn, self._unit)
+            gaussians, mask = subject.model.gaussians(), visible(subject, look)
+            self._ellipsoids = add_ellipsoids(self._server, gaussians, mask, self._unit)
         if look.box is not None:
             self._box = add_box(self._server, look.box, self._unit)
 
-    def _stand(self, pose: StartPose) -> None:
+    def _set_start(self, pose: StartPose) -> None:
         self._server.scene.set_up_direction(pose.up)
         start = self._server.initial_camera
-        # The browser's depth has a fixed point: its unit is the distance to what is looked at.
+        # The browser's depth is fixed-point: its unit is the distance to the orbit point.
         start.position, start.look_at = (
             tuple(place / self._unit) for place in (pose.position, pose.look_at)
         )
         start.up, start.fov = tuple(pose.up), pose.field_of_view
 
 
+class _Controls:
+    """The panel next to the image.
+
+    Args:
+        bounds: lowest and highest corner of the crop box, world units.
+        on_look: called when the image must be rendered again.
+        on_cameras: called with True to show the cameras, False to hide them.
+    """
+
+    def __init__(
+        self,
+        server: Any,
+        *,
+        kinds: Iterable[str],
+        bounds: Bounds,
+        on_look: Callable[[], None],
+        on_cameras: Callable[[bool], None],
+    ) -> None:
+        gui = server.gui
+        self.status = gui.add_markdown("")
+        self._channel = gui.add_dropdown("Show", CHANNELS, initial_value=CHANNELS[0])
+        cameras = gui.add_checkbox("Cameras", True)
+        cameras.on_update(lambda _: on_cameras(cameras.value))
+        self._ellipsoids = gui.add_checkbox("Ellipsoids", False)
+        self._kinds = {}
+        kinds = tuple(kinds)
+        if kinds:
+            with gui.add_folder("Kinds of points"):
+                self._kinds = {kind: gui.add_checkbox(kind, True) for kind in kinds}
+        with gui.add_folder("Crop box", expand_by_default=False):
+            self._cropped = gui.add_checkbox("Show only the inside", False)
+            self._ranges = [
+                gui.add_multi_slider(
+                    axis, min=low, max=high, step=(high - low) / 200, initial_value=(low, high)
+                )
+                for axis, low, high in zip("xyz", *bounds, strict=True)
+            ]
+        switches = (self._channel, self._ellipsoids, *self._kinds.values())
+        for handle in (*switches, self._cropped, *self._ranges):
+            handle.on_update(lambda _: on_look())
+
+    @property
+    def ellipsoids(self) -> bool:
+        """True if ellipsoids replace the image."""
+        return bool(self._ellipsoids.value)
+
+    @property
+    def look(self) -> Look:
+        """The current choices."""
+        box = None
+        if self._cropped.value:
+            x, y, z = (slider.value for slider in self._ranges)
+            box = Box((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+        hidden = tuple(kind for kind, switch in self._kinds.items() if not switch.value)
+        return Look(self._channel.value, hidden, box)
+
+
 def _bounds(subject: Subject) -> Bounds:
-    """The corners of the box that holds all but the farthest Gaussians."""
+    """Return the corners of a box that contains all but the outermost Gaussians."""
     means = subject.model.read("means").numpy()
     low, high = np.quantile(means, (0.005, 0.995), axis=0)
     margin = 0.05 * (high - low) + 1e-6
@@ -216,8 +277,8 @@ def _bounds(subject: Subject) -> Bounds:
 
 def _server(port: int, title: str) -> Any:
     viser = import_viser()
-    with redirect_stdout(io.StringIO()):  # it draws a box with addresses
+    with redirect_stdout(io.StringIO()):  # viser prints a box with addresses
         server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
-    # Its button for sharing would hand the page to a server on the internet.
+    # The share button would publish the page through a server on the internet.
     server.gui.configure_theme(show_share_button=False)
     return server

@@ -47,7 +47,7 @@ def test_a_report_is_written_later(pipeline: Path, capsys: Capture) -> None:
     assert "report.txt" in json.loads((run / "results.json").read_text())["reports"]
     (run / "results.json").unlink()
     assert main(["report", str(run)]) == 2
-    assert "the run has not ended" in capsys.readouterr().err
+    assert "the run has not finished" in capsys.readouterr().err
 
 
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
@@ -95,5 +95,5 @@ def test_an_iteration_that_failed_is_repeated(
         assert main(["replay", "run/failures/iteration-0000001"]) == 2
         assert capsys.readouterr().err.splitlines()[0] == told.splitlines()[0]
     assert main(["replay", "run/failures/iteration-0000001"]) == 0
-    assert "goes through; when it was kept, it failed: the" in capsys.readouterr().out
+    assert "succeeds now; it had failed with: the" in capsys.readouterr().out
     assert main(["resume", "run"]) == 0

@@ -1,4 +1,4 @@
-"""`stereogs priors check`: files of every format are recognized and tried, and the right settings win."""
+"""`stereogs priors check` recognizes files of every format and finds the right settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from registry.priors import DepthMap, Matches
 from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from stereogs_plugins.tools.priors import prior_trials
-from stereogs_plugins.tools.priors.prior_truth import judge, truth_of
+from stereogs_plugins.tools.priors.prior_trials import score, truth_of
 from tests.stereogs_plugins.building import build
 
 from . import graphs
@@ -90,12 +90,12 @@ def test_other_formats_are_recognized(tmp_path: Path, plugins: Plugins) -> None:
     assert guessed(features, plugins) == [
         (name, {"cost": "features"}) for name in ("plane_sweep", "sgm")
     ]
-    with pytest.raises(PluginError, match="no installed prior knows a file of this form"):
+    with pytest.raises(PluginError, match="no installed prior supports a file with these inputs"):
         guessed(graphs.matcher_of_points(tmp_path / "matcher.onnx"), plugins)
 
 
 @pytest.mark.usefixtures("_small")
-def test_the_sign_is_found_by_trial_and_the_yaml_is_valid(
+def test_trials_find_the_sign_and_print_valid_yaml(
     tmp_path: Path, capsys: Capture, plugins: Plugins
 ) -> None:
     path = graphs.matcher(tmp_path / "m.onnx", ("a", "b", "c"), candidates=16, sign=-1.0)
@@ -115,12 +115,12 @@ def test_the_sign_is_found_by_trial_and_the_yaml_is_valid(
 
 
 @pytest.mark.usefixtures("_small")
-def test_a_file_that_no_guess_can_run_is_an_error(tmp_path: Path, capsys: Capture) -> None:
+def test_a_file_that_no_settings_can_run_is_an_error(tmp_path: Path, capsys: Capture) -> None:
     path = graphs.brightest_pixels(tmp_path / "points.onnx", 24, 40)
     assert main(["priors", "check", str(path)]) == 1
     said = capsys.readouterr().out
     assert "needs the setting 'matcher'" in said
-    assert "no guess gave an answer" in said
+    assert "no settings worked" in said
     assert main(["priors", "check", str(tmp_path / "none.onnx")]) == 2
 
 
@@ -143,25 +143,25 @@ def depth_of(view: TrainingView) -> torch.Tensor:
     return view.depth
 
 
-def test_results_are_scored_by_their_distance_from_the_truth(small_row: Scene) -> None:
+def test_predictions_are_scored_against_the_ground_truth(small_row: Scene) -> None:
     truth = truth_of(small_row.train, small_row.bounds)
     disparity, visible = -truth.moved[..., 0], truth.visible
-    assert judge(known.stereo(disparity.float()), truth).error == 0
-    assert judge(known.stereo((disparity + 1.9).float()), truth).error == 0
-    assert judge(known.stereo((disparity + 2.1).float()), truth).error == 1
+    assert score(known.stereo(disparity.float()), truth).error == 0
+    assert score(known.stereo((disparity + 1.9).float()), truth).error == 0
+    assert score(known.stereo((disparity + 2.1).float()), truth).error == 1
     half = disparity.float().where(torch.arange(128)[None] % 2 == 0, 0.0)
-    assert judge(known.stereo(half), truth).error == pytest.approx(0.5, abs=0.02)
-    assert judge(known.flow(truth.moved.float()), truth).error == 0
-    assert judge(known.flow(-truth.moved.float()), truth).error == 1
+    assert score(known.stereo(half), truth).error == pytest.approx(0.5, abs=0.02)
+    assert score(known.flow(truth.moved.float()), truth).error == 0
+    assert score(known.flow(-truth.moved.float()), truth).error == 1
     depth = depth_of(small_row.train[0])
     maps = [DepthMap(depth * f, depth > 0, torch.ones_like(depth)) for f in (1.02, 1.04)]
-    assert [judge(known.depth(one), truth).error for one in maps] == [0, 1]
-    assert judge(known.nearness(5 / depth + 3), truth).error == pytest.approx(0, abs=1e-3)
-    assert judge(known.nearness(-1 / depth), truth).error == pytest.approx(2, abs=1e-3)
-    assert judge(known.nearness(0 * depth), truth).error == 1
+    assert [score(known.depth(one), truth).error for one in maps] == [0, 1]
+    assert score(known.nearness(5 / depth + 3), truth).error == pytest.approx(0, abs=1e-3)
+    assert score(known.nearness(-1 / depth), truth).error == pytest.approx(2, abs=1e-3)
+    assert score(known.nearness(0 * depth), truth).error == 1
     v, u = visible.nonzero()[::50].unbind(dim=1)
     here = torch.stack([u, v], dim=1) + 0.5
     there = here + truth.moved[v, u]
     there[: len(there) // 4] += 3
-    score = judge(known.matches(Matches(here, there, torch.ones(len(here)))), truth)
-    assert score.error == pytest.approx(0.25, abs=0.01)
+    result = score(known.matches(Matches(here, there, torch.ones(len(here)))), truth)
+    assert result.error == pytest.approx(0.25, abs=0.01)

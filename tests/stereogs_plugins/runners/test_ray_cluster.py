@@ -19,10 +19,13 @@ from registry.plugins.discovery import SELECTION, Plugins
 from stereogs_plugins.runners.ray_cluster import extract
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
-from stereogs_plugins.tools.experiments.running.choosing import choose_runner
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.running.progress import AblationProgress
-from stereogs_plugins.tools.experiments.running.runner import Outcome, train_all
+from stereogs_plugins.tools.experiments.running.runner import (
+    AblationProgress,
+    Outcome,
+    choose_runner,
+    train_all,
+)
 
 SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
 PIPELINE = f"""\

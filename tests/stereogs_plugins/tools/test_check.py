@@ -17,8 +17,14 @@ from registry.inspection.scene_facts import facts, points_in_view, summary, typi
 from registry.plugins.discovery import Plugins
 from registry.plugins.recognition import recognize
 from registry.testing import tiny_scene
-from stereogs_plugins.tools.check.scene_picture import TEST_COLOR, TRAIN_COLOR, WIDTH, scene_picture
-from stereogs_plugins.tools.check.top_view import make_plan, round_step
+from stereogs_plugins.tools.check.scene_picture import (
+    TEST_COLOR,
+    TRAIN_COLOR,
+    WIDTH,
+    make_plan,
+    round_step,
+    scene_picture,
+)
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
@@ -114,7 +120,7 @@ def test_the_scene_of_a_pipeline(install: Install, tmp_path: Path, capsys: Captu
         (["data${x}", "--set", "titel=x"], "did you mean 'title'"),
         (["data${x}", "--set", "title"], "must look like"),
         (["data${x}", "--out", "x.jpg"], ".png file"),
-        (["data${x}", "--out", "none/x.png"], "folder that exists"),
+        (["data${x}", "--out", "none/x.png"], "existing folder"),
         (["x.yaml", "--format", "marked"], "names its own loader"),
     ],
 )
@@ -128,7 +134,7 @@ def test_mistakes_are_explained_and_leave_no_picture(
     assert [path.name for path in Path().iterdir()] == [folder.name]
 
 
-def test_an_unknown_folder_is_told_what_was_looked_for(folder: Path) -> None:
+def test_an_unknown_folder_lists_the_formats_that_were_tried(folder: Path) -> None:
     (folder / "MARKER").unlink()
     with pytest.raises(SceneError) as caught:
         recognize(folder, Plugins())
@@ -136,19 +142,19 @@ def test_an_unknown_folder_is_told_what_was_looked_for(folder: Path) -> None:
     assert "also_marked: OTHER" in caught.value.what
 
 
-def test_loaders_that_could_not_be_asked_are_named(install: Install, tmp_path: Path) -> None:
+def test_loaders_that_fail_to_load_are_named(install: Install, tmp_path: Path) -> None:
     install("broken", "1.0", {"broken": "broken_module"}, broken_module="import nowhere_at_all")
     with pytest.raises(SceneError, match="nowhere_at_all"):
         recognize(tmp_path, Plugins())
 
 
-def test_a_folder_of_two_formats_is_not_guessed(folder: Path) -> None:
+def test_a_folder_of_two_formats_is_ambiguous(folder: Path) -> None:
     (folder / "OTHER").touch()
     with pytest.raises(SceneError, match="several formats: also_marked, marked"):
         recognize(folder, Plugins())
 
 
-def test_a_loader_without_a_mark_is_never_guessed(toys: Plugins, tmp_path: Path) -> None:
+def test_a_loader_that_recognizes_no_folder_is_never_chosen(toys: Plugins, tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         recognize(tmp_path, toys)
     assert "toy_scene" not in caught.value.what
@@ -194,13 +200,13 @@ def test_facts() -> None:
     assert found["true depth"] == "3 of 3 views"
 
 
-def test_the_line_before_training() -> None:
+def test_the_summary_line_before_training() -> None:
     assert summary(tiny_scene()) == (
         "tiny: 2 training views, 1 test views, 32x24, depth 1.5 .. 5, 60 points"
     )
 
 
-def test_a_sound_scene_has_no_warning() -> None:
+def test_a_good_scene_has_no_warning() -> None:
     assert warnings(scene_of(camera(-0.2), camera(0.2), points=wall(200))) == []
 
 
@@ -295,7 +301,7 @@ def test_steps_are_round(wanted: float, step: float) -> None:
     assert round_step(wanted) == pytest.approx(step)
 
 
-def test_far_points_leave_the_cameras_room() -> None:
+def test_far_points_do_not_shrink_the_cameras() -> None:
     cameras = [camera(x) for x in (-1.0, 0.0, 1.0)]
     near, far = wall(100, depth=3.0).positions, wall(60, depth=500.0).positions
     points = PointCloud(torch.cat([near, far]), torch.zeros(160, 3))
@@ -307,7 +313,7 @@ def test_far_points_leave_the_cameras_room() -> None:
     assert ((inside >= 0) & (inside <= [400, 300])).all()
 
 
-def test_the_picture_goes_into_a_folder_that_is_named(install: Install, tmp_path: Path) -> None:
+def test_the_image_is_written_into_a_given_folder(install: Install, tmp_path: Path) -> None:
     install("toys", "1.5", TOY_ENTRIES)
     pipeline, folder = tmp_path / "toy.yaml", tmp_path / "pictures"
     pipeline.write_text("name: toy\nscene: toy_scene\ninitializer: toy_points\n")

@@ -1,4 +1,4 @@
-"""What a shell offers after half a line."""
+"""Completions for an incomplete command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Capture = pytest.CaptureFixture[str]
 
 
 def completed(line: str, folder: Path) -> list[str]:
-    """What the shell would offer after a line."""
+    """Return the completions for a command line."""
     answer = folder / "answer"
     environment = {
         **{key: value for key, value in os.environ.items() if key != "STEREOGS_PLUGINS"},

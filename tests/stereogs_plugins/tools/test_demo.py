@@ -53,12 +53,12 @@ def scene(folder: Path, *, quick: bool = True) -> None:
     (folder / "SMALL").touch()
 
 
-def test_without_the_variable_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_variable_there_are_no_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(DATA, raising=False)
     assert photographs(Plugins()) is None
 
 
-def test_a_scene_of_its_own_or_the_first_of_several(
+def test_a_scene_folder_or_the_first_of_several(
     install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = {"silent": "small_loaders", "small": "small_loaders"}
@@ -78,7 +78,7 @@ def test_a_scene_of_its_own_or_the_first_of_several(
     assert photographs(Plugins()) == {**found, "path": "${STEREOGS_DATA}"}
 
 
-def test_forward_facing_captures_are_shown_where_small_images_are_there(
+def test_forward_facing_captures_need_small_images(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SELECTION, "llff")

@@ -135,7 +135,7 @@ def write(folder: Path, source: str, monkeypatch: pytest.MonkeyPatch, name: str)
     sys.modules.pop(name, None)
 
 
-def test_a_third_party_adds_a_verb(
+def test_another_package_adds_a_verb(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = MODULE.replace("{name}", "count").replace("{cls}", "Count")
@@ -154,25 +154,25 @@ def test_a_third_party_adds_a_verb(
         ("import nothing_of_this_name", "cannot be imported: ModuleNotFoundError"),
         (
             MODULE.replace("{name}", "cont").replace("{cls}", "Count"),
-            "registers cont, not 'faulty'",
+            "registers cont, not 'broken'",
         ),
-        (MODULE.replace("{name}", "faulty").replace("{cls}", "int"), "not a subclass of registry"),
-        ('"""Do nothing."""\n', "registers nothing, not 'faulty'"),
+        (MODULE.replace("{name}", "broken").replace("{cls}", "int"), "not a subclass of registry"),
+        ('"""Do nothing."""\n', "registers nothing, not 'broken'"),
     ],
 )
-def test_a_faulty_verb_is_named(
+def test_a_broken_verb_is_named(
     source: str,
     what: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    write(tmp_path, source, monkeypatch, "acme_faulty")
-    monkeypatch.setattr(commands, "entry_points", only("faulty", "acme_faulty"))
-    assert main(["faulty", "1"]) == 2
+    write(tmp_path, source, monkeypatch, "acme_broken")
+    monkeypatch.setattr(commands, "entry_points", only("broken", "acme_broken"))
+    assert main(["broken", "1"]) == 2
     error = capsys.readouterr().err
     assert what in error
-    assert "acme_faulty" in error
+    assert "acme_broken" in error
     with pytest.raises(SystemExit):  # the others still work
         main(["plugins", "--help"])
 
@@ -188,7 +188,7 @@ def test_a_verb_that_fails_is_named(
     assert "the verb 'count' failed: ZeroDivisionError" in error
 
 
-def test_two_packages_with_one_verb_are_refused(
+def test_two_packages_with_one_verb_are_rejected(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(commands, "entry_points", only("train", "acme_train"))

@@ -1,1 +1,1 @@
-"""Setting finished runs side by side, and beside published numbers."""
+"""Compare finished runs with each other and with published numbers."""

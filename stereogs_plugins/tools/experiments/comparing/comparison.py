@@ -1,10 +1,10 @@
-"""Finished runs side by side, and the averages of each method."""
+"""Finished runs, their labels, and the means of each method."""
 
 from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,21 +13,23 @@ from registry import RunError
 from registry.pipeline import plain, read
 from registry.runs import RESULTS, RunFolder, read_results
 
-COSTS = ("gaussians", "seconds", "peak_memory_mb")
-"""What results.json says a run cost."""
+COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
+"""Costs in results.json, with their headings."""
+MOST_SETTINGS = 3
+"""Largest number of settings in a label."""
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
+_ABSENT = object()
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What a comparison needs of one run.
+    """A finished run.
 
     Args:
-        folder: of the run.
-        results: its results.json.
-        tree: its pipeline, as plain values.
-        method: the pipeline without what may differ between scenes and repetitions: the scene's path, the
-            seed, and what does not touch training.
+        folder: the run folder.
+        results: the content of results.json.
+        tree: its pipeline as plain values.
+        method: the pipeline without the scene's path, the seed, and sections that do not affect training.
     """
 
     folder: Path
@@ -37,17 +39,17 @@ class FinishedRun:
 
     @property
     def pipeline(self) -> str:
-        """The pipeline's name."""
+        """Name of the pipeline."""
         return str(self.results["pipeline"])
 
     @property
     def scene(self) -> str:
-        """The scene's name."""
+        """Name of the scene."""
         return str(self.results["scene"]["name"])
 
     @property
     def protocol(self) -> str | None:
-        """The protocol's name with its modifications, if it follows one: "blender-8"."""
+        """Name of the protocol with its modifications, for example "blender-8"; None without one."""
         record = self.results["protocol"]
         if record is None:
             return None
@@ -56,18 +58,23 @@ class FinishedRun:
 
     @property
     def scores(self) -> dict[str, float | None]:
-        """Means over the test views by metric; None where a metric was not available."""
+        """Mean of each metric over the test views; None for an unavailable metric."""
         return dict(self.results["test"])
+
+    @property
+    def numbers(self) -> dict[str, float | None]:
+        """Scores and costs."""
+        return {**self.scores, **{key: self.results.get(key) for key in COSTS}}
 
 
 @dataclass(frozen=True)
 class MethodMean:
-    """One method's averages over scenes; a scene with several runs counts once.
+    """The means of a method over scenes; several runs of a scene count once.
 
     Args:
-        method: its pipeline's name; with a run's folder where two methods share the name.
-        scenes: that the average goes over.
-        numbers: by metric, and "gaussians", "seconds", "peak_memory_mb"; None where a run lacks it.
+        method: name of its pipeline, with a run folder if two methods share the name.
+        scenes: the averaged scenes.
+        numbers: scores and costs; None if a run lacks one.
     """
 
     method: str
@@ -76,16 +83,15 @@ class MethodMean:
 
 
 def read_run(path: Path) -> FinishedRun:
-    """A run that has ended.
+    """Read a finished run.
 
     Raises:
-        RunError: this is no run folder, the run has not ended, its results cannot be believed (see
-            `read_results`), or it was scored by an older version.
+        RunError: not a run folder, an unfinished run, or results.json is invalid or of an older version.
     """
     run = RunFolder.existing(path)
     if not (path / RESULTS).exists():
         raise RunError(
-            "the run has no results.json: it has not ended",
+            "the run has not finished: it has no results.json",
             where=str(path),
             fix=f"stereogs resume {path}",
         )
@@ -95,51 +101,12 @@ def read_run(path: Path) -> FinishedRun:
         missing.append("the scene's facts")
     if missing:
         raise RunError(
-            f"results.json does not say {', '.join(missing)}: an older version wrote it",
+            f"results.json of an older version lacks {', '.join(missing)}",
             where=str(path),
             fix=f"stereogs eval {path}",
         )
     tree = plain(read(run.pipeline))
     return FinishedRun(path, results, tree, _method(tree))
-
-
-def method_means(runs: Sequence[FinishedRun]) -> list[MethodMean]:
-    """Averages of each method over its scenes, in the order of the runs.
-
-    Only methods that were run on the same scenes can be averaged side by side; the caller looks at
-    `MethodMean.scenes`.
-    """
-    groups: dict[str, list[FinishedRun]] = {}
-    for run in runs:
-        groups.setdefault(run.method, []).append(run)
-    names = [group[0].pipeline for group in groups.values()]
-    means = []
-    for group, name in zip(groups.values(), names, strict=True):
-        label = name if names.count(name) == 1 else f"{name} ({group[0].folder.name})"
-        scenes = sorted({run.scene for run in group})
-        by_scene = [_mean_numbers([_numbers(r) for r in group if r.scene == s]) for s in scenes]
-        means.append(MethodMean(label, tuple(scenes), _mean_numbers(by_scene)))
-    return means
-
-
-def metric_names(runs: Iterable[FinishedRun]) -> list[str]:
-    """The metrics of any of the runs, in their order."""
-    return list(dict.fromkeys(name for run in runs for name in run.scores))
-
-
-def _numbers(run: FinishedRun) -> dict[str, float | None]:
-    costs = {key: run.results.get(key) for key in COSTS}
-    return {**run.scores, **costs}
-
-
-def _mean_numbers(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Means of the numbers that every row has."""
-    means: dict[str, float | None] = {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        values = [row.get(name) for row in rows]
-        known = [value for value in values if value is not None]
-        means[name] = sum(known) / len(known) if len(known) == len(values) else None
-    return means
 
 
 def _method(pipeline: Mapping[str, Any]) -> str:
@@ -149,3 +116,89 @@ def _method(pipeline: Mapping[str, Any]) -> str:
     tree["scene"].pop("path", None)
     tree["training"].pop("seed", None)
     return json.dumps(tree, sort_keys=True)
+
+
+def method_means(runs: Sequence[FinishedRun]) -> list[MethodMean]:
+    """Return the means of each method over its scenes, in the order of the runs.
+
+    Means of different `MethodMean.scenes` are not comparable.
+    """
+    groups: dict[str, list[FinishedRun]] = {}
+    for run in runs:
+        groups.setdefault(run.method, []).append(run)
+    names = [group[0].pipeline for group in groups.values()]
+    means = []
+    for group, name in zip(groups.values(), names, strict=True):
+        label = name if names.count(name) == 1 else f"{name} ({group[0].folder.name})"
+        scenes = sorted({run.scene for run in group})
+        by_scene = [_means([run.numbers for run in group if run.scene == s]) for s in scenes]
+        means.append(MethodMean(label, tuple(scenes), _means(by_scene)))
+    return means
+
+
+def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
+    """Return the mean of each number; None if a row lacks it."""
+    means: dict[str, float | None] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        values = [row.get(name) for row in rows]
+        known = [value for value in values if value is not None]
+        means[name] = sum(known) / len(known) if len(known) == len(values) else None
+    return means
+
+
+def metric_names(runs: Iterable[FinishedRun]) -> list[str]:
+    """Return the metrics of all runs, in order."""
+    return list(dict.fromkeys(name for run in runs for name in run.scores))
+
+
+def labels(runs: Sequence[FinishedRun]) -> list[str]:
+    """Return for each run its pipeline's name and the settings that differ among runs of that name.
+
+    Components of lists are identified by name: `regularizers.stereo_depth.weight=2`. A setting that a run
+    lacks is not in its label.
+    """
+    settings = [
+        # No result depends on observers.
+        dict(dotted(_named_lists({k: v for k, v in run.tree.items() if k != "observers"})))
+        for run in runs
+    ]
+    found = []
+    for run, own in zip(runs, settings, strict=True):
+        same = [
+            other for r, other in zip(runs, settings, strict=True) if r.pipeline == run.pipeline
+        ]
+        differing = [
+            f"{key}={_text(own[key])}"
+            for key in dict.fromkeys(key for other in same for key in other)
+            if key not in ("name", "scene.path")
+            and key in own
+            and any(other.get(key, _ABSENT) != own[key] for other in same)
+        ]
+        rest = len(differing) - MOST_SETTINGS
+        more = [f"{rest} more"] if rest > 0 else []
+        found.append(", ".join([run.pipeline, *differing[:MOST_SETTINGS], *more]))
+    return found
+
+
+def dotted(tree: Mapping[str, Any], start: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings with dotted names."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from dotted(value, f"{start}{key}.")
+        else:
+            yield f"{start}{key}", value
+
+
+def _named_lists(value: Any) -> Any:
+    """Replace lists of components by mappings from their names."""
+    if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
+        value = {str(item.get("name", item.get("use"))): item for item in value}
+    if isinstance(value, Mapping):
+        return {key: _named_lists(child) for key, child in value.items()}
+    return value
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,7 +1,7 @@
-"""Numbers that papers report, as data that any package may bring.
+"""Published numbers, which any package can provide.
 
-A package names an entry point in the group `stereogs.paper_tables`: its name is the paper's, its value
-the package in which the file NAME.yaml lies. The file is a `PaperTables`.
+An entry point of the group `stereogs.paper_tables` has the name of the paper, and as value the package with
+the file NAME.yaml, which holds `PaperTables`.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from registry.pipeline import parse, validate_settings
 GROUP = "stereogs.paper_tables"
 
 Numbers = tuple[float, ...]
-"""One for each of the paper's metrics."""
+"""A number per metric of the paper."""
 
 
 class AblationRow(Settings):
-    """One line of an ablation: what was set, and what came out by protocol."""
+    """A row of an ablation: its settings, and its numbers by protocol."""
 
     setting: dict[str, str | bool | float]
     results: dict[str, Numbers | None]
 
 
 class Ablation(Settings):
-    """One ablation table."""
+    """An ablation table."""
 
     title: str
     note: str = ""
@@ -38,7 +38,7 @@ class Ablation(Settings):
 
 
 class Overhead(Settings):
-    """What training costs, on average over a data set's scenes."""
+    """The cost of training, averaged over the scenes of a data set."""
 
     minutes: float
     memory_gb: float
@@ -48,9 +48,9 @@ class Overhead(Settings):
 class PaperTables(Settings):
     """All tables of a paper.
 
-    `metrics` names what the numbers are, as pipelines name metrics. `results` and `overhead` go by
-    protocol, then by method; `methods` gives the methods' names, `protocol_notes` what a reader of one
-    protocol's rows must know, `notes` of any; `hardware` is what `overhead` was measured on.
+    `metrics` has the names of metrics in pipelines; keys of `results` and `overhead` are protocols, then
+    methods. `methods` maps methods to their names, `protocol_notes` has notes on the rows of a protocol,
+    `notes` on all rows; `hardware` is the hardware of `overhead`.
     """
 
     source: str
@@ -68,29 +68,29 @@ class PaperTables(Settings):
         rows = [numbers for methods in self.results.values() for numbers in methods.values()]
         rows += [n for a in self.ablations.values() for r in a.rows for n in r.results.values()]
         if any(numbers is not None and len(numbers) != len(self.metrics) for numbers in rows):
-            raise ValueError(f"each row has {len(self.metrics)} numbers, or is null")
+            raise ValueError(f"each row must have {len(self.metrics)} numbers, or be null")
         unknown = {m for methods in self.results.values() for m in methods} - self.methods.keys()
         if unknown:
-            raise ValueError(f"`methods` gives no name to {listing(sorted(unknown))}")
+            raise ValueError(f"`methods` lacks {listing(sorted(unknown))}")
         return self
 
 
 def paper_names() -> tuple[str, ...]:
-    """The papers whose tables are installed, sorted."""
+    """Return the papers with installed tables, sorted."""
     return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
 
 
 def paper_tables(name: str) -> PaperTables:
-    """The tables of a paper.
+    """Return the tables of a paper.
 
     Raises:
-        RunError: no installed package, or more than one, brings them, or the one lacks the file.
-        PipelineError: the file is not what it should be; with its line.
+        RunError: no package or several packages provide them, or the file is missing.
+        PipelineError: the file is invalid; names the line.
     """
     found = entry_points(group=GROUP, name=name)
     if len(found) != 1:
         owners = " and ".join(entry.dist.name for entry in found if entry.dist)
-        what = f"the tables of {name!r} are brought twice: by {owners}"
+        what = f"several packages provide the tables of {name!r}: {owners}"
         if not found:
             what = f"no tables of a paper {name!r} are installed{did_you_mean(name, paper_names())}"
         raise RunError(what, where="--paper", fix=f"papers: {listing(paper_names())}")
@@ -101,6 +101,6 @@ def paper_tables(name: str) -> PaperTables:
         raise RunError(
             f"the tables of {name!r} cannot be read: {error}",
             where=f"entry point {GROUP}: {name} = {entry.value}",
-            fix="mend or update the package that brings them",
+            fix="fix or update the package that provides them",
         ) from error
     return validate_settings(PaperTables, parse(text, f"{name}.yaml"), "paper_tables")

@@ -1,1 +1,1 @@
-"""From an ablation file to the runs that it asks for."""
+"""Read ablation and matrix files and list the runs to train."""

@@ -1,29 +1,32 @@
-"""Variations: one setting with several values, or several named alternatives."""
+"""Changes of a pipeline: values of a setting, named alternatives, scenes."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import dataclass
+from pathlib import PurePath
 
 from registry.errors import PipelineError
 from registry.pipeline import Node, item_names, resolve
 
+DATA = "STEREOGS_DATA"
+
 
 @dataclass(frozen=True)
 class Change:
-    """A value for a setting.
+    """A new value of a setting.
 
     Args:
         path: dotted, as for `--set`.
-        value: with the place where it was written.
+        value: with its place in a file or on the command line.
     """
 
     path: str
     value: Node
 
     def within(self, target: str) -> bool:
-        """Whether it changes `target` or something inside."""
+        """Return True if it changes `target` or one of its settings."""
         return self.path == target or self.path.startswith(f"{target}.")
 
 
@@ -32,8 +35,8 @@ class Choice:
     """One value of a variation.
 
     Args:
-        label: what tables call it.
-        changes: what it changes in the pipeline.
+        label: text in tables.
+        changes: changes of the pipeline.
     """
 
     label: str
@@ -41,7 +44,7 @@ class Choice:
 
     @property
     def number(self) -> float | None:
-        """The label as a number, if it is one; for plots."""
+        """The label as a finite number, for plots; None if it is not a number."""
         value = resolve(self.label)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None
@@ -50,17 +53,17 @@ class Choice:
 
 @dataclass(frozen=True)
 class Variation:
-    """What is varied, and its values in the order of the table."""
+    """A varied setting with its values, in the order of the table."""
 
     name: str
     choices: tuple[Choice, ...]
 
 
 def values(path: str, node: Node) -> Variation:
-    """The variation of one setting over a list of values.
+    """Return the variation of a setting over a list of values.
 
     Raises:
-        PipelineError: not a list, an empty one, or a value twice.
+        PipelineError: not a list, an empty list, or a repeated value.
     """
     if not isinstance(node.content, list):
         raise PipelineError(
@@ -70,7 +73,7 @@ def values(path: str, node: Node) -> Variation:
         )
     choices: dict[str, Choice] = {}
     for value in node.content:
-        label = _label(value)
+        label = _value_label(value)
         if label in choices:
             raise PipelineError(
                 f"{path} has the value {label} twice", where=str(value.place), fix="remove one"
@@ -78,40 +81,89 @@ def values(path: str, node: Node) -> Variation:
         choices[label] = Choice(label, (Change(path, value),))
     if not choices:
         raise PipelineError(
-            f"{path} has no values", where=str(node.place), fix="give two or more, or leave it out"
+            f"{path} has no values", where=str(node.place), fix="list two or more, or remove it"
         )
     return Variation(path, tuple(choices.values()))
 
 
 def alternatives(name: str, node: Node) -> Variation:
-    """The variation of named alternatives: a mapping from label to changes, each path to value.
+    """Return the variation over a mapping from labels to settings with their values.
 
     Raises:
-        PipelineError: an alternative that is not a mapping, or none that changes anything.
+        PipelineError: an alternative is not a mapping, or none changes a setting.
     """
     assert isinstance(node.content, dict)
-    choices: dict[str, Choice] = {}
-    for label, changes in node.content.items():
-        if not isinstance(changes.content, dict):
+    choices = []
+    for label, settings in node.content.items():
+        if not isinstance(settings.content, dict):
             raise PipelineError(
                 f"the alternative {label!r} of {name} must map settings to values, "
-                f"not {changes.kind}",
-                where=str(changes.place),
+                f"not {settings.kind}",
+                where=str(settings.place),
                 fix="for example {priors.stereo.path: model.onnx}; {} changes nothing",
             )
-        made = tuple(Change(path, value) for path, value in changes.content.items())
-        choices[label] = Choice(label, made)
-    if not any(choice.changes for choice in choices.values()):
+        changes = tuple(Change(path, value) for path, value in settings.content.items())
+        choices.append(Choice(label, changes))
+    if not any(choice.changes for choice in choices):
         raise PipelineError(
             f"no alternative of {name} changes anything",
             where=str(node.place),
-            fix="give each the settings that it changes",
+            fix="list the settings that each alternative changes",
         )
-    return Variation(name, tuple(choices.values()))
+    return Variation(name, tuple(choices))
 
 
-def _label(value: Node) -> str:
-    """A scalar as it is; a component by its name; anything else as JSON."""
+def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Choice, ...]:
+    """Return the listed scenes, or the pipeline's own scene if none is listed.
+
+    A text without a slash is a folder in STEREOGS_DATA, with a slash a path; both replace the `path` of the
+    pipeline's loader. A mapping replaces the loader.
+
+    Raises:
+        PipelineError: an entry of another type, or two scenes with one label.
+    """
+    if not written:
+        assert isinstance(root.content, dict)
+        return (Choice(_scene_label(root.content["scene"]), ()),)
+    scenes: dict[str, Choice] = {}
+    for node in written:
+        label = _scene_label(node)
+        if label in scenes:
+            raise PipelineError(
+                f"two scenes are called {label!r}",
+                where=str(node.place),
+                fix="remove one, or give it another name: {use: LOADER, name: ..., path: ...}",
+            )
+        scenes[label] = Choice(label, (_scene_change(node),))
+    return tuple(scenes.values())
+
+
+def _scene_change(node: Node) -> Change:
+    if isinstance(node.content, str):
+        path = node.content if "/" in node.content else f"${{{DATA}}}/{node.content}"
+        return Change("scene.path", Node(path, node.place))
+    if not isinstance(node.content, dict):
+        raise PipelineError(
+            f"a scene must be a name, a path or a loader, not {node.kind}",
+            where=str(node.place),
+            fix="write for example llff_fern, ./photos, or {use: procedural}",
+        )
+    return Change("scene", node)
+
+
+def _scene_label(node: Node) -> str:
+    """Return the loader's `name`, otherwise the last part of its path, otherwise the loader."""
+    if isinstance(node.content, str):
+        return PurePath(node.content).name
+    content = node.content if isinstance(node.content, dict) else {}
+    path = content.get("path")
+    if "name" not in content and path is not None and isinstance(path.content, str):
+        return PurePath(path.content).name
+    return (item_names(node) or ["scene"])[0]
+
+
+def _value_label(value: Node) -> str:
+    """Return a scalar as it is, a component's name, or JSON."""
     if isinstance(value.content, str):
         return value.content
     names = item_names(value)

@@ -1,1 +1,1 @@
-"""Training what was planned, each run in a process of its own."""
+"""Train planned runs, each in its own process."""

@@ -1,8 +1,8 @@
-"""The folder of an ablation: what is in it, and which runs in it are done.
+"""The output folder of an ablation or bench.
 
-runs/NAME_DIGEST/       a run folder each, found again by the digest of its pipeline
-runs/NAME_DIGEST.yaml   the pipeline that it was started with
-runs/NAME_DIGEST.log    what the training printed
+runs/NAME_DIGEST/       a run folder; the digest identifies its pipeline
+runs/NAME_DIGEST.yaml   the pipeline that was trained
+runs/NAME_DIGEST.log    the output of the training
 ablation.txt, ablation.csv, index.html
 """
 
@@ -22,22 +22,18 @@ RUNS = "runs"
 
 
 class AblationFolder:
-    """Where an ablation's runs and results lie.
-
-    Args:
-        path: created when needed.
-    """
+    """An output folder, which is created when needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def run(self, planned: PlannedRun) -> RunFolder:
-        """The folder of a run, by its digest; a new name if there is none yet."""
+        """Return the run folder with the digest, or a new one."""
         existing = sorted((self.path / RUNS).glob(f"*_{planned.digest}/"))
         return RunFolder(existing[0] if existing else self.path / RUNS / planned.name)
 
     def results(self, planned: PlannedRun) -> dict[str, Any]:
-        """What a finished run measured; empty if it is not finished, not that pipeline's, or not believed."""
+        """Return the results of a finished run; empty if unfinished, invalid or of another pipeline."""
         run = self.run(planned)
         try:
             if not planned.pipeline.wrote(run.pipeline.read_text("utf-8")):
@@ -48,19 +44,19 @@ class AblationFolder:
 
     @contextmanager
     def locked(self) -> Iterator[int | None]:
-        """Keep a second process out; gives a file descriptor that child processes should inherit.
+        """Lock the folder against other processes; yield a file descriptor for child processes to inherit.
 
-        The lock lasts until all who hold the descriptor have ended, so that it also covers
-        trainings whose starter was killed.
+        The lock is held until every process has closed the descriptor, so it also covers trainings whose
+        parent was killed.
 
         Raises:
-            RunError: another one holds it, or the folder cannot be written.
+            RunError: another process holds the lock, or the folder is not writable.
         """
         try:
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError(
-                f"nothing can be written there: {error.strerror or error}",
+                f"the folder is not writable: {error.strerror or error}",
                 where=str(self.path),
                 fix="choose another --out",
             ) from error

@@ -1,18 +1,21 @@
-"""The runner that is used unless another is named: processes of this machine."""
+"""The default runner: processes on this machine."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterable
 from functools import cached_property
+from pathlib import Path
 
 from pydantic import Field
 
-from core_rasterizer import ExplainedError
+from core_rasterizer import Device, ExplainedError
 from registry import Context, Settings
 from registry.pipeline import iterations_of_a_run, parse_pipeline
 from registry.plugins import Plugins
@@ -21,22 +24,25 @@ from registry.runs import METRICS, RunFolder
 from registry.system import write_text
 from registry.training import CHECKPOINT, load_checkpoint
 
-from .jobs import default_jobs
-
+CORES_PER_RUN = 4
+"""A training uses about so many cores; more trainings on fewer cores save no time."""
+MEMORY_PER_RUN_MB = 2000.0
+"""Assumed memory of a training until one has been measured."""
+_MEMINFO = Path("/proc/meminfo")
 _TAIL_BYTES = 8192
 
 
 class LocalProcessesSettings(Settings):
     jobs: int | None = Field(None, ge=1)
-    """How many trainings at the same time; null: as cores and memory allow, one on a GPU."""
+    """Number of simultaneous trainings; null: as many as cores and memory allow, 1 on a GPU."""
 
 
 class LocalProcesses(Runner[LocalProcessesSettings]):
-    """`stereogs train` or `resume` in processes of this machine.
+    """Runs `stereogs train` or `stereogs resume` in processes on this machine.
 
     Attributes:
-        lock: a file descriptor that the processes shall hold while they live, or None.
-        peaks_mb: the most memory that each finished training needed.
+        lock: file descriptor that the processes inherit, or None.
+        peaks_mb: peak memory of each finished training.
     """
 
     def __init__(self, settings: LocalProcessesSettings, context: Context) -> None:
@@ -46,21 +52,45 @@ class LocalProcesses(Runner[LocalProcessesSettings]):
 
     @property
     def places(self) -> int:
-        """As the setting says, or what the machine allows."""
+        """The number of simultaneous trainings."""
         return self.settings.jobs or default_jobs(self.context.device, self.peaks_mb)
 
     def start(self, task: TrainingTask) -> RunningTask:
-        """Start a process: anew, or from the task's checkpoint (`training_arguments`)."""
+        """Start a process for the task (see `training_arguments`)."""
         return TrainingProcess(task, self.lock)
 
 
-class TrainingProcess(RunningTask):
-    """A training that has been started in a process of its own.
+def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
+    """Return how many trainings cores and free memory allow; 1 on a GPU.
 
     Args:
-        task: what to train.
-        lock: a file descriptor that the child shall hold while it lives, or None.
+        peaks_mb: peak memory of finished trainings.
     """
+    if device.kind != "cpu":
+        return 1
+    by_cores = _cores() // CORES_PER_RUN
+    free = free_memory_mb()
+    by_memory = 1 if free is None else int(free // max(peaks_mb, default=MEMORY_PER_RUN_MB))
+    return max(1, min(by_cores, by_memory))
+
+
+def free_memory_mb() -> float | None:
+    """Return the memory available to new processes in 10^6 bytes; None if unknown."""
+    if not _MEMINFO.exists():
+        return None
+    found = re.search(r"^MemAvailable:\s+(\d+) kB$", _MEMINFO.read_text("utf-8"), re.MULTILINE)
+    return int(found[1]) * 1024 / 1e6 if found else None
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class TrainingProcess(RunningTask):
+    """A training in its own process, which inherits the file descriptor `lock`."""
 
     def __init__(self, task: TrainingTask, lock: int | None) -> None:
         self._task = task
@@ -73,63 +103,62 @@ class TrainingProcess(RunningTask):
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 pass_fds=() if lock is None else (lock,),
-                # Of its own, so that Ctrl-C reaches it once: through `stop`.
+                # Ctrl-C in the terminal does not reach the new session; `stop` forwards it once.
                 start_new_session=True,
             )
 
     @property
     def ended(self) -> bool:
-        """Whether the process has come to its end."""
+        """Whether the process has ended."""
         return self._process.poll() is not None
 
     def stop(self) -> None:
-        """Ask it to stop after the iteration at hand, as Ctrl-C does."""
+        """Ask the process to stop after the current iteration, as Ctrl-C does."""
         if not self.ended:
             self._process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it at once and wait for that."""
+        """Kill the process and wait for its end."""
         self._process.kill()
         self._process.wait()
 
     def progress(self) -> float:
-        """The part of its iterations that it has done, as far as it has logged."""
+        """Return the share of iterations in the log."""
         try:
             with (self._task.folder / METRICS).open("rb") as file:
                 file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
                 last = file.read().splitlines()[-1]
-            done = int(json.loads(last)["iteration"])
-            return done / self._iterations
+            return int(json.loads(last)["iteration"]) / self._iterations
         except (OSError, ValueError, KeyError, IndexError, TypeError, ZeroDivisionError):
-            return 0.0  # not begun, or in the middle of a line
+            return 0.0  # no file yet, or an incomplete line
 
     @cached_property
     def _iterations(self) -> int:
-        """How many the run has; its scene may have had a say in it."""
+        """The run's length, which may depend on its scene."""
         return iterations_of_a_run(RunFolder(self._task.folder).pipeline.read_text("utf-8"))
 
     def failure(self) -> str:
-        """What went wrong, in the child's own words; empty if nothing did."""
+        """Return the error that the process printed; empty if it succeeded."""
         return failure(
             self._process.returncode, self._task.log.read_text("utf-8", errors="replace")
         )
 
 
 def failure(status: int | None, printed: str) -> str:
-    """What a training's exit status and what it printed say went wrong; empty if nothing did."""
+    """Return the error of a training with this exit status and output; empty if it succeeded."""
     if status == 0:
         return ""
     if status is not None and status < 0:
-        return f"it was ended by signal {-status}; was there enough memory?"
+        return f"it was killed by signal {-status}; was there enough memory?"
     lines = printed.splitlines()
     starts = [i for i, line in enumerate(lines) if line.startswith("stereogs: ")]
     return "\n".join(lines[starts[-1] :] if starts else lines[-1:]) or f"exit status {status}"
 
 
 def training_arguments(task: TrainingTask) -> list[str]:
-    """What `stereogs` is told: go on from the run's checkpoint if it has a usable one, else anew.
+    """Return arguments that resume the run if it has a usable checkpoint, otherwise train it from scratch.
 
-    For a new start, what lies there is removed and the pipeline is written beside the folder.
+    To train from scratch, removes the run folder and writes the pipeline next to it.
     """
     if _can_resume(task):
         return ["resume", str(task.folder)]
@@ -145,7 +174,7 @@ def _can_resume(task: TrainingTask) -> bool:
     try:
         text = run.pipeline.read_text("utf-8")
         load_checkpoint(run.path / CHECKPOINT)
-        # Only a pipeline whose length follows the scene has to be understood for that.
+        # The texts differ if the length of the run depends on its scene.
         return text == task.pipeline or parse_pipeline(task.pipeline, Plugins()).wrote(text)
     except (OSError, UnicodeDecodeError, ExplainedError):
         return False

@@ -1,1 +1,1 @@
-"""What came of it: scores, tables, plots and a page."""
+"""Present results: scores, tables, plots and a page."""

@@ -1,81 +1,60 @@
-"""Ablation or bench as one HTML page that needs no other file: tables, plots, renders and depths."""
+"""The results as an HTML page without other files: tables, plots, renders and depths."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 from registry.runs import RENDERS
-from registry.toolkit.web_page import Cell, grid, note, page, score_table, section
+from registry.toolkit.web_page import (
+    Axis,
+    Line,
+    Point,
+    grid,
+    line_plot,
+    note,
+    page,
+    score_table,
+    section,
+)
 
-from ..planning.plan import Plan
+from ..planning.plan import Combination, Plan
+from ..planning.variations import Choice
 from ..running.folder import AblationFolder
-from . import table
-from .against_time import Reference, against_time
-from .differences import differences
-from .plots import plots
-from .samples import read_curves
-from .scores import Results
+from . import scores
+from .against_time import Reference, against_time, read_curves
+from .scores import Column, Results
+from .table import notes, tables
 from .view_gallery import RenderedRun, view_gallery, view_wipes
 
 
 def as_page(
     plan: Plan, results: Results, folder: AblationFolder, references: Sequence[Reference] = ()
 ) -> str:
-    """The whole page. Pictures are of the first seed.
-
-    Args:
-        references: published rows that curves are drawn beside.
-    """
-    timed = plan.kind == "bench"
-    curves = read_curves(results, folder) if timed else {}
+    """Return the page, with images of the first seed, and published scores next to the curves."""
+    curves = read_curves(results, folder) if plan.kind == "bench" else {}
     contents = [
         note(
-            f"{plan.size}. Bold: the best of a column. Seconds are those of training; in all, with "
-            "what comes before and after."
+            f"{plan.size}. Bold: the best of a column. seconds: time of training; in all: time of the "
+            "whole run."
         ),
-        *(_table(plan, results, title, scene) for title, scene in table.titles(plan)),
-        *_differences(plan, results),
-        *(note(line) for line in table.notes(plan, results)),
-        section("Against seconds", against_time(plan, results, curves, references)),
+        *(
+            score_table(table.head, table.rows, names=table.names, caption=table.title)
+            for table in tables(plan, results)
+        ),
+        *(note(line) for line in notes(plan, results)),
+        section("Scores against time", against_time(plan, results, curves, references)),
         section("Plots", grid(list(plots(plan, results)))),
-        *(section(scene, _pictures(plan, results, folder, scene)) for scene in plan.scenes),
+        *(section(scene, _images(plan, results, folder, scene)) for scene in plan.scenes),
     ]
     return page(f"{plan.kind.capitalize()}: {plan.name}", contents)
 
 
-def _table(plan: Plan, results: Results, caption: str, scene: str | None) -> str:
-    chosen, measured = table.headings(plan, results)
-    found = table.rows(plan, results, scene)
-    incomplete = any(row.progress for row in found)
-    rows = [
-        [
-            *(Cell(text) for text in (*row.toggles, *row.values)),
-            *(Cell(text, best) for text, best in zip(row.numbers, row.best, strict=True)),
-            *([Cell(row.progress)] * incomplete),
-        ]
-        for row in found
-    ]
-    head = [*chosen, *measured, *(["runs"] * incomplete)]
-    return score_table(head, rows, names=len(chosen), caption=caption)
+def _images(plan: Plan, results: Results, folder: AblationFolder, scene: str) -> str:
+    """Return the photograph, renders and depths of each test view.
 
-
-def _differences(plan: Plan, results: Results) -> list[str]:
-    gained = differences(plan, results)
-    if gained is None:
-        return []
-    chosen, _ = table.headings(plan, results)
-    rows = []
-    for combination, texts in zip(plan.combinations, gained.rows, strict=True):
-        toggles, choices = table.labels(combination)
-        rows.append([Cell(text) for text in (*toggles, *choices, *texts)])
-    head = [*chosen, *gained.headings]
-    return [score_table(head, rows, names=len(chosen), caption=gained.title)]
-
-
-def _pictures(plan: Plan, results: Results, folder: AblationFolder, scene: str) -> str:
-    """Each test view's photograph, and each combination's render and depth of it.
-
-    A bench wipes renders over the photograph; an ablation, whose renders differ in little, shows all at once.
+    A bench shows renders over the photograph with a slider; an ablation, whose renders differ little, shows
+    all at once.
     """
     shown = view_wipes if plan.kind == "bench" else view_gallery
     return shown(
@@ -89,3 +68,44 @@ def _pictures(plan: Plan, results: Results, folder: AblationFolder, scene: str) 
             if run.scene == scene and run.seed == plan.seeds[0]
         ]
     )
+
+
+def plots(plan: Plan, results: Results) -> Iterator[str]:
+    """Yield a figure of each metric against each variation, with a line per choice of the rest."""
+    for index, variation in enumerate(plan.variations):
+        if len(variation.choices) < 2:
+            continue
+        places = _places(variation.choices)
+        ticks = zip(places, (choice.label for choice in variation.choices), strict=True)
+        axis = Axis(sorted(ticks), variation.name)
+        for column in scores.metric_columns(plan, results):
+            lines = _lines(plan, results, index, places, column)
+            plot = line_plot(f"{column.heading} against {variation.name}", lines, axis)
+            if plot:
+                yield plot
+
+
+def _places(choices: Sequence[Choice]) -> list[float]:
+    """Return the values if all are different numbers, otherwise evenly spaced places."""
+    numbers = [choice.number for choice in choices if choice.number is not None]
+    evenly = len(set(numbers)) < len(choices)
+    return [float(index) for index in range(len(choices))] if evenly else numbers
+
+
+def _lines(
+    plan: Plan, results: Results, index: int, places: Sequence[float], column: Column
+) -> list[Line]:
+    choices = plan.variations[index].choices
+    groups: dict[str, list[Point]] = {}
+    for combination in plan.combinations:
+        choice = combination.choices[index]
+        found = scores.figure(results, combination, column)
+        if choice is not None and found is not None and math.isfinite(found.mean):
+            point = Point(places[choices.index(choice)], found.mean, found.spread)
+            rest = tuple(None if i == index else c for i, c in enumerate(combination.choices))
+            label = plan.describe(Combination(combination.on, rest))
+            groups.setdefault(label, []).append(point)
+    return [
+        Line(label, sorted(points, key=lambda point: point.across))
+        for label, points in groups.items()
+    ]

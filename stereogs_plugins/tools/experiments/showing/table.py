@@ -1,134 +1,206 @@
-"""The numbers as tables: text like the tables of papers, and CSV with a row a run."""
+"""The results as tables: for text and HTML as in papers, and CSV with a row per run."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 
 from rich import box
 from rich.table import Table
 
 from registry.messages import PlainConsole
+from registry.toolkit.web_page import Cell
 
 from ..planning.plan import Combination, Plan
 from ..running.folder import AblationFolder
 from . import scores
-from .differences import Differences, differences
-from .scores import COUNTS, NONE, Column, Figure, Results
+from .scores import CONFIDENCE, COUNTS, ENOUGH_PAIRS, NONE, Column, Results, difference
 
 TICK, CROSS = "✓", "✗"
 _WIDTH = 400
-"""Characters; wide enough that no cell is ever cut."""
+"""Characters; wide enough for every row."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """A row of a table, every cell as text.
+class ScoreTable:
+    """A table with a row per combination.
 
     Args:
-        toggles: a tick or a cross for each toggle.
-        values: the value of each variation; a dash where what it varies is off.
-        numbers: of each column; a dash where a run is missing.
-        best: for each column whether no other row is better.
-        progress: "1/3" of the table's runs while some are missing, else empty.
+        title: of the table.
+        head: a heading per column.
+        names: number of columns on the left with toggles and values.
+        rows: cells; the best number of a column is strong.
     """
 
-    toggles: tuple[str, ...]
-    values: tuple[str, ...]
-    numbers: tuple[str, ...]
-    best: tuple[bool, ...]
-    progress: str
+    title: str
+    head: list[str]
+    names: int
+    rows: list[list[Cell]]
 
 
-def rows(plan: Plan, results: Results, scene: str | None = None) -> list[Row]:
-    """The table's rows: the mean over all scenes, or one scene's numbers."""
-    texts, best = [], []
-    for column in scores.columns(plan, results):
-        figures = [scores.figure(results, row, column, scene) for row in plan.combinations]
-        places = scores.decimals(column, figures)
-        texts.append([NONE if found is None else _text(found, column, places) for found in figures])
-        best.append(best_of(column, [None if found is None else found.mean for found in figures]))
+def tables(plan: Plan, results: Results) -> list[ScoreTable]:
+    """Return the mean over scenes, each of several scenes, and the differences to the first row."""
+    if len(plan.scenes) == 1:
+        found = [scene_table(plan, results, plan.scenes[0])]
+    else:
+        mean = scene_table(plan, results, f"mean over {len(plan.scenes)} scenes", mean=True)
+        found = [mean, *(scene_table(plan, results, scene) for scene in plan.scenes)]
+    gained = difference_table(plan, results)
+    return found if gained is None else [*found, gained]
+
+
+def scene_table(plan: Plan, results: Results, title: str, *, mean: bool = False) -> ScoreTable:
+    """Return the results on the scene `title`, or their mean over all scenes.
+
+    A row with missing runs has no numbers; while runs are missing, the last column counts finished ones.
+    """
+    scene = None if mean else title
+    chosen, columns = _chosen_headings(plan), scores.columns(plan, results)
+    head = [*chosen, *(column.heading_with_arrow for column in columns)]
+    rows = [_labels(combination) for combination in plan.combinations]
+    for column in columns:
+        for row, cell in zip(rows, _column(plan, results, column, scene), strict=True):
+            row.append(cell)
+    progress = [_progress(results, combination, scene) for combination in plan.combinations]
+    if any(progress):
+        head.append("runs")
+        for row, text in zip(rows, progress, strict=True):
+            row.append(Cell(text))
+    return ScoreTable(title, head, len(chosen), rows)
+
+
+def difference_table(plan: Plan, results: Results) -> ScoreTable | None:
+    """Return each metric's differences to the first row, over pairs of runs with equal scene and seed.
+
+    The differences of the first metric on each of several scenes follow. None if there are too few pairs for
+    an interval, or fewer than two rows.
+    """
+    metrics = [c for c in scores.columns(plan, results) if c.key not in COUNTS]
+    pairs = len(plan.scenes) * len(plan.seeds)
+    if pairs < ENOUGH_PAIRS or len(plan.combinations) < 2 or not metrics:
+        return None
+    wanted: list[tuple[Column, str | None]] = [(metric, None) for metric in metrics]
+    if len(plan.scenes) > 1:
+        wanted += [(metrics[0], scene) for scene in plan.scenes]
+    chosen = _chosen_headings(plan)
+    head = [*chosen, *(metric.heading if scene is None else scene for metric, scene in wanted)]
+    rows = [_labels(combination) for combination in plan.combinations]
+    for metric, scene in wanted:
+        for row, text in zip(rows, _differences(plan, results, metric, scene), strict=True):
+            row.append(Cell(text))
+    title = f"differences to {plan.describe(plan.combinations[0])}"
+    return ScoreTable(title, head, len(chosen), rows)
+
+
+def _chosen_headings(plan: Plan) -> list[str]:
+    """Return the toggles, and the last part of each varied setting unless it is ambiguous."""
+    names = [variation.name for variation in plan.variations]
+    ends = [name.split(".")[-1] for name in names]
+    short = [end if ends.count(end) == 1 else name for name, end in zip(names, ends, strict=True)]
+    return [*plan.toggles, *short]
+
+
+def _labels(combination: Combination) -> list[Cell]:
+    """Return ticks, crosses and values; a dash for a value of a component that is off."""
+    toggles = (TICK if on else CROSS for on in combination.on)
+    values = (choice.label if choice else NONE for choice in combination.choices)
+    return [Cell(text) for text in (*toggles, *values)]
+
+
+def _column(plan: Plan, results: Results, column: Column, scene: str | None) -> list[Cell]:
+    figures = [scores.figure(results, row, column, scene) for row in plan.combinations]
+    decimals = scores.decimals(column, figures)
+    best = scores.best_of(column, [None if found is None else found.mean for found in figures])
+    # The spread of counts and times says little about a method.
+    spread = column.key not in COUNTS
     return [
-        Row(
-            *labels(combination),
-            tuple(text[index] for text in texts),
-            tuple(mark[index] for mark in best),
-            _progress(results, combination, scene),
-        )
-        for index, combination in enumerate(plan.combinations)
+        Cell(NONE if found is None else found.text(decimals, spread=spread), strong)
+        for found, strong in zip(figures, best, strict=True)
     ]
 
 
-def labels(combination: Combination) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Ticks and crosses, and values, as tables show them."""
-    toggles = tuple(TICK if on else CROSS for on in combination.on)
-    return toggles, tuple(choice.label if choice else NONE for choice in combination.choices)
+def _differences(plan: Plan, results: Results, metric: Column, scene: str | None) -> list[str]:
+    rows = plan.combinations
+    figures = [scores.figure(results, row, metric, scene) for row in rows]
+    decimals = scores.decimals(metric, figures)
+    first, *others = (_numbers(results, row, metric, scene) for row in rows)
+    found = [difference(numbers, first) for numbers in others]
+    return [NONE, *(NONE if one is None else one.text(decimals) for one in found)]
 
 
-def headings(plan: Plan, results: Results) -> tuple[list[str], list[str]]:
-    """Of what was chosen, and of what was measured, with an arrow towards better."""
-    arrows = {True: " ↑", False: " ↓", None: ""}
-    measured = scores.columns(plan, results)
-    return (
-        [*plan.toggles, *_short([variation.name for variation in plan.variations])],
-        [f"{column.heading}{arrows[column.higher_is_better]}" for column in measured],
-    )
+def _numbers(
+    results: Results, combination: Combination, metric: Column, scene: str | None
+) -> dict[tuple[str, int], float]:
+    """Return the finite numbers of a combination by scene and seed; none if a run is missing."""
+    own = scores.runs_of(results, combination, scene)
+    if not all(own.values()):
+        return {}
+    numbers = {(run.scene, run.seed): scores.value(found, metric) for run, found in own.items()}
+    return {key: n for key, n in numbers.items() if n is not None and math.isfinite(n)}
 
 
-def titles(plan: Plan) -> list[tuple[str, str | None]]:
-    """The tables there are, by title and scene: the mean over the scenes, then each of several."""
-    if len(plan.scenes) == 1:
-        return [(plan.scenes[0], None)]
-    return [(f"mean over {len(plan.scenes)} scenes", None), *((s, s) for s in plan.scenes)]
+def _progress(results: Results, combination: Combination, scene: str | None) -> str:
+    """Return for example "1/3" while runs are missing, otherwise an empty text."""
+    own = scores.runs_of(results, combination, scene).values()
+    done = sum(map(bool, own))
+    return "" if done == len(own) else f"{done}/{len(own)}"
 
 
 def as_text(plan: Plan, results: Results) -> str:
-    """All tables, and below them what must be known beside the numbers."""
+    """Return all tables and notes as text."""
     file = io.StringIO()
     console = PlainConsole(file=file, width=_WIDTH, markup=False, highlight=False)
-    for title, scene in titles(plan):
-        console.print(_table(plan, results, f"{plan.name}, {title}", scene))
-    gained = differences(plan, results)
-    if gained is not None:
-        console.print(_differences(plan, results, gained))
+    for table in tables(plan, results):
+        title = f"{plan.name}, {table.title}"
+        drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+        for index, heading in enumerate(table.head):
+            named = index < table.names
+            drawn.add_column(heading, justify="center" if named else "right", no_wrap=not named)
+        for row in table.rows:
+            drawn.add_row(*(cell.text for cell in row))
+        console.print(drawn)
     for line in notes(plan, results):
         console.print(line)
     return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 
 def notes(plan: Plan, results: Results) -> list[str]:
-    """What a reader must know beside the numbers."""
+    """Return notes on the tables: missing metrics, deviations, and combinations without effect."""
     lines = [f"{NONE} {name}: {reason}" for name, reason in scores.unavailable(results).items()]
     if len(plan.seeds) > 1:
         lines.append(f"± standard deviation over {len(plan.seeds)} seeds")
-    gained = differences(plan, results)
-    if gained is not None:
-        lines.append(gained.note)
-    everywhere = scores.without_effect(plan, results)
-    lines += [_same(plan, group, "") for group in everywhere]
+    if difference_table(plan, results) is not None:
+        lines.append(
+            f"± of differences: {CONFIDENCE:.0%} confidence interval (Student's t) over pairs of equal "
+            "scene and seed"
+        )
+    everywhere = scores.equal_combinations(plan, results)
+    lines += [_no_effect(plan, group, "") for group in everywhere]
     for scene in plan.scenes if len(plan.scenes) > 1 else ():
-        here = scores.without_effect(plan, results, scene)
-        lines += [_same(plan, group, f" in {scene}") for group in here if group not in everywhere]
+        here = scores.equal_combinations(plan, results, scene)
+        lines += [
+            _no_effect(plan, group, f" on {scene}") for group in here if group not in everywhere
+        ]
     return lines
 
 
-def _same(plan: Plan, group: list[Combination], where: str) -> str:
+def _no_effect(plan: Plan, group: list[Combination], where: str) -> str:
     descriptions = " = ".join(plan.describe(combination) for combination in group)
-    return f"no effect{where}, the same Gaussians to the bit: {descriptions}"
+    return f"no effect{where}, bitwise equal Gaussians: {descriptions}"
 
 
 def as_csv(plan: Plan, results: Results, folder: AblationFolder) -> str:
-    """A row a run, in the plan's order; toggles are 1 and 0, what is not there is empty."""
-    measured = scores.columns(plan, results)
+    """Return CSV with a row per run; toggles are 1 and 0, missing values are empty."""
+    columns = scores.columns(plan, results)
     chosen = [*plan.toggles, *(variation.name for variation in plan.variations)]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*chosen, "scene", "seed", *(c.key for c in measured), "hash", "folder"])
+    writer.writerow([*chosen, "scene", "seed", *(c.key for c in columns), "hash", "folder"])
     for run, found in results.items():
         choices = (choice.label if choice else "" for choice in run.combination.choices)
-        numbers = (scores.value(found, column) for column in measured)
+        numbers = (scores.value(found, column) for column in columns)
         writer.writerow(
             [
                 *(int(on) for on in run.combination.on),
@@ -147,57 +219,3 @@ def _exact(number: float | None) -> str:
     if number is None:
         return ""
     return str(int(number)) if number.is_integer() else repr(number)
-
-
-def _table(plan: Plan, results: Results, title: str, scene: str | None) -> Table:
-    table = _empty(title, *headings(plan, results))
-    found = rows(plan, results, scene)
-    incomplete = any(row.progress for row in found)
-    if incomplete:
-        table.add_column("runs", justify="right")
-    for row in found:
-        table.add_row(*row.toggles, *row.values, *row.numbers, *([row.progress] * incomplete))
-    return table
-
-
-def _differences(plan: Plan, results: Results, gained: Differences) -> Table:
-    chosen, _ = headings(plan, results)
-    table = _empty(f"{plan.name}, {gained.title}", chosen, gained.headings)
-    for combination, texts in zip(plan.combinations, gained.rows, strict=True):
-        toggles, choices = labels(combination)
-        table.add_row(*toggles, *choices, *texts)
-    return table
-
-
-def _empty(title: str, chosen: Sequence[str], measured: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for heading in chosen:
-        table.add_column(heading, justify="center")
-    for heading in measured:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
-
-
-def _short(names: list[str]) -> list[str]:
-    """The last part of each dotted name, or the whole name where two end alike."""
-    ends = [name.split(".")[-1] for name in names]
-    return [end if ends.count(end) == 1 else name for name, end in zip(names, ends, strict=True)]
-
-
-def _text(found: Figure, column: Column, decimals: int) -> str:
-    """The spread of time and memory says little about a method, and is left out."""
-    return found.text(decimals, spread=column.key not in COUNTS)
-
-
-def best_of(column: Column, means: list[float | None]) -> list[bool]:
-    """Which of a column's values are the best; none where there is only one, or neither end is better."""
-    known = [mean for mean in means if mean is not None]
-    if column.higher_is_better is None or len(known) < 2:
-        return [False] * len(means)
-    best = max(known) if column.higher_is_better else min(known)
-    return [mean == best for mean in means]
-
-
-def _progress(results: Results, combination: Combination, scene: str | None) -> str:
-    done, total = scores.finished(results, combination, scene)
-    return "" if done == total else f"{done}/{total}"

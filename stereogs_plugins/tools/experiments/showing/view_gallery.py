@@ -1,4 +1,4 @@
-"""Several runs' renders of the same views, beside the photograph, on a web page."""
+"""A part of a page that shows the renders of several runs next to the photographs."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from registry.toolkit.drawing import ViewPictures
 from registry.toolkit.web_page import choice, figure, image, note, pinned, wipe
 
 MOST_VIEWS = 12
-"""More than these are shown in part: each has a render and a depth of each run."""
-_DEPTHS = "In depths, what is near is yellow, what is far dark blue, and nothing is there where it is black."
+"""Largest number of views on a page; each has a render and a depth map per run."""
+_DEPTHS = "Depth maps: yellow is near, dark blue is far, black is empty."
 _LONGEST_SIDE = 640
-"""Pixels of a picture; there may be hundreds."""
+"""Pixels of an image; a page may have hundreds."""
 
 
 @dataclass(frozen=True)
 class RenderedRun:
-    """One run.
+    """A run on a page.
 
     Args:
-        label: what tells it from the others.
+        label: name on the page.
         folder: of its renders.
-        scores: of each test view by metric; None where a metric has none.
+        scores: metrics by test view; None for a missing score.
     """
 
     label: str
@@ -32,15 +32,15 @@ class RenderedRun:
 
 
 def view_gallery(runs: Sequence[RenderedRun]) -> str:
-    """A part for each test view, one shown at a time: the photograph pinned beside all renders and depths.
+    """Return a menu of test views; each shows the photograph next to the renders and depths of all runs.
 
-    Views and runs without pictures are left out; empty if none has any.
+    Views and runs without images are omitted; empty if there are no images.
     """
     return _some_views(runs, _pinned)
 
 
 def view_wipes(runs: Sequence[RenderedRun]) -> str:
-    """As `view_gallery`, but each render is wiped over the photograph, one run's at a time."""
+    """Return the same as `view_gallery`, but show one run at a time, over the photograph with a slider."""
     return _some_views(runs, _wiped)
 
 
@@ -52,37 +52,41 @@ def _some_views(
     some = [names[index * len(names) // count] for index in range(count)]
     parts = {name: part for name in some if (part := part_of(name, runs))}
     hidden = len(names) - len(parts)
-    remark = f"{hidden} more test views lie in the runs' folders." if hidden and parts else ""
-    return (
-        choice("view", parts) + (note(_DEPTHS) if parts else "") + (note(remark) if remark else "")
-    )
+    if not parts:
+        return ""
+    more = note(f"The run folders hold {hidden} more test views.") if hidden else ""
+    return choice("view", parts) + note(_DEPTHS) + more
 
 
 def _pinned(name: str, runs: Sequence[RenderedRun]) -> str:
     found = list(_with_pictures(name, runs))
+    if not found:
+        return ""
     figures = [
-        figure(f"{_caption(name, run)}; render and depth", _render(files) + _depth(files))
+        figure(
+            f"{_caption(name, run)}; render and depth",
+            _image(files.render, "render") + _image(files.depth, "depth"),
+        )
         for run, files in found
     ]
-    return pinned(figure(f"{name}: photograph", _photograph(found[0][1])), figures) if found else ""
+    return pinned(figure(f"{name}: photograph", _photograph(found[0][1])), figures)
 
 
 def _wiped(name: str, runs: Sequence[RenderedRun]) -> str:
-    labels = ("photograph", "render")
-    return choice(
-        "render of",
-        {
-            run.label: figure(_caption(name, run), wipe(_photograph(files), _render(files), labels))
-            + figure("depth", _depth(files))
-            for run, files in _with_pictures(name, runs)
-        },
-    )
+    parts = {}
+    for run, files in _with_pictures(name, runs):
+        compared = wipe(
+            _photograph(files), _image(files.render, "render"), ("photograph", "render")
+        )
+        depth = figure("depth", _image(files.depth, "depth"))
+        parts[run.label] = figure(_caption(name, run), compared) + depth
+    return choice("render of", parts)
 
 
 def _with_pictures(
     name: str, runs: Sequence[RenderedRun]
 ) -> Iterator[tuple[RenderedRun, ViewPictures]]:
-    """The runs that have a view's pictures."""
+    """Yield the runs that have images of a view."""
     for run in runs:
         files = ViewPictures.of(name, run.folder)
         needed = (files.render, files.depth, files.comparison)
@@ -95,16 +99,12 @@ def _caption(name: str, run: RenderedRun) -> str:
     return ", ".join([run.label, *scores])
 
 
-def _render(files: ViewPictures) -> str:
-    return image(files.render, "render", _LONGEST_SIDE)
-
-
-def _depth(files: ViewPictures) -> str:
-    return image(files.depth, "depth", _LONGEST_SIDE)
+def _image(file: Path, alt: str) -> str:
+    return image(file, alt, _LONGEST_SIDE)
 
 
 def _photograph(files: ViewPictures) -> str:
-    """Cut out of truth, render, depth side by side; a run keeps it nowhere else."""
+    """Crop the photograph from the comparison image, the only file that holds it."""
     from PIL import Image
 
     with Image.open(files.render) as one, Image.open(files.comparison) as picture:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from registry.plugins.discovery import Plugins
-from stereogs_plugins.tools.experiments.planning.arguments import with_arguments
-from stereogs_plugins.tools.experiments.planning.description import read_description
+from stereogs_plugins.tools.experiments.planning.description import (
+    read_description,
+    with_arguments,
+)
 from stereogs_plugins.tools.experiments.planning.making import make_plan
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 
@@ -26,7 +28,7 @@ training: {iterations: 5, sh_degree: 0, seed: 7}
 
 
 def write(folder: Path, ablation: str | None = None) -> Path:
-    """The pipeline's path, or that of an ablation file beside it."""
+    """Write a pipeline, and an ablation file next to it if given; return the path of the last one."""
     (folder / "toy.yaml").write_text(PIPELINE)
     if ablation is None:
         return folder / "toy.yaml"
@@ -45,7 +47,7 @@ def plan(
     seeds: int | None = None,
     overrides: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of a file and of what a command line would add."""
+    """Return the plan of a file and command line arguments."""
     description = with_arguments(
         read_description(path),
         overrides=overrides,

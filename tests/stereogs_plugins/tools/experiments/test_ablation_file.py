@@ -1,4 +1,4 @@
-"""Mistakes in ablation files are answered with the line; the project's own files are right."""
+"""Errors in ablation files name the line; the project's own files are valid."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ COUNTS = {
     "weightfree": 13,
 }
 FULL_LENGTH = [file for file in FILES if file.stem != "weightfree"]
-"""The paper's tables, which are made for `stereogs.yaml` too."""
+"""Tables of the paper, which `stereogs.yaml` supports too."""
 
 
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
         ("togles: {second: }", 2, "did you mean 'toggles'"),
-        ("training: {seed: 1}\nseeds: 1", 2, "belongs into the pipeline file"),
+        ("training: {seed: 1}\nseeds: 1", 2, "belongs in the pipeline file"),
         ("toggles: []", 2, "toggles must be a mapping"),
         ("toggles: {}", 2, "at least one"),
-        ("toggles:\n  second: off", 3, "when `off`, not 'off'"),
-        ("toggles:\n  second: {of: toy_term}", 3, "when `off`, not of"),
+        ("toggles:\n  second: off", 3, "key `off`, not 'off'"),
+        ("toggles:\n  second: {of: toy_term}", 3, "key `off`, not of"),
         ("toggles:\n  second: {off: 3}", 3, "must be a component, not 3"),
         ("toggles:\n  secnd:", 3, "did you mean 'second'"),
         ("toggles:\n  second: {off: {use: toy_trm}}", 3, "did you mean 'toy_term'"),
@@ -53,7 +53,7 @@ FULL_LENGTH = [file for file in FILES if file.stem != "weightfree"]
         ("vary:\n  x: {a: 3}", 3, "must map settings to values"),
         ("vary:\n  x: {a: {}, b: {}}", 3, "no alternative of x changes anything"),
         ("vary:\n  x:\n    a: {opacity.: 3}", 4, "must look like"),
-        ("vary:\n  x:\n    a: {training.seed: 3}", 4, "seed is not varied"),
+        ("vary:\n  x:\n    a: {training.seed: 3}", 4, "seed cannot be varied"),
         ('vary:\n  opacity.value: ["${NO_SUCH_THING}"]', 3, "NO_SUCH_THING"),
         ("toggles: {second: }\nscenes: fern", 3, "scenes must be a list"),
         ("toggles: {second: }\nscenes: []", 3, "scenes must be a list of at least one"),
@@ -63,7 +63,7 @@ FULL_LENGTH = [file for file in FILES if file.stem != "weightfree"]
         ("toggles: {second: }\nseeds: true", 3, "1 or more, not True"),
     ],
 )
-def test_mistakes_name_their_line(
+def test_errors_name_the_line(
     toys: Plugins, tmp_path: Path, text: str, line: int, message: str
 ) -> None:
     path = write(tmp_path, f"{text}\n")
@@ -73,10 +73,10 @@ def test_mistakes_name_their_line(
     assert f"ablation.yaml:{line}" in caught.value.where
 
 
-def test_the_pipeline_must_be_named_and_there(toys: Plugins, tmp_path: Path) -> None:
+def test_the_pipeline_must_be_named_and_exist(toys: Plugins, tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("seeds: 2\n")
-    with pytest.raises(PipelineError, match="which pipeline it is about"):
+    with pytest.raises(PipelineError, match="names no pipeline"):
         plan(path, toys)
     path.write_text("pipeline: none.yaml\n")
     with pytest.raises(PipelineError, match="cannot be read") as caught:
@@ -90,7 +90,7 @@ def test_only_an_ablation_file_takes_another_pipeline(toys: Plugins, tmp_path: P
     other.write_text((tmp_path / "toy.yaml").read_text().replace("name: toy", "name: other"))
     made = make_plan(read_description(path, other), toys)
     assert {run.pipeline.name for run in made.runs} == {"other"}
-    with pytest.raises(PipelineError, match="cannot be given another"):
+    with pytest.raises(PipelineError, match="--pipeline needs an ablation file"):
         read_description(other, path)
 
 
@@ -100,7 +100,7 @@ def test_only_an_ablation_file_takes_another_pipeline(toys: Plugins, tmp_path: P
     + [(file, PIPELINES / "stereogs.yaml") for file in FULL_LENGTH],
     ids=lambda path: path.stem if path else "own",
 )
-def test_the_projects_files_are_right(
+def test_the_ablation_files_of_the_project_are_valid(
     monkeypatch: pytest.MonkeyPatch, file: Path, pipeline: Path | None
 ) -> None:
     monkeypatch.delenv(SELECTION)
@@ -110,7 +110,7 @@ def test_the_projects_files_are_right(
     assert len(made.combinations) == COUNTS[file.stem]
 
 
-def test_the_guides_example_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_in_the_docs_is_valid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("STEREOGS_DATA", "STEREOGS_MODELS"):
         monkeypatch.setenv(name, "folder")
     monkeypatch.delenv(SELECTION)
@@ -118,18 +118,18 @@ def test_the_guides_example_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "example.yaml").write_text(page.partition("```yaml\n")[2].partition("```")[0])
     written = read_description(tmp_path / "example.yaml", PIPELINES / "stereogs_weightfree.yaml")
     assert written.seeds == 3
-    # Both of the term, on and off, beside the initializer; the values of the decay and the models.
+    # The term and the initializer, each on and off; the values of the decay and the models.
     assert make_plan(replace(written, seeds=1), Plugins()).size == (
         "16 combinations x 3 scenes x 1 seed = 48 runs"
     )
 
 
-def test_a_file_for_each_table() -> None:
+def test_the_counts_cover_all_ablation_files() -> None:
     assert [file.stem for file in FILES] == sorted(COUNTS)
 
 
 @pytest.mark.parametrize("name", ["multi_view_models", "stereo_models"])
-def test_without_model_files_the_variable_is_named(
+def test_a_missing_model_folder_names_the_variable(
     monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.delenv(SELECTION)

@@ -42,13 +42,13 @@ def test_rows_go_from_all_off_to_all_on(toys: Plugins, tmp_path: Path) -> None:
     assert names(made, 7, "densification") == ["toy_growth"]
 
 
-def test_all_on_is_the_pipeline_itself(toys: Plugins, tmp_path: Path) -> None:
+def test_all_on_is_the_unchanged_pipeline(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path)
     made = plan(path, toys, toggles="modifiers.toy_dropout,toy_term")
     assert made.runs[-1].pipeline == parse_pipeline(path.read_text(), toys)
 
 
-def test_scenes_and_seeds_go_fastest(toys: Plugins, tmp_path: Path) -> None:
+def test_seeds_vary_fastest_then_scenes(toys: Plugins, tmp_path: Path) -> None:
     made = plan(write(tmp_path), toys, vary=("opacity.factor=0.5,0.6",), scenes="./a,./b", seeds=2)
     assert made.size == "2 combinations x 2 scenes x 2 seeds = 8 runs"
     assert [(made.describe(r.combination), r.scene, r.seed) for r in made.runs[:5]] == [
@@ -63,7 +63,7 @@ def test_scenes_and_seeds_go_fastest(toys: Plugins, tmp_path: Path) -> None:
     assert len({run.name for run in made.runs}) == 8
 
 
-def test_a_value_of_something_that_is_off_makes_no_row(toys: Plugins, tmp_path: Path) -> None:
+def test_a_value_of_a_disabled_component_makes_no_row(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path, "toggles: {opacity: {off: {use: toy_fade, reset: true}}}\n")
     made = plan(path, toys, vary=("opacity.factor=0.5,0.6", "training.sh_degree=0,1"))
     assert labels(made) == [
@@ -78,7 +78,7 @@ def test_a_value_of_something_that_is_off_makes_no_row(toys: Plugins, tmp_path: 
     assert policy.settings.model_dump() == {"factor": 0.9, "value": None, "reset": True}
 
 
-def test_a_written_baseline_takes_the_place_of_the_part(toys: Plugins, tmp_path: Path) -> None:
+def test_the_baseline_of_the_file_replaces_the_component(toys: Plugins, tmp_path: Path) -> None:
     made = plan(
         write(
             tmp_path,
@@ -112,15 +112,19 @@ def test_default_baselines_are_those_of_3dgs(
     assert (policy.name, schedule.every, schedule.stop) == ("opacity_reset", 3000, 14970)
 
 
-def test_what_names_no_baseline_is_disabled_or_needs_one(toys: Plugins, tmp_path: Path) -> None:
+def test_a_component_without_baseline_is_disabled_unless_required(
+    toys: Plugins, tmp_path: Path
+) -> None:
     off = plan(write(tmp_path), toys, toggles="opacity").runs[0].pipeline
     assert off.items["opacity"] == ()
-    with pytest.raises(PipelineError, match="nothing takes the place of the initializer") as caught:
+    with pytest.raises(
+        PipelineError, match="the initializer is required and has no baseline"
+    ) as caught:
         plan(write(tmp_path), toys, toggles="initializer")
     assert "{initializer: {off: NAME}}" in caught.value.fix
 
 
-def test_any_component_may_name_a_baseline(
+def test_any_component_can_name_a_baseline(
     toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ToyTerm, "ablation_baseline", "{use: toy_term, name: calm, weight: 0.5}")
@@ -150,7 +154,7 @@ def test_named_alternatives_change_several_settings(toys: Plugins, tmp_path: Pat
     assert [choice.number for choice in made.variations[0].choices] == [None, None, 2.5]
 
 
-def test_whole_components_are_labelled_by_name(toys: Plugins, tmp_path: Path) -> None:
+def test_components_as_values_are_labelled_by_name(toys: Plugins, tmp_path: Path) -> None:
     vary = ("opacity={use: toy_fade, name: slow, factor: 0.99},toy_fade", "metrics=[],[psnr]")
     made = plan(write(tmp_path), toys, vary=vary)
     assert labels(made) == [
@@ -161,7 +165,7 @@ def test_whole_components_are_labelled_by_name(toys: Plugins, tmp_path: Path) ->
     ]
 
 
-def test_a_scene_without_a_slash_lies_in_the_data_folder(
+def test_a_scene_without_a_slash_is_in_the_data_folder(
     toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STEREOGS_DATA", str(tmp_path / "data"))
@@ -179,7 +183,7 @@ def test_a_scene_without_a_slash_lies_in_the_data_folder(
     assert plan(write(tmp_path), toys, toggles="second").scenes == ("garden",)
 
 
-def test_what_the_command_line_gives_replaces_the_files(toys: Plugins, tmp_path: Path) -> None:
+def test_command_line_arguments_replace_entries_of_the_file(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path, "toggles: {second: }\nvary: {opacity.factor: [0.5, 0.6]}\nseeds: 3\n")
     assert plan(path, toys).size == "4 combinations x 1 scene x 3 seeds = 12 runs"
     made = plan(
@@ -195,7 +199,7 @@ def test_what_the_command_line_gives_replaces_the_files(toys: Plugins, tmp_path:
     assert policy.settings.model_dump()["reset"] is True
 
 
-def test_another_pipeline_gets_other_folders(toys: Plugins, tmp_path: Path) -> None:
+def test_another_pipeline_uses_other_folders(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path)
     before = {run.digest for run in plan(path, toys, toggles="second").runs}
     again = {run.digest for run in plan(path, toys, toggles="second").runs}
@@ -209,7 +213,7 @@ def test_another_pipeline_gets_other_folders(toys: Plugins, tmp_path: Path) -> N
     ("toggles", "message", "fix"),
     [
         ("toy_drpout", "did you mean 'toy_dropout'", "toy_dropout"),
-        ("reports", "nothing named 'reports'", "opacity"),
+        ("reports", "no component 'reports'", "opacity"),
         ("second,second", "toggled twice", "once"),
         ("second,regularizers.second", "toggled twice", "once"),
         ("second,,opacity", "empty name", "commas"),
@@ -226,7 +230,7 @@ def test_wrong_toggles(toys: Plugins, tmp_path: Path, toggles: str, message: str
 def test_an_ambiguous_name_needs_its_section(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path)
     path.write_text(path.read_text().replace("[toy_dropout]", "[{use: toy_dropout, name: second}]"))
-    with pytest.raises(PipelineError, match="more than one thing") as caught:
+    with pytest.raises(PipelineError, match="is ambiguous") as caught:
         plan(path, toys, toggles="second")
     assert "regularizers.second, modifiers.second" in caught.value.fix
     assert plan(path, toys, toggles="modifiers.second").toggles == ("modifiers.second",)
@@ -244,7 +248,7 @@ def test_an_ambiguous_name_needs_its_section(toys: Plugins, tmp_path: Path) -> N
         (("opacity.factor",), "must look like"),
         (("=3",), "must look like"),
         (("opacity.factor=0.5", "opacity.factor=0.6"), "varied twice"),
-        (("training.seed=1,2",), "seed is not varied"),
+        (("training.seed=1,2",), "seed cannot be varied"),
         (("opacity.factor={",), "not valid YAML"),
     ],
 )
@@ -256,7 +260,7 @@ def test_wrong_variations(
     assert "--vary" in caught.value.where
 
 
-def test_combinations_that_are_the_same_are_refused(toys: Plugins, tmp_path: Path) -> None:
+def test_equal_combinations_are_rejected(toys: Plugins, tmp_path: Path) -> None:
     path = write(tmp_path, "toggles: {initializer: {off: toy_points}}\n")
     with pytest.raises(PipelineError, match="are the same pipeline"):
         plan(path, toys)

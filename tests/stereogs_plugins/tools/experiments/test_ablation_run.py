@@ -1,4 +1,4 @@
-"""Trainings of an ablation: real ones in processes of their own, and what decides about them."""
+"""Train the runs of an ablation in processes, stop, resume and repeat them."""
 
 from __future__ import annotations
 
@@ -27,15 +27,17 @@ from registry.runs.progress import MetricsLog
 from registry.runs.training_run import start
 from registry.session import open_run
 from stereogs_plugins.tools.experiments.planning.plan import PlannedRun
-from stereogs_plugins.tools.experiments.running import jobs
-from stereogs_plugins.tools.experiments.running.choosing import choose_runner
+from stereogs_plugins.tools.experiments.running import local_processes
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
 from stereogs_plugins.tools.experiments.running.local_processes import (
     LocalProcesses,
     training_arguments,
 )
-from stereogs_plugins.tools.experiments.running.progress import AblationProgress
-from stereogs_plugins.tools.experiments.running.runner import train_all
+from stereogs_plugins.tools.experiments.running.runner import (
+    AblationProgress,
+    choose_runner,
+    train_all,
+)
 from tests.html_page import Page
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 from tests.stereogs_plugins.tools.experiments.ablating import plan, write
@@ -51,7 +53,7 @@ training: {iterations: 5, sh_degree: 0}
 
 
 def table(folder: Path) -> dict[str, dict[str, str]]:
-    """The CSV's rows by the dropout's state."""
+    """Return the rows of the CSV by the state of the dropout."""
     rows = csv.DictReader(io.StringIO((folder / "ablation.csv").read_text()))
     return {row["dropout"]: row for row in rows}
 
@@ -65,7 +67,7 @@ def test_an_ablation_from_the_command_line(
     command = ["ablate", str(pipeline), "--toggle", "dropout", "--out", str(out)]
     assert main([*command, "--jobs", "2"]) == 0
     printed = capsys.readouterr().out
-    assert "2 combinations x 1 scene x 1 seed = 2 runs, 0 of them finished; 2 at a time" in printed
+    assert "2 combinations x 1 scene x 1 seed = 2 runs, 0 finished; 2 at a time" in printed
     first = table(out)
     for row in first.values():
         results = json.loads((out / row["folder"] / "results.json").read_text())
@@ -82,7 +84,7 @@ def test_an_ablation_from_the_command_line(
     (broken / "results.json").unlink()
     untouched = (out / first["0"]["folder"] / "results.json").stat().st_mtime_ns
     assert main(command) == 0
-    assert "2 runs, 1 of them finished; " in capsys.readouterr().out
+    assert "2 runs, 1 finished; " in capsys.readouterr().out
     again = table(out)
     assert again["1"]["hash"] == first["1"]["hash"]
     assert again["1"]["psnr"] == first["1"]["psnr"]
@@ -112,14 +114,14 @@ def test_the_page_shows_photographs_named_by_numbers(
     for run in plan(pipeline, Plugins(), vary=(vary,)).runs:
         train_here(run, AblationFolder(out), device)
     assert main(["ablate", str(pipeline), "--vary", vary, "--out", str(out)]) == 0
-    assert "2 of them finished" in capsys.readouterr().out
+    assert "2 finished" in capsys.readouterr().out
     page = Page((out / "index.html").read_text("utf-8"))
     assert "0: photograph" in page.text
     each_view = ["photograph", *["render", "depth"] * 2]
     assert [image["alt"] for image in page.images] == each_view * 2
 
 
-def test_a_failure_is_told_beside_what_the_others_gave(
+def test_a_failure_is_reported_and_other_results_are_kept(
     device: Device,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -134,7 +136,7 @@ def test_a_failure_is_told_beside_what_the_others_gave(
     command = ["ablate", str(pipeline), "--vary", vary, "--out", str(out)]
     assert main(command) == 2
     captured = capsys.readouterr()
-    assert "1 of 2 runs failed; the first one said:" in captured.err
+    assert "1 of 2 runs failed; the first error:" in captured.err
     assert "missing.ply" in captured.err
     assert ".log" in captured.err
     text = (out / "ablation.txt").read_text()
@@ -152,7 +154,7 @@ def task_of(run: PlannedRun, folder: AblationFolder) -> TrainingTask:
 
 
 def local(device: Device, lock: int | None = None) -> Part:
-    """The host's own runner, one training at a time."""
+    """Return the default runner with one training at a time."""
     runner = choose_runner(None, 1, Plugins(()), device)
     assert isinstance(runner.component, LocalProcesses)
     runner.component.lock = lock
@@ -179,7 +181,7 @@ def train_here(
         )
 
 
-def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
+def test_an_interrupted_run_resumes_and_a_damaged_one_restarts(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder = AblationFolder(tmp_path / "out")
@@ -199,7 +201,7 @@ def test_an_interrupted_run_goes_on_and_a_broken_one_begins_anew(
     assert folder.results(run)["iterations"] == 5
 
 
-def test_a_run_whose_length_follows_its_scene_is_known_again(
+def test_a_run_with_a_length_per_view_is_recognized(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
@@ -215,7 +217,7 @@ def test_a_run_whose_length_follows_its_scene_is_known_again(
     assert folder.results(run)["iterations"] == 2 * len(open_run(place, device=device).scene.train)
 
 
-def test_ctrl_c_stops_those_at_work_and_begins_no_other(
+def test_ctrl_c_stops_active_runs_and_starts_no_more(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[int] = []
@@ -243,7 +245,7 @@ def test_ctrl_c_stops_those_at_work_and_begins_no_other(
         pass
 
 
-def test_trainings_that_leave_no_results_have_failed_and_keep_no_other_from_its_turn(
+def test_trainings_without_results_have_failed_and_do_not_stop_others(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     does_nothing = shutil.which("true")
@@ -271,7 +273,7 @@ def test_trainings_that_leave_no_results_have_failed_and_keep_no_other_from_its_
         ("gpu", 16, 64_000.0, [], 1),
     ],
 )
-def test_how_many_at_the_same_time(
+def test_the_number_of_simultaneous_trainings(
     device: Device,
     monkeypatch: pytest.MonkeyPatch,
     kind: str,
@@ -281,13 +283,13 @@ def test_how_many_at_the_same_time(
     expected: int,
 ) -> None:
     monkeypatch.setattr(device, "kind", kind)
-    monkeypatch.setattr(jobs, "_cores", lambda: cores)
-    monkeypatch.setattr(jobs, "free_memory_mb", lambda: free)
-    assert jobs.default_jobs(device, peaks) == expected
+    monkeypatch.setattr(local_processes, "_cores", lambda: cores)
+    monkeypatch.setattr(local_processes, "free_memory_mb", lambda: free)
+    assert local_processes.default_jobs(device, peaks) == expected
 
 
-def test_free_memory_is_told_where_the_system_tells() -> None:
-    free = jobs.free_memory_mb()
+def test_free_memory_is_known_or_none() -> None:
+    free = local_processes.free_memory_mb()
     assert free is None or 1 < free < 1e8
 
 
@@ -297,13 +299,16 @@ def test_free_memory_is_told_where_the_system_tells() -> None:
         (["none.yaml"], "cannot be read"),
         (["tiny.yaml"], "nothing to toggle"),
         (["tiny.yaml", "--toggle", "dropot"], "did you mean 'dropout'"),
-        (["tiny.yaml", "--toggle", "dropout", "--jobs", "0"], "too few"),
+        (["tiny.yaml", "--toggle", "dropout", "--jobs", "0"], "at least 1"),
         (["tiny.yaml", "--toggle", "dropout", "--device", "no such"], "no OpenCL device"),
-        (["tiny.yaml", "--toggle", "dropout", "--out", "tiny.yaml"], "nothing can be written"),
-        (["tiny.yaml", "--toggle", "dropout", "--pipeline", "x.yaml"], "another pipeline"),
+        (["tiny.yaml", "--toggle", "dropout", "--out", "tiny.yaml"], "not writable"),
+        (
+            ["tiny.yaml", "--toggle", "dropout", "--pipeline", "x.yaml"],
+            "--pipeline needs an ablation file",
+        ),
     ],
 )
-def test_mistakes_end_in_one_message_and_nothing_written(
+def test_mistakes_print_one_message_and_write_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

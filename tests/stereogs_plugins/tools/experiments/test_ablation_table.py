@@ -1,4 +1,4 @@
-"""The tables, the CSV and the page say what the runs measured."""
+"""The tables, the CSV and the page contain the results of the runs."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from PIL import Image
 from registry.plugins.discovery import Plugins
 from registry.system.files import write_json
 from registry.toolkit.drawing.pictures import ViewPictures, save_png, side_by_side
+from registry.toolkit.web_page import Cell
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
 from stereogs_plugins.tools.experiments.showing import scores
-from stereogs_plugins.tools.experiments.showing.page import as_page
-from stereogs_plugins.tools.experiments.showing.plots import plots
-from stereogs_plugins.tools.experiments.showing.table import as_csv, as_text, rows
+from stereogs_plugins.tools.experiments.showing.page import as_page, plots
+from stereogs_plugins.tools.experiments.showing.table import as_csv, as_text, scene_table
 from tests.html_page import Page
 from tests.stereogs_plugins.tools.experiments.ablating import plan, write
 
@@ -37,7 +37,7 @@ def made(toys: Plugins, tmp_path: Path) -> Plan:
 
 
 def measured(made: Plan) -> Results:
-    """Numbers of which each differs from every other."""
+    """Return results in which all numbers differ."""
     return {
         run: {
             "test": {"psnr": 20 + index, "ssim": 0.5 + 0.01 * index},
@@ -50,7 +50,7 @@ def measured(made: Plan) -> Results:
     }
 
 
-def test_a_row_averages_its_runs(made: Plan) -> None:
+def test_a_row_is_the_mean_of_its_runs(made: Plan) -> None:
     results = measured(made)
     psnr = scores.columns(made, results)[0]
     assert psnr == scores.Column("psnr", "psnr", True)
@@ -60,12 +60,13 @@ def test_a_row_averages_its_runs(made: Plan) -> None:
     assert scores.figure(results, first, psnr, "<b>") == scores.Figure(
         22.5, statistics.stdev([22, 23])
     )
-    assert [row.numbers[0] for row in rows(made, results)] == [
-        "21.50 ± 0.71",
-        "25.50 ± 0.71",
-        "29.50 ± 0.71",
+    table = scene_table(made, results, "mean", mean=True)
+    assert (table.head[2], table.names) == ("psnr ↑", 2)
+    assert [row[2] for row in table.rows] == [
+        Cell("21.50 ± 0.71"),
+        Cell("25.50 ± 0.71"),
+        Cell("29.50 ± 0.71", strong=True),
     ]
-    assert [row.best[0] for row in rows(made, results)] == [False, False, True]
 
 
 def test_the_text_has_a_table_for_the_mean_and_each_scene(made: Plan) -> None:
@@ -82,30 +83,31 @@ def test_the_text_has_a_table_for_the_mean_and_each_scene(made: Plan) -> None:
 def test_a_row_with_a_missing_run_has_no_numbers(made: Plan) -> None:
     results = measured(made)
     results[made.runs[1]] = {}
-    found = rows(made, results)
-    assert set(found[0].numbers) == {"-"}
-    assert [row.progress for row in found] == ["3/4", "", ""]
+    table = scene_table(made, results, "mean", mean=True)
+    assert {cell.text for cell in table.rows[0][2:-1]} == {"-"}
+    assert table.head[-1] == "runs"
+    assert [row[-1].text for row in table.rows] == ["3/4", "", ""]
     assert "3/4" in as_text(made, results)
     text = as_text(made, {run: {} for run in made.runs})
     assert (text.count("0/4"), text.count("0/2")) == (3, 6), "a scene's table counts its own runs"
-    assert [row.progress for row in rows(made, results, "a")] == ["1/2", "", ""]
-    assert [row.progress for row in rows(made, results, "<b>")] == ["", "", ""]
+    assert [row[-1].text for row in scene_table(made, results, "a").rows] == ["1/2", "", ""]
+    assert "runs" not in scene_table(made, results, "<b>").head
 
 
-def test_what_changed_nothing_is_told(made: Plan) -> None:
+def test_combinations_without_effect_are_listed(made: Plan) -> None:
     results = measured(made)
     assert "no effect" not in as_text(made, results)
     off, half = made.combinations[:2]
     pairs = [[run for run in made.runs if run.combination == c] for c in (off, half)]
     for one, two in zip(*pairs, strict=True):
         results[two]["hash"] = results[one]["hash"]
-    told = "no effect, the same Gaussians to the bit: opacity off = opacity on, opacity.factor 0.5"
-    assert told in as_text(made, results).splitlines()
+    expected = "no effect, bitwise equal Gaussians: opacity off = opacity on, opacity.factor 0.5"
+    assert expected in as_text(made, results).splitlines()
     results[pairs[1][-1]] = {}
     text = as_text(made, results)
-    assert told not in text, "a run is missing"
-    assert told.replace("no effect", "no effect in a") in text.splitlines()
-    assert "in <b>" not in text
+    assert expected not in text, "a run is missing"
+    assert expected.replace("no effect", "no effect on a") in text.splitlines()
+    assert "on <b>" not in text
 
 
 def test_infinite_and_unavailable_scores(made: Plan) -> None:
@@ -119,13 +121,13 @@ def test_infinite_and_unavailable_scores(made: Plan) -> None:
         "ssim",
         "gaussians",
     ]
-    found = rows(made, results)[0]
-    assert (found.numbers[0], found.best[0]) == ("inf", True)
+    table = scene_table(made, results, "mean", mean=True)
+    assert table.rows[0][2] == Cell("inf", strong=True)
     assert math.isinf(scores.value(results[made.runs[0]], scores.columns(made, results)[0]) or 0)
     assert "- lpips: there is no model file" in as_text(made, results)
 
 
-def test_the_csv_has_a_row_a_run(made: Plan, tmp_path: Path) -> None:
+def test_the_csv_has_a_row_per_run(made: Plan, tmp_path: Path) -> None:
     results = measured(made)
     results[made.runs[2]] = {}
     found = list(csv.DictReader(io.StringIO(as_csv(made, results, AblationFolder(tmp_path)))))
@@ -152,14 +154,14 @@ def test_the_csv_has_a_row_a_run(made: Plan, tmp_path: Path) -> None:
 
 
 def _color(picture: Image.Image) -> str:
-    """Which of two colours an 8x6 picture has."""
+    """Return which of two colors an 8x6 image has."""
     assert picture.size == (8, 6)
     pixel = picture.getpixel((7, 5))
     assert isinstance(pixel, tuple)
     return "red" if pixel[0] > pixel[2] else "blue"
 
 
-def test_the_page_stands_alone_and_escapes(made: Plan, tmp_path: Path) -> None:
+def test_the_page_needs_no_other_file_and_escapes_html(made: Plan, tmp_path: Path) -> None:
     results = measured(made)
     folder = AblationFolder(tmp_path)
     for run, found in results.items():
@@ -188,9 +190,7 @@ def test_the_page_stands_alone_and_escapes(made: Plan, tmp_path: Path) -> None:
     assert "http" not in text
 
 
-def test_plots_of_numbers_go_from_left_to_right_and_names_are_spaced(
-    toys: Plugins, tmp_path: Path
-) -> None:
+def test_plots_sort_numbers_and_space_names_evenly(toys: Plugins, tmp_path: Path) -> None:
     vary = ("opacity.factor=0.9,0.5,0.6", "opacity.reset=false,true")
     made = plan(write(tmp_path), toys, vary=vary)
     numbers, names = plots(
@@ -206,13 +206,13 @@ def test_plots_of_numbers_go_from_left_to_right_and_names_are_spaced(
     assert [label for label in (">false<", ">true<") if label in names] == [">false<", ">true<"]
 
 
-def test_the_page_of_nothing_finished(made: Plan, tmp_path: Path) -> None:
+def test_the_page_without_finished_runs(made: Plan, tmp_path: Path) -> None:
     page = Page(as_page(made, {run: {} for run in made.runs}, AblationFolder(tmp_path)))
     assert page.tags.count("table") == 3
     assert page.tags.count("svg") == len(page.images) == 0
 
 
-def test_results_of_another_pipeline_or_damaged_ones_do_not_count(
+def test_results_of_another_pipeline_and_damaged_results_are_ignored(
     made: Plan, tmp_path: Path
 ) -> None:
     folder = AblationFolder(tmp_path)

@@ -1,4 +1,4 @@
-"""Scores against seconds: curves from run folders, the Pareto front, and tables of equal time."""
+"""Scores against time: curves from run folders, the Pareto front, and tables at equal time."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from registry.pipeline.protocols import load_protocol
 from registry.plugins.discovery import Plugins
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
-from stereogs_plugins.tools.experiments.published import published_costs
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.showing.against_time import Reference
-from stereogs_plugins.tools.experiments.showing.page import as_page
-from stereogs_plugins.tools.experiments.showing.samples import (
+from stereogs_plugins.tools.experiments.showing.against_time import (
+    Reference,
     Sample,
     curve,
     front,
+    published_costs,
     reached,
     read_curves,
 )
+from stereogs_plugins.tools.experiments.showing.page import as_page
 from stereogs_plugins.tools.experiments.showing.scores import Results
 from tests.html_page import Page
 from tests.stereogs_plugins.tools.experiments.test_bench import matrix
@@ -43,7 +43,7 @@ def made(toys: Plugins, tmp_path: Path) -> Plan:
 
 @pytest.fixture
 def folder(made: Plan, tmp_path: Path) -> AblationFolder:
-    """Every run has scored its test views twice on the way: 2 dB an iteration, a second each."""
+    """Write run folders with scores during training: 2 dB and 1 s per iteration."""
     folder = AblationFolder(tmp_path / "out")
     for run in made.runs:
         place = folder.run(run).path
@@ -82,7 +82,7 @@ def psnr(seed: int, pipeline: str, iteration: int) -> float:
     return 10 + 2 * iteration + seed + (3 if pipeline == "other" else 0)
 
 
-def test_a_curve_counts_loading_and_points_and_ends_with_the_last_scores(
+def test_a_curve_includes_loading_and_initialization_and_ends_with_the_final_scores(
     made: Plan, results: Results, folder: AblationFolder
 ) -> None:
     curves = read_curves(results, folder)
@@ -95,7 +95,7 @@ def test_a_curve_counts_loading_and_points_and_ends_with_the_last_scores(
     assert curve(curves, made.combinations[0], "garden", "odd") == []
 
 
-def test_what_was_reached_is_the_last_score_that_was_there(
+def test_the_reached_score_is_the_last_one_before_the_time(
     made: Plan, results: Results, folder: AblationFolder
 ) -> None:
     curves = read_curves(results, folder)
@@ -111,7 +111,7 @@ def test_what_was_reached_is_the_last_score_that_was_there(
 
 
 @pytest.mark.parametrize("higher", [True, False])
-def test_the_front_holds_what_nothing_beats(higher: bool) -> None:
+def test_the_front_contains_undominated_samples(higher: bool) -> None:
     sign = 1 if higher else -1
     points = {"a": (1, 5), "b": (2, 7), "c": (2, 6), "d": (3, 7), "e": (4, 9), "f": (9, 8)}
     samples = {name: Sample(t, sign * v) for name, (t, v) in points.items()}
@@ -132,7 +132,7 @@ def test_the_page_of_a_bench(made: Plan, results: Results, folder: AblationFolde
     assert "at 120 s" in page.text
 
 
-def test_published_rows_need_a_protocol_that_all_follow(made: Plan) -> None:
+def test_published_rows_need_a_common_protocol(made: Plan) -> None:
     assert published_costs(made) == []
     applied = AppliedProtocol(load_protocol("llff-3"), {})
     for run in made.runs:

@@ -24,10 +24,9 @@ from registry.runs.options import RunOptions
 from registry.runs.training_run import start
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan
-from stereogs_plugins.tools.experiments.running.choosing import RUNNER, choose_runner
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
 from stereogs_plugins.tools.experiments.running.local_processes import LocalProcesses
-from stereogs_plugins.tools.experiments.running.runner import train_all
+from stereogs_plugins.tools.experiments.running.runner import RUNNER, choose_runner, train_all
 from tests.stereogs_plugins.tools.experiments.ablating import PIPELINE, write
 
 MATRIX = """\
@@ -39,7 +38,7 @@ seeds: 2
 
 
 def matrix(folder: Path, text: str = MATRIX) -> Path:
-    """A matrix file, and beside it the pipelines that it names."""
+    """Write a matrix file and its pipelines."""
     write(folder)
     other = PIPELINE.replace("name: toy", "name: other").replace("opacity: {use: toy_fade", "#")
     (folder / "other.yaml").write_text(other)
@@ -80,17 +79,17 @@ def test_without_lengths_each_pipeline_has_its_own(toys: Plugins, tmp_path: Path
     ("old", "new", "what"),
     [
         ("pipelines:", "pipeline:", "no key 'pipeline'; did you mean 'pipelines'"),
-        ("pipelines: [toy, ./other.yaml]\n", "", "which pipelines to train"),
+        ("pipelines: [toy, ./other.yaml]\n", "", "lists no pipelines"),
         ("[toy, ./other.yaml]", "[]", "is empty"),
         ("[toy, ./other.yaml]", "[toy.yaml, ./toy.yaml]", "two pipelines are called 'toy'"),
         ("[toy, ./other.yaml]", "[toy, ./missing.yaml]", "missing"),
-        ("scenes:", "#", "which scenes"),
+        ("scenes:", "#", "lists no scenes"),
         ("[2, 5]", "[2, 2]", "the value 2 twice"),
         ("[2, 5]", "[0]", "iterations"),
         ("seeds: 2", "seeds: 0", "1 or more"),
     ],
 )
-def test_a_matrix_that_cannot_be_is_refused(
+def test_an_invalid_matrix_is_rejected(
     toys: Plugins, tmp_path: Path, old: str, new: str, what: str
 ) -> None:
     assert old in MATRIX
@@ -101,7 +100,7 @@ def test_a_matrix_that_cannot_be_is_refused(
 
 
 class InThisProcess(Runner[Settings]):
-    """Trains when a task is asked whether it has ended; as a third party would write one."""
+    """A runner of another package, which trains when `ended` is read."""
 
     def __init__(self, settings: Settings, context: Context) -> None:
         super().__init__(settings, context)
@@ -186,7 +185,7 @@ def test_an_error_of_a_runner_names_it(toys: Plugins, device: Device, tmp_path: 
     assert "matrix.yaml:5" in failed.value.where
 
 
-def test_the_host_has_a_runner_of_its_own(device: Device) -> None:
+def test_the_default_runner(device: Device) -> None:
     plugins = Plugins(())
     usual = choose_runner(None, None, plugins, device)
     assert isinstance(usual.component, LocalProcesses)
@@ -195,7 +194,7 @@ def test_the_host_has_a_runner_of_its_own(device: Device) -> None:
     )
     assert written.component.places == 3
     assert choose_runner(None, 2, plugins, device).component.places == 2
-    with pytest.raises(PipelineError, match="for the named runner to say"):
+    with pytest.raises(PipelineError, match="the named runner decides"):
         choose_runner(parse("{use: far_away}", "m", has_lines=False), 2, plugins, device)
     with pytest.raises(PluginError, match="no plugin offers the runner 'far_away'"):
         choose_runner(parse("far_away", "m", has_lines=False), None, plugins, device)
@@ -222,10 +221,10 @@ def test_a_bench_from_the_command_line(
     )
     command = ["bench", str(path), "--out", str(out), "--jobs", "2"]
     assert main(command) == 0
-    assert "2 combinations x 1 scene x 1 seed = 2 runs, 0 of them" in capsys.readouterr().out
+    assert "2 combinations x 1 scene x 1 seed = 2 runs, 0 finished" in capsys.readouterr().out
     rows = list(csv.DictReader(io.StringIO((out / "bench.csv").read_text())))
     assert [row["training.iterations"] for row in rows] == ["1", "3"]
     assert float(rows[0]["psnr"]) < float(rows[1]["psnr"])
     assert "<h1>Bench: small" in (out / "index.html").read_text("utf-8")
     assert main(command) == 0
-    assert "2 runs, 2 of them finished" in capsys.readouterr().out
+    assert "2 runs, 2 finished" in capsys.readouterr().out

@@ -11,10 +11,9 @@ import pytest
 from registry.plugins.discovery import Plugins
 from stereogs_plugins.tools.experiments.planning.plan import Plan
 from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.showing.differences import differences
 from stereogs_plugins.tools.experiments.showing.page import as_page
-from stereogs_plugins.tools.experiments.showing.paired import difference
-from stereogs_plugins.tools.experiments.showing.table import as_text
+from stereogs_plugins.tools.experiments.showing.scores import difference
+from stereogs_plugins.tools.experiments.showing.table import ScoreTable, as_text, difference_table
 from tests.html_page import Page
 from tests.stereogs_plugins.tools.experiments.ablating import plan, write
 
@@ -43,7 +42,7 @@ def made(toys: Plugins, tmp_path: Path) -> Plan:
 
 
 def measured(made: Plan, gain: dict[tuple[str, int], float]) -> dict[Any, dict[str, Any]]:
-    """The second combination gains so much over the first."""
+    """Return results in which the second combination has these differences to the first."""
     first = made.combinations[0]
     own = {run: 0.0 if run.combination == first else gain[run.scene, run.seed] for run in made.runs}
     return {
@@ -52,39 +51,43 @@ def measured(made: Plan, gain: dict[tuple[str, int], float]) -> dict[Any, dict[s
     }
 
 
+def texts(table: ScoreTable) -> list[list[str]]:
+    return [[cell.text for cell in row] for row in table.rows]
+
+
 GAIN = {("a", 7): 1.0, ("a", 8): 2.0, ("b", 7): 3.0, ("b", 8): 2.0}
 
 
-def test_a_table_says_what_a_row_gains_over_the_first(made: Plan, tmp_path: Path) -> None:
+def test_a_table_has_the_differences_to_the_first_row(made: Plan, tmp_path: Path) -> None:
     results = measured(made, GAIN)
-    found = differences(made, results)
+    found = difference_table(made, results)
     assert found is not None
-    assert found.headings == ["psnr", "a", "b"]
+    assert found.head == ["factor", "psnr", "a", "b"]
     # Student's t for three degrees of freedom, 3.182, times the deviation sqrt(2 / 3) over sqrt(4).
-    assert found.rows == [("-", "-", "-"), ("+2.00 ± 1.30", "+1.50", "+2.50")]
+    assert texts(found) == [["0.5", "-", "-", "-"], ["0.6", "+2.00 ± 1.30", "+1.50", "+2.50"]]
     text = " ".join(as_text(made, results).split())
     assert "toy, differences to opacity.factor 0.5" in text
     assert "+2.00 ± 1.30" in text
-    assert "their 95% interval" in text
+    assert "95% confidence interval" in text
     page = Page(as_page(made, results, AblationFolder(tmp_path)))
     assert "+2.00 ± 1.30" in page.text
 
 
-def test_what_is_missing_or_infinite_is_not_compared(made: Plan) -> None:
+def test_missing_and_infinite_numbers_are_not_compared(made: Plan) -> None:
     results = measured(made, GAIN)
     last = next(run for run in reversed(made.runs) if run.scene == "a")
     results[last] = {}
-    found = differences(made, results)
+    found = difference_table(made, results)
     assert found is not None
-    assert found.rows[1] == ("-", "-", "+2.50")
+    assert texts(found)[1] == ["0.6", "-", "-", "+2.50"]
     results = measured(made, {**GAIN, ("a", 7): math.inf})
-    found = differences(made, results)
+    found = difference_table(made, results)
     assert found is not None
-    assert found.rows[1] == ("+2.33 ± 1.43", "+2.00", "+2.50")
+    assert texts(found)[1] == ["0.6", "+2.33 ± 1.43", "+2.00", "+2.50"]
 
 
 def test_too_few_pairs_make_no_table(toys: Plugins, tmp_path: Path) -> None:
     made = plan(write(tmp_path), toys, vary=("opacity.factor=0.5,0.6",), scenes="./a", seeds=2)
     results = measured(made, GAIN)
-    assert differences(made, results) is None
+    assert difference_table(made, results) is None
     assert "differences" not in as_text(made, results)

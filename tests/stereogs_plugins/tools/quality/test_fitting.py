@@ -1,4 +1,4 @@
-"""A run keeps its seconds on a machine whose costs are known, and its length repeats it."""
+"""The length for a number of seconds on a simulated machine, and the choice of a pipeline."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from registry.runs.options import Fit, InitialState, RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import start
 from registry.training.field import Field
-from stereogs_plugins.tools.quality.cost import LEAST_ITERATIONS
-from stereogs_plugins.tools.quality.fitting import Budget, choose, fit_length
+from stereogs_plugins.tools.quality.fitting import LEAST_ITERATIONS, Budget, choose, fit_length
 from stereogs_plugins.tools.quality.table import (
     LONG,
     QUALITIES,
@@ -46,7 +45,7 @@ training: {{iterations: {iterations}, sh_degree: 0, max_gaussians: 90}}
 
 
 class Machine:
-    """A clock that work alone moves: a view scored, and an iteration by how many Gaussians it renders."""
+    """A simulated clock: scored views and iterations advance it, in proportion to the Gaussians."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, slow: float = 1.0) -> None:
         self.now, self.slow = 100.0, slow
@@ -77,7 +76,7 @@ def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) 
 
 
 @pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
-def test_the_seconds_are_kept_and_the_length_repeats_the_run(
+def test_a_run_takes_its_seconds_and_can_be_repeated(
     toys: Plugins,
     device: Device,
     tmp_path: Path,
@@ -87,7 +86,7 @@ def test_the_seconds_are_kept_and_the_length_repeats_the_run(
 ) -> None:
     machine, said = Machine(monkeypatch, slow=slow), list[str]()
     budget = machine.budget(seconds)
-    fit = partial(fit_length, budget=budget, say=said.append)
+    fit = partial(fit_length, budget=budget, log=said.append)
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
     assert LEAST_ITERATIONS < run.iteration < 400
     assert budget.spent == pytest.approx(seconds, rel=0.1)
@@ -100,11 +99,11 @@ def test_the_seconds_are_kept_and_the_length_repeats_the_run(
     assert again.hash == run.hash
 
 
-def test_never_longer_than_the_pipeline_says(
+def test_the_length_never_exceeds_that_of_the_pipeline(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine, said = Machine(monkeypatch), list[str]()
-    fit = partial(fit_length, budget=machine.budget(60), say=said.append)
+    fit = partial(fit_length, budget=machine.budget(60), log=said.append)
     assert trained(pipeline(toys, iterations=30), device, tmp_path / "run", fit).iteration == 30
     assert "less than 60 s" in said[-1]
 
@@ -112,7 +111,7 @@ def test_never_longer_than_the_pipeline_says(
 def test_too_few_seconds_leave_nothing_behind(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fit = partial(fit_length, budget=Machine(monkeypatch).budget(3), say=print)
+    fit = partial(fit_length, budget=Machine(monkeypatch).budget(3), log=print)
     with pytest.raises(RunError, match="3 s are too few"):
         trained(pipeline(toys), device, tmp_path / "run", fit)
     assert not (tmp_path / "run").exists()
@@ -127,7 +126,7 @@ def chosen(
     own: int | str = 400,
     quick: int | str = 160,
 ) -> Pipeline:
-    """The pipeline that would be trained, for the toys' scene."""
+    """Return the chosen pipeline for the toy scene."""
 
     class Chosen(Exception):
         pass
@@ -165,7 +164,7 @@ def test_a_quality_is_a_pipeline_and_a_length(
 @pytest.mark.parametrize(
     ("seconds", "name"), [(12.0, QUICK), (30.0, SHORT), (100.0, LONG), (600.0, LONG)]
 )
-def test_seconds_decide_among_the_three(
+def test_seconds_choose_among_the_three_pipelines(
     toys: Plugins,
     device: Device,
     monkeypatch: pytest.MonkeyPatch,
@@ -179,7 +178,7 @@ def test_seconds_decide_among_the_three(
     assert found.training.max_gaussians is not None
 
 
-def test_the_scenes_views_bring_their_iterations(
+def test_the_length_depends_on_the_number_of_views(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     """The toy scene has two training views."""
@@ -191,12 +190,12 @@ def test_the_scenes_views_bring_their_iterations(
     assert again.hash == run.hash
 
 
-def test_what_is_chosen_has_the_scenes_length(toys: Plugins, device: Device) -> None:
+def test_the_chosen_pipeline_has_the_length_for_the_scene(toys: Plugins, device: Device) -> None:
     assert chosen(toys, device, "good", own="150 per view").training.iterations == 300
     assert chosen(toys, device, "fast", quick="30 per view").training.iterations == 60
 
 
-def test_the_length_decides_among_the_three() -> None:
+def test_the_length_chooses_among_the_three_pipelines() -> None:
     assert [by_length(times).name for times in (0.5, 0.7, 1.7, 1.8)] == [QUICK, SHORT, SHORT, LONG]
     for quality in QUALITIES:
-        assert len(f"  because {by_quality(quality).because}") <= 80
+        assert len(f"  because {by_quality(quality).reason}") <= 80

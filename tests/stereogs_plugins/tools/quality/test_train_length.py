@@ -30,7 +30,7 @@ def pipeline(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     return path
 
 
-def test_a_run_with_seconds_says_what_it_expects_and_how_to_repeat_it(
+def test_a_run_with_seconds_prints_its_estimate_and_how_to_repeat_it(
     pipeline: Path, capsys: Capture
 ) -> None:
     assert main(["train", "toy.yaml", "--seconds", "600", "--out", "first"]) == 0
@@ -56,7 +56,7 @@ def test_a_run_with_seconds_says_what_it_expects_and_how_to_repeat_it(
         (["--quality", "best"], "--quality conflicts with the pipeline"),
     ],
 )
-def test_what_cannot_be_is_refused_and_leaves_nothing(
+def test_conflicting_options_are_rejected_and_write_nothing(
     pipeline: Path, capsys: Capture, options: list[str], what: str
 ) -> None:
     assert main(["train", "toy.yaml", *options]) == 2
@@ -65,6 +65,6 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("options", [["--seconds", "-1"], ["--seconds", "5", "--quality", "fast"]])
-def test_options_that_argparse_refuses(options: list[str], capsys: Capture) -> None:
+def test_options_that_argparse_rejects(options: list[str], capsys: Capture) -> None:
     assert main(["train", "toy.yaml", *options]) == 2
     assert "--seconds" in capsys.readouterr().err

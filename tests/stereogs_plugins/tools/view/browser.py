@@ -1,4 +1,4 @@
-"""A visitor without a browser: viser's messages over a real WebSocket."""
+"""A browser simulated by viser's messages over a WebSocket."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def move(
     position: tuple[float, ...],
     quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
 ) -> None:
-    """Say where the visitor stands, in the page's units, with a field of view of a right angle."""
+    """Send a camera pose in the page's units, with a field of view of 90 degrees."""
     width, height = WINDOW
     message = {
         "type": "ViewerCameraMessage",
@@ -57,7 +57,7 @@ class Received:
     Attributes:
         controls: viser's identifier of each control, by its label.
         nodes: names of what the browser draws itself.
-        picture: the last that it was sent, `[H, W, 3]`; None where it was told to show none.
+        picture: the last one received, `[H, W, 3]`; None if the server removed it.
     """
 
     def __init__(self, page: ClientConnection) -> None:
@@ -67,7 +67,7 @@ class Received:
         self.picture: NDArray[np.uint8] | None = None
 
     def read(self, seconds: float = 0.05) -> None:
-        """Take everything that arrives until nothing does for so long."""
+        """Read messages until none arrives for this time."""
         while True:
             try:
                 frame = self._page.recv(timeout=seconds)

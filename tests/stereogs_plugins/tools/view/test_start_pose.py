@@ -6,8 +6,7 @@ import torch
 
 from core_rasterizer import Device, GaussianModel, Gaussians
 from registry.testing import tiny_scene
-from stereogs_plugins.tools.view.start_pose import start_pose
-from stereogs_plugins.tools.view.subject import Standpoint, Subject, standpoints_of
+from stereogs_plugins.tools.view.subject import Subject, Viewpoint, start_pose, viewpoints_of
 
 
 def model(device: Device, z: float) -> GaussianModel:
@@ -19,9 +18,9 @@ def model(device: Device, z: float) -> GaussianModel:
     )
 
 
-def test_a_visitor_looks_over_the_first_cameras_shoulder(device: Device) -> None:
+def test_the_start_pose_is_behind_and_above_the_first_camera(device: Device) -> None:
     scene = tiny_scene()
-    pose = start_pose(Subject("x", model(device, 3.0), standpoints_of(scene)))
+    pose = start_pose(Subject("x", model(device, 3.0), viewpoints_of(scene)))
     first = scene.train[0].camera
     behind = first.world_to_camera.numpy() @ [*pose.position, 1]
     assert pose.extent == scene.extent
@@ -35,20 +34,20 @@ def test_a_visitor_looks_over_the_first_cameras_shoulder(device: Device) -> None
     assert np.tan(pose.field_of_view / 2) == pytest.approx(0.5 * first.height / first.fy)
 
 
-def test_nothing_in_view_still_gives_a_place_to_turn_around(device: Device) -> None:
+def test_an_empty_view_still_has_an_orbit_point(device: Device) -> None:
     scene = tiny_scene()
-    pose = start_pose(Subject("x", model(device, -30.0), standpoints_of(scene)))
+    pose = start_pose(Subject("x", model(device, -30.0), viewpoints_of(scene)))
     _, _, z = scene.train[0].camera.project(torch.from_numpy(pose.look_at))
     assert float(z) == pytest.approx(5 * scene.extent)
 
 
 def test_a_single_camera_has_an_extent_too(device: Device) -> None:
-    only = Standpoint("only", tiny_scene().train[0].camera)
+    only = Viewpoint("only", tiny_scene().train[0].camera)
     pose = start_pose(Subject("x", model(device, 3.0), (only,)))
     assert pose.extent == pytest.approx(0.3, abs=0.02)
 
 
-def test_without_cameras_all_is_seen(device: Device) -> None:
+def test_without_cameras_everything_is_in_view(device: Device) -> None:
     pose = start_pose(Subject("x", model(device, 3.0)))
     np.testing.assert_allclose(pose.look_at, [0, 0, 3], atol=0.1)
     assert pose.position[2] < 2.5

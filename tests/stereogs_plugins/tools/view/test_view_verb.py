@@ -8,7 +8,7 @@ import pytest
 from registry.cli import main
 
 
-def test_the_missing_package_is_told_before_anything_is_loaded(
+def test_a_missing_package_is_reported_before_loading(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
@@ -16,7 +16,7 @@ def test_the_missing_package_is_told_before_anything_is_loaded(
     assert "pip install 'stereogs-plugins[viewer]'" in capsys.readouterr().err
 
 
-def test_what_is_no_run_and_no_ply_is_refused(
+def test_an_invalid_run_or_ply_is_rejected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("viser")

@@ -1,4 +1,4 @@
-"""The page as a browser sees it: over its own WebSocket, rendered by the engine."""
+"""The viewer's page over a WebSocket, rendered by the engine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytest.importorskip("viser")
 
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians
 from registry.testing import tiny_scene
-from stereogs_plugins.tools.view.subject import Subject, standpoints_of
+from stereogs_plugins.tools.view.subject import Subject, viewpoints_of
 from stereogs_plugins.tools.view.viewer import Viewer
 from tests.stereogs_plugins.tools.view.browser import WINDOW, Received, change, move, visit
 
@@ -40,7 +40,7 @@ def subject(device: Device) -> Subject:
         positions, colors, torch.full((count,), 0.2), torch.full((count,), 0.95), 0
     )
     kinds = {"near": near, "far": ~near}
-    return Subject("walls", GaussianModel(gaussians, device), standpoints_of(SCENE), kinds=kinds)
+    return Subject("walls", GaussianModel(gaussians, device), viewpoints_of(SCENE), kinds=kinds)
 
 
 @pytest.fixture
@@ -71,7 +71,9 @@ def is_grey(picture: np.ndarray | None) -> bool:  # type: ignore[type-arg]
     return picture is not None and bool((np.ptp(picture, axis=2) < 8).all())
 
 
-def test_a_visitor_sees_the_scene_and_what_is_switched_on(viewer: Viewer, subject: Subject) -> None:
+def test_the_browser_shows_the_scene_and_follows_the_controls(
+    viewer: Viewer, subject: Subject
+) -> None:
     with visit(viewer.url) as page:
         received = Received(page)
         move(page, (0.0, 0.0, 0.0))
@@ -102,14 +104,14 @@ def test_a_visitor_sees_the_scene_and_what_is_switched_on(viewer: Viewer, subjec
         serve_until(viewer, received, lambda: "/ellipsoids" in received.nodes)
         serve_until(viewer, received, lambda: received.picture is None)
         assert "/crop_box" not in received.nodes
-        change(page, received.controls["Keep the inside alone"], True)
+        change(page, received.controls["Show only the inside"], True)
         serve_until(viewer, received, lambda: "/crop_box" in received.nodes)
-        change(page, received.controls["Keep the inside alone"], False)
+        change(page, received.controls["Show only the inside"], False)
         serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
-def test_it_listens_to_this_machine_alone(viewer: Viewer) -> None:
+def test_the_server_listens_on_localhost_only(viewer: Viewer) -> None:
     """A server that listens on all addresses would answer on this one too."""
     port = int(viewer.url.rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port), timeout=5):
@@ -118,12 +120,12 @@ def test_it_listens_to_this_machine_alone(viewer: Viewer) -> None:
         socket.create_connection(("127.0.0.2", port), timeout=5)
 
 
-def test_training_is_followed(viewer: Viewer, subject: Subject, device: Device) -> None:
+def test_new_gaussians_are_shown(viewer: Viewer, subject: Subject, device: Device) -> None:
     with visit(viewer.url) as page:
         received = Received(page)
         move(page, (0.0, 0.0, 0.0))
         serve_until(viewer, received, lambda: received.picture is not None)
         kept = {k: v[subject.kinds["near"]] for k, v in vars(subject.model.gaussians()).items()}
         later = GaussianModel(Gaussians(**kept), device)
-        viewer.show(Subject("walls", later, standpoints_of(SCENE)), 7)
+        viewer.show(Subject("walls", later, viewpoints_of(SCENE)), 7)
         serve_until(viewer, received, lambda: green(received.picture) < 20)

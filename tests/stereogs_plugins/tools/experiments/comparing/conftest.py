@@ -1,4 +1,4 @@
-"""Folders of runs that have ended, written without training."""
+"""Folders of finished runs, written without training."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs that may stand side by side; the others are refused with the reason."""
+"""Which runs are comparable, and the reasons for others."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
             {"protocol/modified": {"scene.downsample": 4}},
             "the other the protocol 'llff-3, scene.downsample=4'",
         ),
-        ({"protocol/scale": "1/4"}, "had another `scale`"),
+        ({"protocol/scale": "1/4"}, "`scale` of the protocol"),
         (
             {"protocol/loaders/llff/train_views": 4},
-            "'llff-3' had another `loaders.llff.train_views` when the other was run",
+            "`loaders.llff.train_views` of the protocol 'llff-3' changed between the runs",
         ),
         ({"scene/width": 252}, "'fern' differs in `width`: 504 and 252"),
         ({"scene/test": ["image000", "image008"]}, "differs in `test`"),
@@ -60,11 +60,11 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
         ),
     ],
 )
-def test_runs_that_cannot_be_compared(make: Make, changes: dict[str, Any], message: str) -> None:
+def test_runs_that_are_not_comparable(make: Make, changes: dict[str, Any], message: str) -> None:
     assert message in refusal(make("a"), make("b", changes)).what
 
 
-def test_what_a_protocol_says_to_people_may_change(make: Make) -> None:
+def test_title_and_notes_of_a_protocol_may_change(make: Make) -> None:
     runs(make("a"), make("b", {"protocol/notes": "another sentence", "protocol/title": "LLFF"}))
 
 
@@ -75,11 +75,9 @@ LEGO = {
 OLD_VIEWS = {"protocol/loaders/blender/train_ids": [26, 86, 2, 55, 75, 93, 16, 73]}
 
 
-def test_records_of_another_list_of_views_under_one_name_are_told_apart(
-    make: Make, capsys: Capture
-) -> None:
+def test_a_protocol_that_changed_its_views_is_detected(make: Make, capsys: Capture) -> None:
     new, old = make("new", LEGO), make("old", LEGO | OLD_VIEWS)
-    assert "had another `loaders.blender.train_ids`" in refusal(new, old).what
+    assert "`loaders.blender.train_ids` of the protocol" in refusal(new, old).what
     assert main(["compare", str(new), "--paper", "stereogs"]) == 0
     capsys.readouterr()
     assert main(["compare", str(old), "--paper", "stereogs"]) == 2
@@ -102,7 +100,7 @@ def test_a_difference_between_later_runs_is_found(make: Make) -> None:
     assert "'flower' differs" in refusal(make("a"), make("b", flower), make("c", other)).what
 
 
-def test_settings_of_a_metric_matter_only_where_both_have_a_score(make: Make) -> None:
+def test_settings_of_a_metric_matter_only_if_both_runs_have_its_score(make: Make) -> None:
     measured = {"test/lpips": 0.2, "metrics/lpips/sha256": "ab"}
     other = {"test/lpips": 0.2, "metrics/lpips/sha256": "cd"}
     runs(make("a"), make("b", measured))
@@ -112,11 +110,11 @@ def test_settings_of_a_metric_matter_only_where_both_have_a_score(make: Make) ->
 def test_a_run_without_results_is_explained(make: Make, tmp_path: Path) -> None:
     folder = make("a")
     (folder / "results.json").unlink()
-    with pytest.raises(RunError, match="has not ended"):
+    with pytest.raises(RunError, match="has not finished"):
         read_run(folder)
-    with pytest.raises(RunError, match="does not say metrics, gaussians"):
+    with pytest.raises(RunError, match="lacks metrics, gaussians"):
         read_run(make("b", {"metrics": ..., "gaussians": ...}))
-    with pytest.raises(RunError, match="does not say the scene's facts"):
+    with pytest.raises(RunError, match="lacks the scene's facts"):
         read_run(make("c", {"scene/facts": ...}))
     with pytest.raises(RunError, match="not a run folder"):
         read_run(tmp_path)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from stereogs_plugins.tools.experiments.comparing.comparison import method_means
-from stereogs_plugins.tools.experiments.comparing.differences import labels
+from stereogs_plugins.tools.experiments.comparing.comparison import labels, method_means
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import Make, runs
 
 
-def test_means_go_over_repetitions_first_and_then_over_scenes(make: Make) -> None:
+def test_means_are_over_repetitions_then_scenes(make: Make) -> None:
     flower = {"scene/name": "flower", "test/psnr": 26.0, "gaussians": 4000}
     again = {"test/psnr": 21.0, "gaussians": 3000}
     (mean,) = method_means(
@@ -31,12 +30,12 @@ def test_a_mean_needs_the_score_in_every_scene(make: Make) -> None:
     assert mean.numbers["lpips"] is None
 
 
-def test_pipelines_that_differ_are_two_methods(make: Make) -> None:
+def test_different_pipelines_are_two_methods(make: Make) -> None:
     means = method_means(runs(make("a"), make("b", None, {"training/iterations": 2000})))
     assert [mean.method for mean in means] == ["plain (a)", "plain (b)"]
 
 
-def test_observers_make_no_difference(make: Make) -> None:
+def test_observers_do_not_make_another_method(make: Make) -> None:
     watched = {"observers": [{"use": "diary", "every": 5}]}
     found = runs(make("a"), make("b", {"scene/name": "flower"}, watched))
     assert [mean.method for mean in method_means(found)] == ["plain"]

@@ -1,4 +1,4 @@
-"""Published numbers beside runs, from any package."""
+"""Published numbers from any package in a comparison."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stereogs_plugins.tools.experiments.comparing.paper_tables import GROUP
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import Capture, Make
 
 
-def test_published_rows_stand_beside_ours(make: Make, capsys: Capture) -> None:
+def test_published_rows_are_added_to_runs(make: Make, capsys: Capture) -> None:
     assert main(["compare", str(make("a")), "--paper", "stereogs"]) == 0
     output = capsys.readouterr().out
     rows = [line.split() for line in output.splitlines()]
@@ -21,7 +21,7 @@ def test_published_rows_stand_beside_ours(make: Make, capsys: Capture) -> None:
     assert expected in [row[:9] for row in rows]
     text = " ".join(output.split())
     assert "means over fern, flower, fortress, horns, leaves, orchids, room, trex" in text
-    assert "Ours: fern. A mean over other scenes is no reproduction." in text
+    assert "Ours: fern. Means over different scenes are not comparable." in text
 
 
 def test_published_rows_alone(capsys: Capture) -> None:
@@ -39,14 +39,14 @@ def test_published_rows_alone(capsys: Capture) -> None:
         (
             {"protocol": None},
             [],
-            "not said which of the paper's numbers are wanted: the runs follow",
+            "--paper needs a protocol: the runs follow none",
         ),
         ({"protocol/modified": {"scene.downsample": 4}}, [], "scene.downsample=4"),
-        ({}, ["--protocol", "lff-3"], "nothing for 'lff-3'; did you mean 'llff-3'"),
+        ({}, ["--protocol", "lff-3"], "no numbers for 'lff-3'; did you mean 'llff-3'"),
         ({}, ["--paper", "stereo"], "no tables of a paper 'stereo' are installed; did you mean"),
     ],
 )
-def test_published_numbers_of_another_protocol_are_refused(
+def test_published_numbers_of_another_protocol_are_rejected(
     make: Make, capsys: Capture, changes: dict[str, Any], more: list[str], message: str
 ) -> None:
     assert main(["compare", str(make("a", changes)), "--paper", "stereogs", *more]) == 2
@@ -74,7 +74,7 @@ def bring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, name: str)
     monkeypatch.syspath_prepend(site)
 
 
-def test_any_package_may_bring_tables(
+def test_any_package_can_provide_tables(
     make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     bring(tmp_path, monkeypatch, TABLES, "one")
@@ -84,7 +84,7 @@ def test_any_package_may_bring_tables(
     assert "Published: A paper" in output
     bring(tmp_path, monkeypatch, TABLES, "two")
     assert main(["compare", str(tmp_path / "a"), "--paper", "acme"]) == 2
-    assert "brought twice: by two and one" in capsys.readouterr().err
+    assert "several packages provide the tables of 'acme': two and one" in capsys.readouterr().err
 
 
 def test_tables_are_checked(
@@ -92,4 +92,4 @@ def test_tables_are_checked(
 ) -> None:
     bring(tmp_path, monkeypatch, TABLES.replace("33.5", "33.5, 0.9"), "three")
     assert main(["compare", "--paper", "acme", "--protocol", "llff-3"]) == 2
-    assert "each row has 1 numbers" in capsys.readouterr().err
+    assert "each row must have 1 numbers" in capsys.readouterr().err

@@ -13,8 +13,7 @@ import torch
 from registry.cli import main, parse
 from registry.toolkit.drawing.pictures import ViewPictures, save_png, side_by_side
 from stereogs_plugins.tools.experiments.comparing.comparability import comparable_groups
-from stereogs_plugins.tools.experiments.comparing.comparison import read_run
-from stereogs_plugins.tools.experiments.comparing.differences import labels
+from stereogs_plugins.tools.experiments.comparing.comparison import labels, read_run
 from tests.html_page import Page
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import Capture, Make, runs
@@ -32,7 +31,7 @@ def test_the_table(make: Make, capsys: Capture) -> None:
     assert ["plain", "mean", "of", "2", "23.00", "0.700", dash, "1,000", "60", "500"] in lines
 
 
-def test_runs_of_one_pipeline_are_told_apart(make: Make, capsys: Capture) -> None:
+def test_labels_distinguish_runs_of_one_pipeline(make: Make, capsys: Capture) -> None:
     longer = {"training/iterations": 2000, "training/seed": 1}
     many = {**longer, "initializer/use": "random", "scene/train_views": 6}
     other = {"name": "other"}
@@ -52,7 +51,7 @@ def test_runs_of_one_pipeline_are_told_apart(make: Make, capsys: Capture) -> Non
     ]
 
 
-def test_what_cannot_be_compared_stands_in_tables_of_its_own(make: Make, capsys: Capture) -> None:
+def test_runs_that_are_not_comparable_have_separate_tables(make: Make, capsys: Capture) -> None:
     folders = [make("a"), make("b", {"protocol": None}), make("c"), make("d", {"scene/width": 9})]
     groups = comparable_groups([read_run(folder) for folder in folders])
     assert [[run.folder.name for run in members] for members, _ in groups] == [
@@ -67,7 +66,7 @@ def test_what_cannot_be_compared_stands_in_tables_of_its_own(make: Make, capsys:
     assert "'fern' differs in `width`: 504 and 9." in output
 
 
-def test_csv_has_every_digit(make: Make, capsys: Capture) -> None:
+def test_csv_has_all_digits(make: Make, capsys: Capture) -> None:
     folder = make("a", {"test/psnr": 20.123456789})
     assert main(["compare", str(folder), "--format", "csv"]) == 0
     (row,) = csv.DictReader(io.StringIO(capsys.readouterr().out))
@@ -76,7 +75,7 @@ def test_csv_has_every_digit(make: Make, capsys: Capture) -> None:
     assert main(["compare", str(folder), "--paper", "stereogs", "--format", "csv"]) == 2
 
 
-def test_markdown_and_latex_hold_the_table(make: Make, capsys: Capture) -> None:
+def test_markdown_and_latex_contain_the_table(make: Make, capsys: Capture) -> None:
     folders = [str(make("a|1")), str(make("b_2", {"scene/name": "flower", "test/psnr": 26.0}))]
     assert main(["compare", *folders, "--format", "markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -90,7 +89,7 @@ def test_markdown_and_latex_hold_the_table(make: Make, capsys: Capture) -> None:
     assert r"b\_2 & plain & flower & 26.00 & 0.700 & -- & 1,000 & 60 & 500 \\" in output
 
 
-def test_the_page_holds_the_tables_and_the_renders_of_each_view(
+def test_the_page_contains_the_tables_and_the_renders_of_each_view(
     make: Make, capsys: Capture
 ) -> None:
     changes = {
@@ -119,7 +118,7 @@ def test_the_page_holds_the_tables_and_the_renders_of_each_view(
     assert "<b>: " not in text
 
 
-def test_no_means_where_methods_saw_different_scenes(make: Make, capsys: Capture) -> None:
+def test_no_means_for_methods_on_different_scenes(make: Make, capsys: Capture) -> None:
     other = {"name": "other", "training/iterations": 5}
     folders = [
         make("a"),

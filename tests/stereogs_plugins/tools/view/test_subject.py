@@ -1,4 +1,4 @@
-"""cameras.json beside a PLY file: what one's own exporter writes, and what others may have left there."""
+"""cameras.json next to a PLY file: valid and damaged files."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def listed() -> list[dict[str, object]]:
     ]
 
 
-def test_cameras_beside_a_file_are_shown(ply: Path, device: Device) -> None:
+def test_cameras_next_to_a_file_are_shown(ply: Path, device: Device) -> None:
     ply.with_name("cameras.json").write_text(json.dumps(listed()))
-    standpoints = of_file(ply, device).standpoints
-    assert [one.name for one in standpoints] == [view.name for view in SCENE.train]
-    for one, view in zip(standpoints, SCENE.train, strict=True):
+    viewpoints = of_file(ply, device).viewpoints
+    assert [one.name for one in viewpoints] == [view.name for view in SCENE.train]
+    for one, view in zip(viewpoints, SCENE.train, strict=True):
         assert one.photograph is None
         assert (one.camera.fx, one.camera.width) == (view.camera.fx, view.camera.width)
         np.testing.assert_allclose(
@@ -52,7 +52,7 @@ def test_cameras_beside_a_file_are_shown(ply: Path, device: Device) -> None:
 
 
 def test_a_file_alone_has_no_cameras(ply: Path, device: Device) -> None:
-    assert of_file(ply, device).standpoints == ()
+    assert of_file(ply, device).viewpoints == ()
 
 
 @pytest.mark.parametrize(
@@ -65,12 +65,12 @@ def test_a_file_alone_has_no_cameras(ply: Path, device: Device) -> None:
         {"fy": "wide"},
     ],
 )
-def test_a_list_that_cannot_be_used_is_told_and_left_out(
+def test_an_invalid_camera_list_is_skipped_with_a_warning(
     ply: Path, device: Device, damage: dict[str, object], caplog: pytest.LogCaptureFixture
 ) -> None:
     cameras = listed()
     cameras[0] |= damage
     ply.with_name("cameras.json").write_text(json.dumps(cameras))
-    assert of_file(ply, device).standpoints == ()
+    assert of_file(ply, device).viewpoints == ()
     assert "the cameras are not shown" in caplog.text
     assert "cameras.json" in caplog.text

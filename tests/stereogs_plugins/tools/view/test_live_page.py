@@ -1,4 +1,4 @@
-"""A page that is open while a run trains: it shows what is learnt, and learns nothing itself."""
+"""A page that is open during training shows the scene and does not change it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import stereogs
 from registry.cli import main
 from registry.runs.run import Run
 from registry.training.trainer import Iteration
-from stereogs_plugins.tools.view.following import Following
+from stereogs_plugins.tools.view.live_page import LivePage
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs_plugins.tools.view.browser import WINDOW, Received, move, visit
 
@@ -38,22 +38,22 @@ def _toys(install: Install) -> None:
 
 
 class Visitor:
-    """Trains with a page, and somebody who moves on it all the time."""
+    """A training with an open page whose camera always moves."""
 
     def __init__(self) -> None:
-        self.pages: list[Following] = []
+        self.pages: list[LivePage] = []
         self.pictures: list[np.ndarray] = []  # type: ignore[type-arg]
         self.ended = threading.Event()
 
     def begin(self, run: Run) -> None:
-        self.pages.append(Following(run, 0))
+        self.pages.append(LivePage(run, 0))
         arrived = threading.Event()
         self.thread = threading.Thread(target=self._look, args=(self.pages[0].url, arrived))
         self.thread.start()
         assert arrived.wait(10)
 
     def iterated(self, done: Iteration) -> None:
-        self.pages[0].iterated(done)
+        self.pages[0].update(done)
 
     def _look(self, url: str, arrived: threading.Event) -> None:
         with suppress(ConnectionClosed), visit(url) as page:
@@ -68,7 +68,7 @@ class Visitor:
                     return
 
 
-def test_a_visitor_sees_the_training_and_changes_no_bit() -> None:
+def test_an_open_page_shows_the_training_and_does_not_change_it() -> None:
     alone = stereogs.train(PIPELINE, progress=False)
     visitor = Visitor()
     watched = stereogs.train(
@@ -83,17 +83,17 @@ def test_a_visitor_sees_the_training_and_changes_no_bit() -> None:
     assert visitor.pictures[-1].std() > 5, "not one colour"
 
 
-def test_without_a_visitor_nothing_is_copied() -> None:
+def test_without_an_open_page_nothing_is_copied() -> None:
     copies: list[int] = []
-    pages: list[Following] = []
+    pages: list[LivePage] = []
 
     def begin(run: Run) -> None:
-        pages.append(Following(run, 0))
+        pages.append(LivePage(run, 0))
         kept = run.checkpoint
         run.checkpoint = lambda: (copies.append(run.iteration), kept())[1]
 
     stereogs.train(
-        PIPELINE, progress=False, on_begin=begin, callback=lambda done: pages[0].iterated(done)
+        PIPELINE, progress=False, on_begin=begin, callback=lambda done: pages[0].update(done)
     )
     pages[0].close()
     assert copies == []
@@ -113,10 +113,10 @@ def test_a_page_that_fails_does_not_end_the_run(
     visitor.ended.set()
     visitor.thread.join()
     assert run.finished
-    assert "the page is closed, training goes on: the browser is gone" in caplog.text
+    assert "the page is closed, training continues: the browser is gone" in caplog.text
 
 
-def test_the_verb_trains_shows_and_ends_with_ctrl_c(
+def test_train_with_view_shows_the_finished_run_until_ctrl_c(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "followed.yaml").write_text(PIPELINE)
@@ -128,6 +128,6 @@ def test_the_verb_trains_shows_and_ends_with_ctrl_c(
     out = tmp_path / "run"
     assert main(["train", str(tmp_path / "followed.yaml"), "--view", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "while it trains" in printed
-    assert printed.index("hash ") < printed.index("Ctrl-C ends it")
+    assert "during training" in printed
+    assert printed.index("hash ") < printed.index("press Ctrl-C to stop")
     assert stereogs.results(out)["iterations"] == 40
