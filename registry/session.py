@@ -138,7 +138,7 @@ def load_scene(
             raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
     from .pipeline.parts import build_part
-    from .training.threads import one_torch_thread
+    from .training.trainer import one_torch_thread
 
     with one_torch_thread():
         return load(build_part(found.item, found.seed, find_device(device)))
@@ -276,7 +276,7 @@ def open_run(
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
     from .runs.opening import open_run as read_run
-    from .training.threads import one_torch_thread
+    from .training.trainer import one_torch_thread
 
     with one_torch_thread():
         return read_run(
@@ -335,7 +335,7 @@ def export(
     from .calls.read_only_guard import ReadOnlyGuard, of_scene
     from .pipeline.parts import build_part
     from .runs.results import EXPORTS, existing_files
-    from .training.threads import one_torch_thread
+    from .training.trainer import one_torch_thread
 
     item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS

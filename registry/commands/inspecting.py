@@ -287,7 +287,7 @@ def _test(device: Device) -> tuple[bool, str]:
     from core_rasterizer import ExplainedError
 
     from ..inspection.self_test import self_test
-    from ..training.threads import one_torch_thread
+    from ..training.trainer import one_torch_thread
 
     try:
         with one_torch_thread():

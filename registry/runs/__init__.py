@@ -10,11 +10,10 @@ if TYPE_CHECKING:
     from ..training.checkpoint import trained_gaussians
     from .evaluation import evaluate, quick
     from .folder import METRICS, RESULTS, RunFolder
+    from .opening import replay as repeat_failure
     from .options import Fit, InitialState, RunOptions
     from .progress import ShownBar
-    from .replay import replay as repeat_failure
-    from .results import RENDERS
-    from .results_file import read_results
+    from .results import RENDERS, read_results
     from .run import Picture, Run
     from .training_run import in_runs
 else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import get_args
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
-from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_rendering, of_view
+from ..calls.read_only_guard import Overwritten, of_rendering, of_view
 from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
@@ -41,19 +42,21 @@ class Scores:
     @property
     def infinite(self) -> dict[str, list[str]]:
         """The views for which a metric is infinite, by metric: JSON cannot represent infinity."""
-        found: dict[str, list[str]] = {}
+        found = defaultdict[str, list[str]](list)
         for view, row in self.views.items():
             for name, score in row.items():
                 if score is not None and math.isinf(score):
-                    found.setdefault(name, []).append(view)
-        return found
+                    found[name].append(view)
+        return dict(found)
 
     @property
     def mean(self) -> dict[str, float | None]:
         """Mean of each metric over the views that have it, None if none has; empty without views."""
-        rows = list(self.views.values())
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        return {name: _mean([row.get(name) for row in rows]) for name in names}
+        found = defaultdict[str, list[float]](list)
+        for row in self.views.values():
+            for name, score in row.items():
+                found[name] += [] if score is None else [score]
+        return {name: sum(known) / len(known) if known else None for name, known in found.items()}
 
 
 def evaluate(
@@ -69,54 +72,38 @@ def evaluate(
     fails, the others are still measured.
 
     Args:
-        metrics: the pipeline's metric components.
         pictures: folder for `save_view_pictures`; None writes none.
 
     Raises:
         Overwritten: a metric wrote into the render or the photograph, so other scores would be wrong.
     """
-    scores: dict[str, dict[str, float | None]] = {}
-    unavailable: dict[str, str] = {}
-    failures: dict[str, ExplainedError] = {}
+    scores = Scores({})
     for view in views:
-        rendering = render_view(model, scene, view)
-        row: dict[str, float | None] = {}
+        rendering = clamped_render(model, view.camera, scene.background)
         lent = of_view(view) + of_rendering(rendering)
+        row: dict[str, float | None] = {}
         for part in metrics:
-            score = _measured(part, lent, rendering, view, scene, failures)
+            name = part.item.name
+            try:
+                with part.at_work(lent=lent):
+                    score = check_score(part.component.measure_view(rendering, view, scene))
+            except Overwritten:
+                raise
+            except ExplainedError as error:
+                scores.failures.setdefault(part.item.qualified_name, error)
+                score = Unavailable(error.what)
             if isinstance(score, Unavailable):
-                unavailable.setdefault(part.item.name, score.reason)
-                row[part.item.name] = None
-            else:
-                row[part.item.name] = score
-        scores[view.name] = row | _average_error(row, metrics)
+                scores.unavailable.setdefault(name, score.reason)
+            row[name] = None if isinstance(score, Unavailable) else score
+        scores.views[view.name] = row | _average_error(row, metrics)
         if pictures is not None:
             save_view_pictures(rendering, view, pictures)
-    return Scores(scores, unavailable, failures)
+    return scores
 
 
 def quick(metrics: Sequence[Part]) -> list[Part]:
     """Return the metrics that do not take long, for scores during training and of training views."""
     return [part for part in metrics if not part.component.takes_long]
-
-
-def _measured(
-    part: Part,
-    lent: ReadOnlyGuard,
-    rendering: Rendering,
-    view: View,
-    scene: Scene,
-    failures: dict[str, ExplainedError],
-) -> float | Unavailable:
-    """Return a metric's score of a view, or the reason that it is unavailable."""
-    try:
-        with part.at_work(lent=lent):
-            return check_score(part.component.measure_view(rendering, view, scene))
-    except Overwritten:
-        raise
-    except ExplainedError as error:
-        failures.setdefault(part.item.qualified_name, error)
-        return Unavailable(error.what)
 
 
 def averaged(metrics: Sequence[Item]) -> tuple[Item, ...]:
@@ -148,20 +135,9 @@ def average_error(psnr: float, ssim: float, lpips: float) -> float:
         ssim: at most 1, by either definition.
         lpips: at least 0.
     """
-    squared_error = 10 ** (-psnr / 10)
     # A rounding error above 1 would make the root imaginary.
     dissimilarity = max(1 - ssim, 0.0) ** 0.5
-    return float((squared_error * dissimilarity * max(lpips, 0.0)) ** (1 / 3))
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known else None
-
-
-def render_view(model: GaussianModel, scene: Scene, view: View) -> Rendering:
-    """Render a view without gradients, colours clamped to [0, 1]."""
-    return clamped_render(model, view.camera, scene.background)
+    return float((10 ** (-psnr / 10) * dissimilarity * max(lpips, 0.0)) ** (1 / 3))
 
 
 def clamped_render(

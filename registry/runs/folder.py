@@ -9,7 +9,7 @@ checkpoint/       the two newest checkpoints, see training/checkpoint.py
 renders/          pictures of the test views
 exports/          files of exporters
 observers/        files of observers
-failures/         failed iterations, see replay.py
+failures/         failed iterations, see opening.py
 results.json      scores and measurements, written after training
 """
 
@@ -18,18 +18,17 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from ..errors import RunError
 from ..system.files import jsonable, new_folder, remove_leftovers, write_json, write_text
 from ..system.lock import locked
-from .results_file import Amount, Record, Results, read_results
+from .results import Amount, Record, Results, problem_of, read_results
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -59,10 +58,9 @@ class _Facts(Record):
 
 
 class RunFolder:
-    """The folder of a run. The constructor does not access the disk.
+    """The folder of a run, which may not exist yet.
 
-    Args:
-        path: path of the folder, which may not exist yet.
+    All methods raise a RunError if a file is damaged, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -70,11 +68,7 @@ class RunFolder:
 
     @staticmethod
     def existing(path: Path) -> RunFolder:
-        """Return the folder of a run that was started earlier.
-
-        Raises:
-            RunError: the path is not a run folder.
-        """
+        """Return the folder of a run that was started earlier; refuse other paths."""
         run = RunFolder(path)
         if not run.pipeline.is_file():
             reason = "it has no pipeline.yaml" if path.is_dir() else "there is no such folder"
@@ -87,28 +81,16 @@ class RunFolder:
 
     @staticmethod
     def check_vacant(path: Path) -> None:
-        """Refuse a path where a run folder cannot be created.
-
-        Raises:
-            RunError: the folder is not empty, is a file, or cannot be written.
-        """
+        """Refuse a path that is a file or not empty, or cannot be written."""
+        fix = "choose another --out"
         if path.is_dir() and any(path.iterdir()):
-            raise RunError(
-                "the folder is not empty",
-                where=str(path),
-                fix=f"choose another --out, or continue with `stereogs resume {path}`",
-            )
+            fix += f", or continue with `stereogs resume {path}`"
+            raise RunError("the folder is not empty", where=str(path), fix=fix)
         if path.exists() and not path.is_dir():
-            raise RunError("the path is a file", where=str(path), fix="choose another --out")
-        parent = path.absolute().parent
-        while not parent.exists():
-            parent = parent.parent
+            raise RunError("the path is a file", where=str(path), fix=fix)
+        parent = next(folder for folder in path.absolute().parents if folder.exists())
         if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-            raise RunError(
-                f"the folder {parent} cannot be written",
-                where=str(path),
-                fix="choose another --out",
-            )
+            raise RunError(f"the folder {parent} cannot be written", where=str(path), fix=fix)
 
     def create(
         self,
@@ -122,9 +104,6 @@ class RunFolder:
         Args:
             inputs: digests by name, see `write_inputs`.
             fill: writes the other required files, among them the first checkpoint.
-
-        Raises:
-            RunError: see `check_vacant`; or writing failed.
         """
         self.check_vacant(self.path)
         try:
@@ -143,11 +122,7 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the lock of the folder, and remove partial files of killed processes.
-
-        Raises:
-            RunError: another process holds the lock, or the folder cannot be written.
-        """
+        """Hold the lock of the folder, unless another process does; remove files of killed processes."""
         with locked(self.path) as lock:
             if lock.killed is not None:
                 _log.warning("process %d was killed while it used %s", lock.killed, self.path)
@@ -179,15 +154,12 @@ class RunFolder:
         return folder
 
     def write_inputs(self, digests: Mapping[str, str], changed: Sequence[str]) -> None:
-        """Write the digests of the current inputs, and the names of all inputs that ever changed."""
-        write_json(self.path / INPUTS, {"digests": digests, "changed": list(changed)})
+        """Write the digests of the current inputs, and add to the inputs that ever changed."""
+        names = dict.fromkeys([*self.inputs()[1], *changed])
+        write_json(self.path / INPUTS, {"digests": digests, "changed": [*names]})
 
     def inputs(self) -> tuple[dict[str, str] | None, list[str]]:
-        """Return the digests of the inputs, None for a run of an older version, and the changed inputs.
-
-        Raises:
-            RunError: inputs.json is damaged.
-        """
+        """Return the digests of the inputs, None for a run of an older version, and the changed inputs."""
         content = _read_json(self.path / INPUTS, _Inputs)
         return content.get("digests"), content.get("changed", [])
 
@@ -196,11 +168,7 @@ class RunFolder:
         write_json(self.path / RESULTS, jsonable(results.plain()))
 
     def results(self) -> dict[str, Any]:
-        """Return the content of results.json, empty before the run has ended.
-
-        Raises:
-            RunError: it is inconsistent; see `read_results`.
-        """
+        """Return the content of results.json, empty before the run has ended."""
         path = self.path / RESULTS
         return read_results(path) if path.exists() else {}
 
@@ -218,19 +186,11 @@ class RunFolder:
         in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:
-        """Return the facts of the initializer, empty if missing.
-
-        Raises:
-            RunError: facts.json is damaged.
-        """
+        """Return the facts of the initializer, empty if missing."""
         return _read_json(self.path / INITIALIZATION / "facts.json", _Facts)
 
     def append_metrics(self, line: dict[str, Any]) -> None:
-        """Add one line to metrics.jsonl.
-
-        Raises:
-            RunError: writing failed.
-        """
+        """Add one line to metrics.jsonl."""
         path = self.path / METRICS
         try:
             with path.open("a", encoding="utf-8") as file:
@@ -245,53 +205,29 @@ class RunFolder:
     def forget_metrics_after(self, iteration: int) -> None:
         """Remove the lines of iterations that a resumed run will repeat."""
         path = self.path / METRICS
-        if not path.is_file():
-            return
-        lines = path.read_text("utf-8", errors="replace").splitlines()
-        kept = [line for line in lines if _until(line, iteration)]
-        write_text(path, "".join(f"{line}\n" for line in kept))
+        if path.is_file():
+            lines = path.read_text("utf-8", errors="replace").splitlines()
+            kept = [line for line in lines if _is_until(iteration, line)]
+            write_text(path, "".join(f"{line}\n" for line in kept))
 
 
 def _read_json(path: Path, record: type[Record]) -> dict[str, Any]:
-    """Return the content of a JSON file, empty if it is missing.
-
-    Raises:
-        RunError: it is not JSON, or does not match the record.
-    """
+    """Return the content of a JSON file, empty if it is missing; refuse content unlike the record."""
     if not path.is_file():
         return {}
     try:
         content = json.loads(path.read_text("utf-8"))
         record.model_validate(content, strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "all of it"
-        raise _damaged(path, f"{place}: {first['msg']}") from error
     except (ValueError, RecursionError) as error:
-        raise _damaged(path, str(error)) from error
+        raise RunError(
+            f"{path.name} is damaged: {problem_of(error)}",
+            where=str(path),
+            fix="restore it from a backup",
+        ) from error
     return dict(content)
 
 
-def _damaged(path: Path, what: str) -> RunError:
-    fix = "restore it from a backup"
-    return RunError(f"{path.name} is damaged: {what}", where=str(path), fix=fix)
-
-
-def default_folder(name: str, taken: Callable[[Path], bool] = Path.exists) -> Path:
-    """Return runs/<name>, or runs/<name>-2, -3, ... if that exists.
-
-    Args:
-        name: any text; characters that are unsafe in a file name become "-".
-    """
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "run"
-    candidate, number = Path("runs", plain), 1
-    while taken(candidate):
-        number += 1
-        candidate = Path("runs", f"{plain}-{number}")
-    return candidate
-
-
-def _until(line: str, iteration: int) -> bool:
+def _is_until(iteration: int, line: str) -> bool:
     try:
         return bool(json.loads(line)["iteration"] <= iteration)
     except (ValueError, KeyError, TypeError, RecursionError):  # cut off by a power failure

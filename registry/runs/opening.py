@@ -1,13 +1,20 @@
-"""Runs read back from their folders."""
+"""Runs and failed iterations, read back from their folders.
+
+RUN/failures/iteration-0000021/ is the checkpoint before iteration 21, with the error of that iteration. It is
+created after the failure: training is repeated from the newest checkpoint up to the iteration before.
+"""
 
 from __future__ import annotations
 
+import logging
+import shutil
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from core_rasterizer import Device, Gaussians
+from core_rasterizer import Device, ExplainedError, Gaussians
 
 from ..contract.checks.scene import validate
 from ..contract.hook_points import HOOK_POINTS
@@ -18,14 +25,24 @@ from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline, build_pipeline, load_pipeline
 from ..pipeline.yaml_source import parse
 from ..plugins.discovery import Plugins
-from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit, load_checkpoint
+from ..training.checkpoint import (
+    CHECKPOINT,
+    Checkpoint,
+    explain_misfit,
+    load_checkpoint,
+    read_checkpoint,
+    write_checkpoint,
+)
 from ..training.initial_model import new_model
-from .folder import RunFolder
-from .origin import changed_inputs, input_digests, refuse_changed
+from ..training.trainer import Trainer, resumed
+from .folder import PIPELINE, RunFolder
+from .origin import compare_inputs, input_digests
 from .run import Run, Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]
 """Sections that may change before a run is resumed: no bit depends on them."""
+FAILURES = "failures"
+_log = logging.getLogger(__name__)
 
 
 def open_run(
@@ -47,23 +64,35 @@ def open_run(
     """
     folder = RunFolder.existing(path)
     pipeline = load_pipeline(folder.pipeline, plugins)
-    checkpoint = load_checkpoint(path / CHECKPOINT)
-    _check_own(folder, checkpoint, pipeline, plugins)
+    place = path / CHECKPOINT
+    checkpoint = load_checkpoint(place)
+    if "" not in (folder.identity, checkpoint.run) and folder.identity != checkpoint.run:
+        raise RunError(
+            "the checkpoint belongs to another run",
+            where=str(place),
+            fix="restore the run's own checkpoint; provenance.json and manifest.json name the run",
+        )
+    _check_unedited(folder.pipeline, checkpoint.pipeline, plugins)
+    if checkpoint.iteration > pipeline.training.iterations:
+        raise RunError(
+            f"the checkpoint is of iteration {checkpoint.iteration}, "
+            f"but the run has {pipeline.training.iterations}",
+            where=str(place),
+            fix="restore the run's own checkpoint, or train again into another folder",
+        )
     parts = Parts(pipeline, device)
     begin = monotonic()
     scene = load(parts.one("scene")) if scene is None else validate(scene)
     loading = monotonic() - begin
+    changed: tuple[str, ...] = ()
     before, _ = folder.inputs()
-    changed = () if before is None else changed_inputs(before, input_digests(scene, pipeline))
-    if not accept_changed_inputs:
-        refuse_changed(changed, path)
+    if before is not None:
+        changed = compare_inputs(before, scene, pipeline, path, accept=accept_changed_inputs)
     facts = folder.initialization()
-    with explain_misfit(path / CHECKPOINT):
+    with explain_misfit(place):
         gaussians = Gaussians(**checkpoint.part("model"))
         model = new_model(gaussians, pipeline.training, device)
-    recorded = folder.results()
-    if recorded.get("iterations") == checkpoint.iteration:
-        _check_hash(recorded.get("hash"), model.digest(), path)
+    _check_hash(folder, checkpoint.iteration, model.digest())
     return Run(
         pipeline,
         parts,
@@ -80,79 +109,50 @@ def open_run(
     )
 
 
-def _check_own(
-    folder: RunFolder, checkpoint: Checkpoint, pipeline: Pipeline, plugins: Plugins
-) -> None:
-    """Refuse a checkpoint that this run, with this pipeline, cannot have written."""
-    if "" not in (folder.identity, checkpoint.run) and folder.identity != checkpoint.run:
-        raise RunError(
-            "the checkpoint belongs to another run",
-            where=str(folder.path / CHECKPOINT),
-            fix="restore the run's own checkpoint; provenance.json and manifest.json name the run",
-        )
-    _check_unedited(folder.pipeline, pipeline, checkpoint.pipeline, plugins)
-    if checkpoint.iteration > pipeline.training.iterations:
-        raise RunError(
-            f"the checkpoint is of iteration {checkpoint.iteration}, "
-            f"but the run has {pipeline.training.iterations}",
-            where=str(folder.path / CHECKPOINT),
-            fix="restore the run's own checkpoint, or train again into another folder",
-        )
-
-
-def _check_hash(recorded: Any, digest: str, path: Path) -> None:
+def _check_hash(folder: RunFolder, iteration: int, digest: str) -> None:
     """Refuse Gaussians that differ from those that results.json was written for."""
-    if recorded not in (None, digest):
+    results = folder.results()
+    recorded = results.get("hash", digest)
+    if results.get("iterations") == iteration and recorded != digest:
         raise RunError(
             f"the Gaussians of the checkpoint, {digest[:12]}..., are not those that results.json "
-            f"was written for, {str(recorded)[:12]}...",
-            where=str(path),
+            f"was written for, {recorded[:12]}...",
+            where=str(folder.path),
             fix="restore the changed file; or, if the checkpoint is right, remove results.json "
-            f"and call `stereogs eval {path}`",
+            f"and call `stereogs eval {folder.path}`",
         )
 
 
-def _check_unedited(file: Path, now: Pipeline, before: str, plugins: Plugins) -> None:
-    """Refuse an edited pipeline. Comments, layout and observers may change.
-
-    Args:
-        file: path of the pipeline.
-        now: its content.
-        before: text of the pipeline that the run was trained with.
-    """
+def _check_unedited(file: Path, before: str, plugins: Plugins) -> None:
+    """Refuse changes of the pipeline since training, except of comments, layout and observers."""
     text = file.read_text("utf-8")
-    if text == before or _without_observers(now.plain()) == _earlier(before, plugins):
+    if text == before or _values(text, plugins) == _values(before, plugins):
         return
     number, written, was = _first_change(before.splitlines(), text.splitlines())
     raise RunError(
-        f"the pipeline was edited after training began: {_quoted(written)} "
-        f"in place of {_quoted(was)}",
+        f"the pipeline was edited after training began: {written} in place of {was}",
         where=f"{file}:{number}",
         fix="restore that line, or train the changed pipeline into another folder",
     )
 
 
-def _without_observers(plain: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in plain.items() if key not in _OBSERVED}
-
-
-def _earlier(text: str, plugins: Plugins) -> dict[str, Any]:
-    """The values of the earlier pipeline; the packages of its observers may be uninstalled."""
+def _values(text: str, plugins: Plugins) -> dict[str, Any]:
+    """Return a pipeline without its observers, whose packages may be uninstalled."""
     root = parse(text, "pipeline")
     if isinstance(root.content, dict):
         for section in _OBSERVED:
             root.content.pop(section, None)
-    return _without_observers(build_pipeline(root, plugins).plain())
+    return build_pipeline(root, plugins).plain()
 
 
-def _first_change(before: list[str], now: list[str]) -> tuple[int, list[str], list[str]]:
-    """Return the 1-based line of the first change that is not a comment, the new lines, and the old ones."""
+def _first_change(before: list[str], now: list[str]) -> tuple[int, str, str]:
+    """Return the 1-based line of the first change that is not a comment, the new and the old content."""
     changes = SequenceMatcher(None, before, now, autojunk=False).get_opcodes()
     for kind, first, last, begin, end in changes:
         written, was = _content(now[begin:end]), _content(before[first:last])
         if kind != "equal" and written != was:
-            return begin + 1, written, was
-    return 1, [], []  # equal lines that today's plugins read differently
+            return begin + 1, _quoted(written), _quoted(was)
+    return 1, "nothing", "nothing"  # equal lines that today's plugins read differently
 
 
 def _content(lines: list[str]) -> list[str]:
@@ -161,3 +161,107 @@ def _content(lines: list[str]) -> list[str]:
 
 def _quoted(lines: list[str]) -> str:
     return f"`{lines[0]}`" if lines else "nothing"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An iteration that failed before, with the error `what`, and succeeds now."""
+
+    iteration: int
+    what: str
+
+
+def keep_failure(run: Run, iteration: int, error: Exception) -> None:
+    """Keep the checkpoint before a failed iteration, and add the replay command to the `fix` of the error.
+
+    If training cannot be repeated up to there, keep the newest checkpoint. Without a run folder, do nothing.
+    """
+    if run.folder is None:
+        return
+    try:
+        newest = load_checkpoint(run.folder.path / CHECKPOINT)
+        before = _train_until(iteration - 1, newest, run)
+        notes = {
+            "iteration": iteration,
+            "what": error.what if isinstance(error, ExplainedError) else repr(error),
+            "inputs": input_digests(run.scene, run.pipeline),
+        }
+        place = run.folder.folder(FAILURES) / f"iteration-{iteration:07d}"
+        shutil.rmtree(place, ignore_errors=True)  # the same iteration, failed before
+        write_checkpoint(replace(before, notes=notes), place)
+    except Exception as second:  # the first error is reported, whatever this one is
+        _log.warning("the checkpoint before the failure could not be kept: %s", second)
+        return
+    if isinstance(error, ExplainedError):
+        error.fix += f"{'; ' if error.fix else ''}`stereogs replay {place}` repeats the iteration"
+
+
+def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
+    """Return the checkpoint after iteration `last`, or `newest` if repeated training fails earlier."""
+    if newest.iteration == last:
+        return newest
+    _log.info(
+        "repeating from iteration %d to keep the checkpoint before the failure",
+        newest.iteration + 1,
+    )
+    device = run.model.device
+    trainer = _trainer(newest, run.pipeline, Parts(run.pipeline, device), run.scene, device)
+    try:
+        for done in trainer.run():
+            if done.number == last:
+                return replace(newest, iteration=last, tensors=trainer.state())
+    except ExplainedError as error:
+        _log.warning("iteration %d failed already: %s", trainer.iteration + 1, error.what)
+    return newest
+
+
+def replay(
+    place: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    accept_changed_inputs: bool = False,
+) -> Failure:
+    """Repeat an iteration that failed.
+
+    Args:
+        place: the folder that `keep_failure` wrote, or a file in it.
+        accept_changed_inputs: continue even if photographs, cameras or model files have changed.
+
+    Returns:
+        The earlier failure, if the iteration succeeds now.
+
+    Raises:
+        ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
+    """
+    place = place.parent if place.is_file() else place
+    fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
+    if not place.is_dir():
+        raise RunError("there is no such folder", where=str(place), fix=fix)
+    checkpoint = read_checkpoint(place)
+    pipeline = load_pipeline(place / PIPELINE, plugins)
+    notes, last = checkpoint.notes, pipeline.training.iterations
+    iteration, inputs = notes.get("iteration"), notes.get("inputs")
+    if type(iteration) is not int or not isinstance(inputs, dict):
+        what = "this is the checkpoint of a run, not of a failed iteration"
+        raise RunError(what, where=str(place), fix=fix)
+    if not checkpoint.iteration < iteration <= last:
+        what = (
+            f"iteration {iteration} does not come after {checkpoint.iteration} in a run of {last}"
+        )
+        raise RunError(what, where=str(place), fix=fix)
+    parts = Parts(pipeline, device)
+    scene = load(parts.one("scene"))
+    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
+    with explain_misfit(place):
+        trainer = _trainer(checkpoint, pipeline, parts, scene, device)
+    next(done for done in trainer.run() if done.number == iteration)
+    return Failure(iteration, str(notes.get("what")))
+
+
+def _trainer(
+    checkpoint: Checkpoint, pipeline: Pipeline, parts: Parts, scene: Scene, device: Device
+) -> Trainer:
+    """Return a new trainer that continues after a checkpoint."""
+    model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
+    return resumed(checkpoint, pipeline.training, parts, scene, model)

@@ -1,4 +1,4 @@
-"""Origin of a result: digests of all inputs, versions, commit, machine, device, seed and command line."""
+"""Origin of a result: digests of its inputs, and the software, machine and command line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
@@ -17,17 +17,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 from urllib.request import url2pathname
-from uuid import uuid4
 
 from torch import Tensor
 
 from core_rasterizer import Device
 
-from ..contract.scene import Scene, View
+from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.pipeline import Pipeline
 
-_DIGEST_BYTES = 16
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
 _SHOWN = 5
@@ -39,22 +37,27 @@ _GIT_SECONDS = 10.0
 
 
 def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
-    """Return digests of all inputs of a run, by a readable name.
+    """Return digests of all inputs of a run by a readable name: BLAKE2b, 16 bytes in hexadecimal.
 
-    They cover every bit of the scene, and the hashes of model files in the pipeline. BLAKE2b, 16 bytes in
-    hexadecimal.
+    They cover every bit of the scene, and the hashes of model files in the pipeline.
     """
+    train, test = ([view.name for view in views] for views in (scene.train, scene.test))
     digests = {
-        "the order of the views": _digest(*_names(scene.train), "", *_names(scene.test)),
-        "the depth bounds": _digest(repr(scene.bounds)),
-        "the background": _digest(repr(scene.background)),
+        "the order of the views": _digest(*train, "", *test),
+        "the depth bounds": _digest(scene.bounds),
+        "the background": _digest(scene.background),
     }
     if scene.points is not None:
-        arrays = (scene.points.positions, scene.points.colors)
-        optional = (scene.points.scales, scene.points.opacities)
-        digests["the points"] = _digest(*arrays, *(a for a in optional if a is not None))
+        names = ("positions", "colors", "scales", "opacities")
+        arrays = (getattr(scene.points, name) for name in names)
+        digests["the points"] = _digest(*(array for array in arrays if array is not None))
     for view in (*scene.train, *scene.test):
-        digests |= {f"the {part} of {view.name}": digest for part, digest in _view(view)}
+        camera = [getattr(view.camera, field.name) for field in fields(view.camera)]
+        digests[f"the photograph of {view.name}"] = _digest(view.image)
+        digests[f"the camera of {view.name}"] = _digest(*camera)
+        for part in ("mask", "alpha", "depth"):
+            if getattr(view, part) is not None:
+                digests[f"the {part} of {view.name}"] = _digest(getattr(view, part))
     for item in pipeline:
         for name, value in item.settings.model_dump(mode="json").items():
             if name.endswith(_HASH_SETTING) and value is not None:
@@ -62,24 +65,40 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
     return digests
 
 
+def _digest(*parts: Any) -> str:
+    """Digest tensors with their shapes and types, and texts; boundaries between parts count."""
+    hasher = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, Tensor):
+            hasher.update(f"{part.dtype}{tuple(part.shape)};".encode())
+            hasher.update(part.detach().contiguous().numpy().data)
+        else:
+            text = part if isinstance(part, str) else repr(part)
+            hasher.update(f"{len(text)}:{text};".encode())
+    return hasher.hexdigest()
+
+
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
     """Return the names of inputs that differ, are new or are missing."""
     return tuple(name for name in {**before, **now} if before.get(name) != now.get(name))
 
 
-def refuse_changed(changed: tuple[str, ...], where: Path) -> None:
-    """Raise a `RunError` if any input has changed.
+def compare_inputs(
+    before: Mapping[str, str], scene: Scene, pipeline: Pipeline, where: Path, *, accept: bool
+) -> tuple[str, ...]:
+    """Return the names of inputs that changed since `input_digests` returned `before`.
 
-    Args:
-        changed: names from `changed_inputs`.
-        where: the run folder.
+    Raises:
+        RunError: an input has changed, and `accept` is False.
     """
-    if changed:
+    changed = changed_inputs(before, input_digests(scene, pipeline))
+    if changed and not accept:
         raise RunError(
             f"the inputs of the run have changed: {listed(changed)}",
             where=str(where),
             fix="restore them, train again, or continue with --accept-changed-inputs",
         )
+    return changed
 
 
 def listed(names: tuple[str, ...]) -> str:
@@ -88,46 +107,12 @@ def listed(names: tuple[str, ...]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
-def _names(views: tuple[View, ...]) -> Iterator[str]:
-    return (view.name for view in views)
-
-
-def _view(view: View) -> Iterator[tuple[str, str]]:
-    yield "photograph", _digest(view.image)
-    camera = (getattr(view.camera, field.name) for field in fields(view.camera))
-    yield "camera", _digest(*(v if isinstance(v, Tensor) else repr(v) for v in camera))
-    for part in ("mask", "alpha", "depth"):
-        values: Tensor | None = getattr(view, part)
-        if values is not None:
-            yield part, _digest(values)
-
-
-def _digest(*parts: Tensor | str) -> str:
-    """Digest texts, and tensors with their shapes and types; boundaries between parts count."""
-    hasher = hashlib.blake2b(digest_size=_DIGEST_BYTES)
-    for part in parts:
-        if isinstance(part, Tensor):
-            hasher.update(f"{part.dtype}{tuple(part.shape)};".encode())
-            hasher.update(part.detach().contiguous().numpy().data)
-        else:
-            hasher.update(f"{len(part)}:{part};".encode())
-    return hasher.hexdigest()
-
-
-def provenance(pipeline: Pipeline, device: Device) -> dict[str, Any]:
-    """Return the facts that are needed to repeat a run, as JSON values."""
-    return {
-        "run": uuid4().hex,
-        "seed": pipeline.training.seed,
-        **circumstances(pipeline, device),
-        "resumed": [],
-    }
-
-
 def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
     """Return the current software, machine and command line, as JSON values."""
     offers = {item.qualified_name: item.offer for item in pipeline}
     authors = dict.fromkeys(offer.distribution for offer in offers.values())
+    required = [text for text in requires(_OURS) or () if "extra ==" not in text]
+    packages = [_OURS, *(found[0] for text in required if (found := _NAME.match(text)))]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
@@ -136,7 +121,7 @@ def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
         "processor": platform.machine(),
         "python": sys.version.split()[0],
         "source": checkout(),
-        "packages": {name: _version(name) for name in _packages()},
+        "packages": {name: _version(name) for name in packages},
         "plugins": {
             name: f"{offer.distribution} {offer.version}" for name, offer in offers.items()
         },
@@ -144,22 +129,10 @@ def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
     }
 
 
-def _packages() -> list[str]:
-    """Return this package and its required dependencies."""
-    needed = [text for text in requires(_OURS) or () if "extra ==" not in text]
-    return [_OURS, *(found[0] for text in needed if (found := _NAME.match(text)))]
-
-
 def describe_device(device: Device) -> dict[str, str]:
     """Return the OpenCL device as JSON values; `built_for` only if the device has one."""
-    built_for = {"built_for": device.built_for} if device.built_for else {}
-    return {
-        "name": device.name,
-        "platform": device.platform,
-        "kind": device.kind,
-        "driver": device.driver,
-        **built_for,
-    }
+    facts = {name: getattr(device, name) for name in ("name", "platform", "kind", "driver")}
+    return facts | ({"built_for": device.built_for} if device.built_for else {})
 
 
 def _version(package: str) -> str:
@@ -170,14 +143,9 @@ def _version(package: str) -> str:
 
 
 def checkout(root: Path = _ROOT) -> dict[str, Any] | None:
-    """Return the commit, and whether the packages differ from it; None outside a checkout or without git.
-
-    Args:
-        root: the folder that holds the packages.
-    """
-    if not (root / ".git").exists():  # a repository around site-packages belongs to somebody else
-        return None
-    return _state(root, *_PACKAGES)
+    """Return the commit, and whether packages in `root` differ; None outside a checkout or without git."""
+    # A repository that only encloses site-packages belongs to somebody else.
+    return _commit(root, *_PACKAGES) if (root / ".git").exists() else None
 
 
 def package_source(name: str) -> dict[str, Any] | None:
@@ -192,14 +160,14 @@ def package_source(name: str) -> dict[str, Any] | None:
         return None
     if "vcs_info" in noted:
         return {"commit": noted["vcs_info"]["commit_id"], "dirty": False}
-    place = urlparse(noted.get("url", ""))
-    folder = Path(url2pathname(place.path))
-    if place.scheme != "file" or not noted.get("dir_info", {}).get("editable"):
+    url = urlparse(noted.get("url", ""))
+    folder = Path(url2pathname(url.path))
+    if url.scheme != "file" or not noted.get("dir_info", {}).get("editable"):
         return None
-    return _state(folder, ".") if _git(folder, "ls-files", "--", ".") else None
+    return _commit(folder, ".") if _git(folder, "ls-files", "--", ".") else None
 
 
-def _state(folder: Path, *parts: str) -> dict[str, Any] | None:
+def _commit(folder: Path, *parts: str) -> dict[str, Any] | None:
     """Return the commit of the checkout around a folder, and whether parts of the folder differ from it."""
     commit = _git(folder, "rev-parse", "HEAD")
     changes = _git(folder, "status", "--porcelain", "--", *parts)

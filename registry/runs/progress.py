@@ -1,10 +1,12 @@
-"""Progress of a training: a bar on a terminal, plain lines elsewhere, and metrics.jsonl."""
+"""Reports of a training: a bar or lines on the console, metrics.jsonl, and calls to observers."""
 
 from __future__ import annotations
 
+import copy
+import logging
 import time
-from collections.abc import Callable
-from types import TracebackType
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Self
 
 from rich.console import Console
@@ -16,22 +18,29 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from core_rasterizer import ExplainedError
+
+from ..calls.read_only_guard import of_scene
+from ..events import RunEnded, RunStarted, ViewsScored
+from ..pipeline.parts import Part
 from ..system.files import jsonable
-from ..training.trainer import Iteration
+from ..training.trainer import Iteration, Trainer
+from .evaluation import Scores
+from .run import Run
 
 EVERY = 50
 """Iterations that share a line of metrics.jsonl."""
+OBSERVERS = "observers"
+"""Folder in the run folder, with a folder for the files of each observer."""
 _SECONDS_BETWEEN_LINES = 10.0
 _SMOOTHING = 0.05
 """Weight of the newest loss in the shown one: the losses of single views differ too much."""
 
+_log = logging.getLogger(__name__)
+
 
 class ShownBar:
-    """Shows a bar within a `with` block.
-
-    Args:
-        bar: shown if its console is a terminal.
-    """
+    """Shows a bar within a `with` block if its console is a terminal."""
 
     def __init__(self, bar: Progress) -> None:
         self._bar = bar
@@ -40,12 +49,7 @@ class ShownBar:
         self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
 
@@ -59,9 +63,8 @@ class TrainingProgress(ShownBar):
     """
 
     def __init__(self, first: int, total: int, console: Console) -> None:
-        self._total, self._console = total, console
-        self._begin, self._begin_iteration = time.monotonic(), first
-        self._last_line = self._begin
+        self._first, self._total, self._console = first, total, console
+        self._begin = self._last_line = time.monotonic()
         self._loss: float | None = None
         bar = Progress(
             TextColumn("training"),
@@ -84,7 +87,7 @@ class TrainingProgress(ShownBar):
         smooth = loss if self._loss is None else self._loss + _SMOOTHING * (loss - self._loss)
         self._loss = smooth
         now = time.monotonic()
-        speed = (iteration - self._begin_iteration) / max(now - self._begin, 1e-9)
+        speed = (iteration - self._first) / max(now - self._begin, 1e-9)
         if self._console.is_terminal:
             self._bar.update(
                 self._task, completed=iteration, loss=smooth, gaussians=gaussians, speed=speed
@@ -99,22 +102,14 @@ class TrainingProgress(ShownBar):
 
 
 class MetricsLog:
-    """Averages the numbers of iterations into lines of metrics.jsonl.
-
-    Args:
-        write_line: receives each line.
-    """
+    """Averages the numbers of iterations into lines of metrics.jsonl, which `write_line` receives."""
 
     def __init__(self, write_line: Callable[[dict[str, Any]], None]) -> None:
         self._write_line = write_line
         self._sums: dict[str, tuple[float, int]] = {}
 
     def add(self, done: Iteration, seconds: float, *, last: bool) -> None:
-        """Add an iteration; write a line in every 50th iteration and in the last.
-
-        Args:
-            seconds: training time so far.
-        """
+        """Add an iteration after `seconds` of training; write a line in every 50th and in the last."""
         for name, value in {"loss": done.loss, **done.logged}.items():
             total, count = self._sums.get(name, (0.0, 0))
             self._sums[name] = (total + value, count + 1)
@@ -127,3 +122,90 @@ class MetricsLog:
     def write(self, line: dict[str, Any]) -> None:
         """Write a line; infinite and NaN become null."""
         self._write_line(jsonable(line))
+
+
+@contextmanager
+def observed(run: Run, trainer: Trainer, *, resumed: bool) -> Iterator[Observers]:
+    """Notify observers of the start of a run, and of its end after the block.
+
+    Raises:
+        ExplainedError: an observer failed; the others are still notified of the end.
+    """
+    observers = Observers(run, trainer)
+    try:
+        observers.started(resumed=resumed)
+        yield observers
+    except Exception as error:
+        for second in observers.ended(str(error)):
+            _log.warning("%s (%s)", second.what, second.where)
+        raise
+    failures = observers.ended(None)
+    if failures:
+        raise failures[0]
+
+
+class Observers:
+    """The observers of a run. Each receives copies, so that changes do not affect the others.
+
+    The methods raise an `ExplainedError` if an observer failed; `ended` returns it.
+    """
+
+    def __init__(self, run: Run, trainer: Trainer) -> None:
+        self._run, self._trainer = run, trainer
+        self._parts = run.parts["observers"]
+        self._started: list[Part] = []
+
+    def started(self, *, resumed: bool) -> None:
+        """Notify each that the run begins or is resumed."""
+        if not self._parts:
+            return
+        run, scene = self._run, self._run.scene.for_training()
+        facts = run.describe().plain()
+        for part in self._parts:
+            event = RunStarted(
+                title=run.folder.path.name if run.folder else run.pipeline.name,
+                folder=run.folder.folder(f"{OBSERVERS}/{part.item.name}") if run.folder else None,
+                identity=run.identity,
+                iteration=run.iteration,
+                resumed=resumed,
+                iterations=run.pipeline.training.iterations,
+                pipeline=run.pipeline.plain(),
+                facts=copy.deepcopy(facts),
+                scene=scene,
+            )
+            with part.at_work(lent=of_scene(scene)):
+                part.component.started(event)
+            self._started.append(part)
+
+    def iterated(self, done: Iteration) -> None:
+        """Notify those that are due of a complete iteration."""
+        field, seconds = self._trainer.fields[0], self._run.seconds.training
+        for part in self._run.parts.due("observers", done.number):
+            event = field.done(done.loss, done.logged, seconds)
+            with part.at_work(done.number, field.lent):
+                part.component.iterated(event)
+
+    def evaluated(self, scores: Mapping[str, Scores]) -> None:
+        """Notify each of scores, by split."""
+        for part in self._parts:
+            event = ViewsScored(
+                iteration=self._run.iteration,
+                mean={split: of_split.mean for split, of_split in scores.items()},
+                views={split: copy.deepcopy(of_split.views) for split, of_split in scores.items()},
+            )
+            with part.at_work():
+                part.component.evaluated(event)
+
+    def ended(self, error: str | None) -> list[ExplainedError]:
+        """Notify each that was started, once, of the end, and of its error if any; return their errors."""
+        started, self._started = self._started, []
+        run, errors = self._run, list[ExplainedError]()
+        complete = run.finished and error is None
+        for part in started:
+            results = run.folder.results() if run.folder and complete else None
+            try:
+                with part.at_work():
+                    part.component.ended(RunEnded(run.iteration, run.finished, results, error))
+            except ExplainedError as failure:
+                errors.append(failure)
+        return errors

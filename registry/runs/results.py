@@ -1,31 +1,141 @@
-"""Contents of results.json: what was trained on what, and its scores."""
+"""results.json: what was trained on what, and its scores. One model writes and reads it.
+
+A run folder may come from an untrusted source, so reading checks types, ranges and consistency.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from core_rasterizer import ExplainedError, GaussianModel
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from ..contract.scene import Scene
-from ..errors import PluginError
-from ..pipeline.pipeline import Item, Pipeline
+from core_rasterizer import ExplainedError
+
+from ..errors import PluginError, RunError
 from ..system.files import jsonable
-from .evaluation import AVERAGE_ERROR, Scores, averaged
-from .origin import describe_device
-from .results_file import Failure, Results, SceneRecord, ViewScores
+
+if TYPE_CHECKING:
+    from core_rasterizer import GaussianModel
+
+    from ..contract.scene import Scene
+    from ..pipeline.pipeline import Item, Pipeline
+    from .evaluation import Scores
 
 RENDERS = "renders"
 EXPORTS = "exports"
+_LARGEST = 12_000_000
+"""Bytes; the scores of 10,000 views take 2 MB."""
+_TOLERANCE = 1e-6
+"""Relative difference between a mean and that of the views, from rounding."""
+
+Count = Annotated[int, Field(ge=0)]
+Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1, max_length=500)]
+Score = Number | None
+"""None: infinite or not available."""
+ScoresByMetric = dict[Name, Score]
+
+
+class Record(BaseModel):
+    """A part of the file. Versions write different fields, so unknown ones are allowed."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class _Protocol(Record):
+    name: Name
+    modified: dict[str, Any]
+
+
+def _checked_protocol(value: dict[str, Any]) -> dict[str, Any]:
+    _Protocol.model_validate(value, strict=True)
+    return value
+
+
+class SceneRecord(Record):
+    """The scene; `facts` affect scores, `notes` do not."""
+
+    name: Name
+    train: list[Name] = []
+    test: list[Name] = []
+    width: Count = 0
+    height: Count = 0
+    background: list[Number] = []
+    extent: Amount = 0.0
+    near: Amount = 0.0
+    far: Amount = 0.0
+    points: Count = 0
+    image_memory_mb: Amount = 0.0
+    facts: dict[Name, Any] = {}
+    notes: dict[Name, Any] = {}
+
+
+class ViewScores(Record):
+    """Scores of each view, by split."""
+
+    test: dict[Name, ScoresByMetric] = {}
+    train: dict[Name, ScoresByMetric] = {}
+
+
+class Failure(Record):
+    """A metric, exporter or report that failed after training."""
+
+    component: Name
+    what: str
+    where: str = ""
+    fix: str = ""
+
+    @staticmethod
+    def of(component: str, error: ExplainedError) -> Failure:
+        """Return the record of an error."""
+        return Failure(component=component, what=error.what, where=error.where, fix=error.fix)
+
+
+class Results(Record):
+    """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has."""
+
+    pipeline: Name = "unnamed"
+    protocol: Annotated[dict[str, Any], AfterValidator(_checked_protocol)] | None = None
+    scene: SceneRecord | None = None
+    metrics: dict[Name, dict[str, Any]] = {}
+    device: dict[Name, str] = {}
+    seed: int = 0
+    iterations: Count = 0
+    gaussians: Count = 0
+    hash: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = "0" * 64
+    initialization: dict[Name, Any] = {}
+    seconds: Amount = 0.0
+    seconds_total: Amount = 0.0
+    stages: dict[Name, Amount] = {}
+    iterations_per_second: Amount = 0.0
+    peak_memory_mb: Amount | None = None
+    changed_inputs: list[Name] = []
+    test: ScoresByMetric = {}
+    train: ScoresByMetric = {}
+    views: ViewScores = ViewScores()
+    unavailable: dict[Name, str] = {}
+    infinite: dict[Name, dict[Name, list[Name]]] = {}
+    failures: list[Failure] = []
+    exports: list[Name] = []
+    reports: list[Name] = []
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields that are set, as JSON values."""
+        return self.model_dump(exclude_unset=True)
 
 
 def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: int) -> Results:
     """Return results with what was trained on what, without scores and times."""
-    protocol = pipeline.protocol
+    from .origin import describe_device
+
     return Results(
         pipeline=pipeline.name,
-        protocol=protocol.record() if protocol else None,
+        protocol=pipeline.protocol.record() if pipeline.protocol else None,
         scene=_scene(scene),
         metrics=_metrics(pipeline.items["metrics"]),
         device=describe_device(model.device),
@@ -36,40 +146,8 @@ def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: 
     )
 
 
-def add_scores(results: Results, test: Scores, train: Scores) -> None:
-    """Set the scores of both splits, and the failures of metrics."""
-    results.test = jsonable(test.mean)
-    results.train = jsonable(train.mean)
-    results.views = ViewScores(test=jsonable(test.views), train=jsonable(train.views))
-    results.unavailable = {**train.unavailable, **test.unavailable}
-    results.infinite = {"test": test.infinite, "train": train.infinite}
-    failures = {**train.failures, **test.failures}
-    results.failures = [failure(name, error) for name, error in failures.items()]
-
-
-def failure(component: str, error: ExplainedError) -> Failure:
-    """Return the record of a component that failed after training."""
-    return Failure(component=component, what=error.what, where=error.where, fix=error.fix)
-
-
-def existing_files(answer: Any) -> list[Path]:
-    """Return the paths that an exporter or a report returned.
-
-    Raises:
-        PluginError: the answer is not a list of paths of files that exist.
-    """
-    if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
-        raise PluginError(f"the answer is {answer!r}, expected a list of paths")
-    missing = [file for file in answer if not file.is_file()]
-    if missing:
-        raise PluginError(f"it returned {missing[0]}, but there is no such file")
-    return list(answer)
-
-
 def _scene(scene: Scene) -> SceneRecord:
     camera, views = scene.train[0].camera, (*scene.train, *scene.test)
-    facts = jsonable({fact.name: fact.value for fact in scene.facts if fact.affects_scores})
-    notes = jsonable({fact.name: fact.value for fact in scene.facts if not fact.affects_scores})
     return SceneRecord(
         name=scene.name,
         train=[view.name for view in scene.train],
@@ -82,12 +160,14 @@ def _scene(scene: Scene) -> SceneRecord:
         far=scene.bounds[1],
         points=len(scene.points) if scene.points is not None else 0,
         image_memory_mb=round(sum(view.image.nbytes for view in views) / 1e6, 1),
-        facts=facts,
-        notes=notes,
+        facts=jsonable({fact.name: fact.value for fact in scene.facts if fact.affects_scores}),
+        notes=jsonable({fact.name: fact.value for fact in scene.facts if not fact.affects_scores}),
     )
 
 
 def _metrics(items: Sequence[Item]) -> dict[str, Any]:
+    from .evaluation import AVERAGE_ERROR, averaged
+
     described: dict[str, Any] = {item.name: _metric(item) for item in items}
     parts = averaged(items)
     if parts:
@@ -100,3 +180,119 @@ def _metric(item: Item) -> dict[str, Any]:
     settings = item.settings.model_dump(mode="json")
     paths = [name for name, value in item.settings if isinstance(value, Path)]
     return {"use": item.offer.name, **{k: v for k, v in settings.items() if k not in paths}}
+
+
+def add_scores(results: Results, test: Scores, train: Scores) -> None:
+    """Set the scores of both splits, and the failures of metrics."""
+    results.test = jsonable(test.mean)
+    results.train = jsonable(train.mean)
+    results.views = ViewScores(test=jsonable(test.views), train=jsonable(train.views))
+    results.unavailable = {**train.unavailable, **test.unavailable}
+    results.infinite = {"test": test.infinite, "train": train.infinite}
+    failures = {**train.failures, **test.failures}
+    results.failures = [Failure.of(name, error) for name, error in failures.items()]
+
+
+def existing_files(answer: Any) -> list[Path]:
+    """Return the answer of an exporter or a report if it is a list of paths of files that exist."""
+    if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
+        raise PluginError(f"the answer is {answer!r}, expected a list of paths")
+    missing = [file for file in answer if not file.is_file()]
+    if missing:
+        raise PluginError(f"it returned {missing[0]}, but there is no such file")
+    return list(answer)
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """Read a results.json.
+
+    Raises:
+        RunError: the file is missing, larger than 12 MB or not a JSON object; a key is repeated; a field has
+            a wrong type or range; a text has control characters; a mean differs from that of the views; or
+            the scored views are not those of the scene.
+    """
+    try:
+        if not path.is_file():
+            raise ValueError("there is no such file")
+        size = path.stat().st_size
+        if size > _LARGEST:
+            raise ValueError(f"it has {size:,} bytes, more than {_LARGEST:,}")
+        content: Any = json.loads(path.read_bytes(), object_pairs_hook=_unique)
+        # json refuses what pydantic's parser would accept; strict mode needs JSON text again.
+        results = Results.model_validate_json(json.dumps(content), strict=True)
+        if problem := next(_problems(results, content), None):
+            raise ValueError(problem)
+    except (OSError, ValueError, RecursionError) as error:
+        raise RunError(
+            f"{path.name} is inconsistent: {problem_of(error)}",
+            where=str(path),
+            fix=f"remove it, and score the run again: stereogs eval {path.parent}",
+        ) from error
+    return dict(content)
+
+
+def problem_of(error: Exception) -> str:
+    """Return what is wrong with a JSON file: the first wrong field, or the syntax."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "all of it"
+        return f"{place}: {first['msg']}"
+    return f"it is not JSON: {error}" if isinstance(error, json.JSONDecodeError) else str(error)
+
+
+def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse repeated keys: parsers differ in which value they keep."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key is repeated")
+    return found
+
+
+def _problems(results: Results, content: Any) -> Iterator[str]:
+    for text in _texts(content):
+        if any(not c.isprintable() and c not in "\n\t" for c in text):
+            yield f"the text {text[:100]!r} has control characters"
+    for split in ("train", "test"):
+        rows: dict[str, ScoresByMetric] = getattr(results.views, split)
+        named: list[str] = getattr(results.scene, split, [])
+        if named and "views" in results.model_fields_set and list(rows) != named:
+            yield f"views.{split} are not the scene's {split} views"
+        if rows:
+            yield from _wrong_means(split, getattr(results, split), rows, results.unavailable)
+
+
+def _wrong_means(
+    split: str,
+    means: ScoresByMetric,
+    rows: Mapping[str, ScoresByMetric],
+    unavailable: Mapping[str, str],
+) -> Iterator[str]:
+    names = dict.fromkeys(name for row in rows.values() for name in row)
+    if names.keys() != means.keys():
+        yield f"{split} has other metrics than its views"
+        return
+    for name in names:
+        values = [row[name] for row in rows.values() if name in row]
+        known = [value for value in values if value is not None]
+        expected = sum(known) / len(known) if known else None
+        infinite = len(known) < len(values) and name not in unavailable
+        if infinite or (expected is not None and not math.isfinite(expected)):
+            expected = None
+        if not _equal(means[name], expected):
+            yield f"{split}.{name} is {means[name]}, the mean of its views is {expected}"
+
+
+def _equal(one: Score, other: Score) -> bool:
+    if one is None or other is None:
+        return one is other
+    return math.isclose(one, other, rel_tol=_TOLERANCE, abs_tol=1e-12)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield every key and text in a JSON value."""
+    children = [*value, *value.values()] if isinstance(value, dict) else value
+    if isinstance(children, str):
+        yield children
+    elif isinstance(children, list):
+        for child in children:
+            yield from _texts(child)

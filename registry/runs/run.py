@@ -6,10 +6,11 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
+from uuid import uuid4
 
 import numpy as np
 import torch
@@ -26,12 +27,11 @@ from ..pipeline.pipeline import Pipeline
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
-from ..training.threads import one_torch_thread
+from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
-from .origin import input_digests, provenance
-from .results import EXPORTS, RENDERS, add_scores, describe, existing_files, failure
-from .results_file import Failure, Results
+from .origin import circumstances, input_digests
+from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
 Floats = NDArray[np.float32]
 _log = logging.getLogger(__name__)
@@ -53,9 +53,9 @@ class Picture(NamedTuple):
 
 @dataclass
 class Stages:
-    """Wall-clock seconds of each stage. After a resume, `scene` is the time of the last loading.
+    """Wall-clock seconds of each stage; `outputs` are exporters and reports, imports do not count.
 
-    `outputs` is the time of exporters and reports. Imports before the run are not counted.
+    After a resume, `scene` is the time of the last loading.
     """
 
     scene: float = 0.0
@@ -137,11 +137,7 @@ class Run:
         return self._scores[1]
 
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
-        """Render and score all views.
-
-        Args:
-            pictures: folder for pictures of the test views; None draws none.
-        """
+        """Render and score all views; draw pictures of the test views into a folder, if given."""
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         with one_torch_thread():
@@ -168,9 +164,7 @@ class Run:
         return file
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the run folder that training with `out=folder` would have written.
-
-        It has the newest checkpoint only. An unfinished run can be resumed from it.
+        """Write the run folder that training with `out=folder` would have written, with one checkpoint.
 
         Raises:
             RunError: the run has a folder already, or this one is not empty.
@@ -191,13 +185,14 @@ class Run:
         return kept_in.path
 
     def keep_in(self, path: Path) -> None:
-        """Create the run folder with a checkpoint; later files go there too.
-
-        Raises:
-            RunError: the folder is not empty, is a file, or cannot be written.
-        """
-        origin = provenance(self.pipeline, self.model.device)
-        self.identity = origin["run"]
+        """Create the run folder with a checkpoint; later files go there too. See `RunFolder.create`."""
+        self.identity = uuid4().hex
+        provenance = {
+            "run": self.identity,
+            "seed": self.pipeline.training.seed,
+            **circumstances(self.pipeline, self.model.device),
+            "resumed": [],
+        }
 
         def fill(folder: RunFolder) -> None:
             folder.write_initialization(self.initialization, self.pictures)
@@ -205,14 +200,13 @@ class Run:
 
         folder = RunFolder(path)
         digests = input_digests(self.scene, self.pipeline)
-        folder.create(self.pipeline_text, origin, digests, fill)
+        folder.create(self.pipeline_text, provenance, digests, fill)
         self.folder, self.saved_iteration = folder, self.iteration
 
     def record_changes(self) -> None:
         """Write to inputs.json which inputs have changed; called before the first output from them."""
         if self.changed and self.folder is not None:
-            names = dict.fromkeys([*self.folder.inputs()[1], *self.changed])
-            self.folder.write_inputs(input_digests(self.scene, self.pipeline), [*names])
+            self.folder.write_inputs(input_digests(self.scene, self.pipeline), self.changed)
 
     def add_metrics(self, line: dict[str, Any]) -> None:
         """Add a line of metrics, also to the folder."""
@@ -227,11 +221,7 @@ class Run:
             self.saved_iteration = self.iteration
 
     def folder_or_refuse(self) -> RunFolder:
-        """Return the folder.
-
-        Raises:
-            RunError: the run is in memory only.
-        """
+        """Return the folder, or raise a RunError if the run is in memory only."""
         if self.folder is None:
             raise RunError("the run is in memory only", fix="save it first: run.save(folder)")
         return self.folder
@@ -247,17 +237,14 @@ class Run:
         """
         folder = self.folder_or_refuse()
         before = folder.results().get("hash")
-        self._score()
-        results = self.describe()
+        results = self._scored({})
+        if before not in (None, results.hash):
+            _log.warning("the hash was %s when the run was finished before", before)
         results.initialization = jsonable(self.initialization)
-        self._add_times(results)
         per_second = self.iteration / max(self.seconds.training, 1e-9)
         results.iterations_per_second = round(per_second, 3)
         results.peak_memory_mb = peak_memory_mb()
-        results.changed_inputs = folder.inputs()[1]
-        add_scores(results, **self.scores)
-        if before not in (None, results.hash):
-            _log.warning("the hash was %s when the run was finished before", before)
+        self._add_times(results)
         begin = monotonic()
         self._write_with_outputs(results)
         self.seconds.outputs = monotonic() - begin
@@ -267,10 +254,7 @@ class Run:
     def renew(self) -> dict[str, Any]:
         """Score the run again, renew its results.json and pictures, and return the results.
 
-        For a finished run, export and report again too.
-
-        Raises:
-            RunError: another process uses the run; or results.json is of a later iteration.
+        For a finished run, export and report again too. Refuses a results.json of a later iteration.
         """
         folder = self.folder_or_refuse()
         with folder.locked():
@@ -284,10 +268,7 @@ class Run:
                     fix=f"train to the end again: stereogs resume {folder.path}",
                 )
             self.record_changes()
-            results = Results.model_validate({**before, **self.describe().plain()})
-            results.changed_inputs = folder.inputs()[1]
-            self._score()
-            add_scores(results, **self.scores)
+            results = self._scored(before)
             if self.finished:
                 self._write_with_outputs(results)
             else:
@@ -299,9 +280,6 @@ class Run:
 
         Returns:
             The files, relative to the run folder, and the failures. The files are added to results.json.
-
-        Raises:
-            RunError: another process uses the run.
         """
         folder = self.folder_or_refuse()
         with folder.locked():
@@ -311,9 +289,14 @@ class Run:
             folder.write_results(results)
         return files, failures
 
-    def _score(self) -> None:
-        """Score both splits, and draw the test views into the folder."""
-        self.evaluate(self.folder_or_refuse().folder(RENDERS) if self.scene.test else None)
+    def _scored(self, before: dict[str, Any]) -> Results:
+        """Score both splits, draw the test views into the folder, and return updated results."""
+        folder = self.folder_or_refuse()
+        results = Results.model_validate({**before, **self.describe().plain()})
+        results.changed_inputs = folder.inputs()[1]
+        scores = self.evaluate(folder.folder(RENDERS) if self.scene.test else None)
+        add_scores(results, **scores)
+        return results
 
     def _add_times(self, results: Results) -> None:
         results.stages = self.seconds.rounded()
@@ -325,45 +308,51 @@ class Run:
         folder = self.folder_or_refuse()
         results.exports, results.reports = [], []
         folder.write_results(results)
-        shown = of_scene(self.scene) + ReadOnlyGuard(models=(self.model,))
-        for part in self.parts["exporters"]:
-            place = folder.folder(EXPORTS)
-            export = partial(part.component.export, self.model.reader(), self.scene, place)
-            results.exports += self._written(part, shown, results.failures, export)
+        exporters = self.parts["exporters"]
+        place = folder.folder(EXPORTS) if exporters else folder.path
+        results.exports, failures = self._outputs(
+            exporters,
+            of_scene(self.scene) + ReadOnlyGuard(models=(self.model,)),
+            lambda exporter: exporter.export(self.model.reader(), self.scene, place),
+        )
+        results.failures += failures
         folder.write_results(results)  # for the reports
         results.reports, failures = self._report(self.parts["reports"])
         results.failures += failures
         folder.write_results(results)
 
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
+        path, scene = self.folder_or_refuse().path, self.scene
+        return self._outputs(reports, of_scene(scene), lambda report: report.write(path, scene))
+
+    def _outputs(
+        self, parts: Sequence[Part], lent: ReadOnlyGuard, write: Callable[[Any], Any]
+    ) -> tuple[list[str], list[Failure]]:
+        """Return the files that components wrote, relative to the folder where possible, and failures.
+
+        Args:
+            lent: data that the components receive.
+            write: calls a component, and returns its answer.
+        """
+        root = self.folder_or_refuse().path
         files: list[str] = []
         failures: list[Failure] = []
-        for part in reports:
-            write = partial(part.component.write, self.folder_or_refuse().path, self.scene)
-            files += self._written(part, of_scene(self.scene), failures, write)
+        for part in parts:
+            try:
+                with part.at_work(lent=lent):
+                    written = existing_files(write(part.component))
+            except Overwritten:
+                raise
+            except ExplainedError as error:
+                failures.append(Failure.of(part.item.qualified_name, error))
+            else:
+                files += [
+                    str(f.relative_to(root) if f.is_relative_to(root) else f) for f in written
+                ]
         return files, failures
-
-    def _written(
-        self, part: Part, shown: ReadOnlyGuard, failures: list[Failure], write: Callable[[], Any]
-    ) -> list[str]:
-        """Return the files that an exporter or a report wrote, relative to the folder where possible."""
-        root = self.folder_or_refuse().path
-        try:
-            with part.at_work(lent=shown):
-                files = existing_files(write())
-        except Overwritten:
-            raise
-        except ExplainedError as error:
-            failures.append(failure(part.item.qualified_name, error))
-            return []
-        return [str(f.relative_to(root) if f.is_relative_to(root) else f) for f in files]
 
 
 def as_arrays(rendering: Rendering) -> Picture:
     """Return a rendering as numpy arrays."""
-    return Picture(*(_array(t) for t in (rendering.rgb, rendering.depth, rendering.alpha)))
-
-
-def _array(tensor: Tensor) -> Floats:
-    values: Floats = tensor.detach().to("cpu", torch.float32).numpy()
-    return values
+    images = (rendering.rgb, rendering.depth, rendering.alpha)
+    return Picture(*(image.detach().to("cpu", torch.float32).numpy() for image in images))

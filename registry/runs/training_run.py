@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from itertools import chain, count
 from pathlib import Path
 from time import monotonic
 
 from rich.console import Console
-
-from core_rasterizer import Device, ExplainedError
 
 from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
@@ -26,16 +26,13 @@ from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.threads import one_torch_thread
-from ..training.trainer import Iteration, Trainer, resumed
+from ..training.trainer import Iteration, Trainer, one_torch_thread, resumed
 from .evaluation import evaluate, quick
-from .folder import RunFolder, default_folder
-from .observers import observed
-from .opening import open_run
+from .folder import RunFolder
+from .opening import keep_failure, open_run
 from .options import InitialState, RunOptions, find_device
 from .origin import circumstances
-from .progress import EVERY, MetricsLog, TrainingProgress
-from .replay import keep_failure
+from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
 from .run import Run, Stages
 
 AUTOSAVE_SECONDS = 30.0
@@ -50,17 +47,19 @@ ChooseFolder = Callable[[Pipeline, Scene], Path]
 
 
 def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
-    """Return `runs/<pipeline>-<scene>`, numbered if that exists."""
-    return default_folder(f"{pipeline.name}-{scene.name}")
+    """Return `runs/<pipeline>-<scene>`, or with "-2", "-3", ... if that exists.
+
+    Characters that are unsafe in a file name become "-".
+    """
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{pipeline.name}-{scene.name}").strip("-.") or "run"
+    names = chain([plain], (f"{plain}-{number}" for number in count(2)))
+    return next(path for name in names if not (path := Path("runs", name)).exists())
 
 
 def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None) -> Run:
-    """Train a pipeline.
-
-    Nothing is written before the scene, the points and the Gaussians are valid.
+    """Train a pipeline. Nothing is written before the scene, the points and the Gaussians are valid.
 
     Args:
-        options: `scene` replaces the scene that the pipeline loads.
         out: the run folder, or a function that returns it; None writes nothing.
 
     Returns:
@@ -132,7 +131,7 @@ def _guarded(options: RunOptions) -> Iterator[None]:
 
 def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> tuple[Run, Trainer]:
     """Load the scene, create the first Gaussians, and return the run with its trainer."""
-    device: Device = find_device(options.device)
+    device = find_device(options.device)
     begin = monotonic()
     parts = Parts(pipeline, device)
     list(parts)  # constructs every component: find mistakes before the scene is loaded
@@ -143,33 +142,31 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     for warning in warnings(scene):
         console.print(f"warning: {warning}")
     had_scene = monotonic()
-    initializer = parts.one("initializer")
-    known = scene.for_training()
+    initializer, known = parts.one("initializer"), scene.for_training()
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
+    initial = InitialState(pipeline, parts, scene, points, gaussians, device)
     if options.fit is not None:
-        first = InitialState(pipeline, parts, scene, points, gaussians, device)
-        pipeline = options.fit(first)
+        pipeline = options.fit(initial)
         refuse_missing_priors(pipeline)
-        parts = parts.following(pipeline)
-        gaussians = initial_gaussians(points, pipeline.training)
-    model = new_model(gaussians, pipeline.training, device)
+        initial = initial.of(pipeline)
+    model = new_model(initial.gaussians, pipeline.training, device)
     facts = {
         "initializer": initializer.item.name,
         "points": len(points),
         "seconds": round(seconds.initialization, 3),
     }
-    facts |= {name: value for name, value in points.facts.items() if name not in facts}
-    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, points.kinds)
+    maps, kinds = points.maps, points.kinds
+    trainer = Trainer(pipeline.training, initial.parts, scene, model, maps, kinds)
     run = Run(
         pipeline,
-        parts,
+        initial.parts,
         scene,
         model,
         checkpoint=lambda: _checkpoint(run, trainer),
-        initialization=facts,
+        initialization={**facts, **points.facts, **facts},  # the host's values, in front
         pictures=dict(points.pictures),
         seconds=seconds,
     )
@@ -180,15 +177,15 @@ def _train_to_end(
     run: Run, trainer: Trainer, options: RunOptions, console: Console, *, resumed: bool
 ) -> None:
     """Train, report progress, and write the results if the last iteration is complete."""
+    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
     with observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
-        settings = run.pipeline.training
-        metrics, autosave = MetricsLog(run.add_metrics), _Autosave(run)
         with (
             stop_on_interrupt() as stop,
             TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
         ):
+            saved, saving_took = monotonic(), 0.0
             begin = monotonic()
             for done in _iterations(run, trainer):
                 run.seconds.training += monotonic() - begin
@@ -198,18 +195,16 @@ def _train_to_end(
                 observers.iterated(done)
                 # A finished run is always scored, with pictures.
                 if not run.finished and _due(done.number, _evaluation_interval(settings)):
-                    metrics_now = quick(run.parts["metrics"])
-                    scores = evaluate(run.model, run.scene, run.scene.test, metrics_now)
-                    at = {"iteration": done.number, "seconds": round(run.seconds.training, 3)}
-                    metrics.write({**at, "test": scores.mean})
-                    observers.evaluated({"test": scores})
-                    for error in scores.failures.values():
-                        _log.warning("iteration %d: %s (%s)", done.number, error.what, error.where)
+                    _score_test_views(run, metrics, observers)
                 stopped = options.callback is not None and options.callback(done) is False
                 if stop.requested or stopped:
                     break
-                if _due(done.number, settings.checkpoint_every) or autosave.due():
-                    autosave.save()
+                longest = max(AUTOSAVE_SECONDS, saving_took / AUTOSAVE_SHARE)
+                if _due(done.number, settings.checkpoint_every) or monotonic() - saved > longest:
+                    begin = monotonic()
+                    run.save_checkpoint()
+                    saved = monotonic()
+                    saving_took = saved - begin
                 begin = monotonic()
             run.save_checkpoint()
         if run.finished and run.folder is not None:
@@ -217,41 +212,33 @@ def _train_to_end(
             observers.evaluated(run.scores)
 
 
-class _Autosave:
-    """Checkpoints by the clock, so that a run that is killed loses little."""
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-        self._last, self._cost = monotonic(), 0.0
-
-    def due(self) -> bool:
-        """Return whether the newest checkpoint is old."""
-        return monotonic() - self._last > max(AUTOSAVE_SECONDS, self._cost / AUTOSAVE_SHARE)
-
-    def save(self) -> None:
-        """Save a checkpoint."""
-        begin = monotonic()
-        self._run.save_checkpoint()
-        self._last = monotonic()
-        self._cost = self._last - begin
+def _score_test_views(run: Run, metrics: MetricsLog, observers: Observers) -> None:
+    scores = evaluate(run.model, run.scene, run.scene.test, quick(run.parts["metrics"]))
+    at = {"iteration": run.iteration, "seconds": round(run.seconds.training, 3)}
+    metrics.write({**at, "test": scores.mean})
+    observers.evaluated({"test": scores})
+    for error in scores.failures.values():
+        _log.warning("iteration %d: %s (%s)", run.iteration, error.what, error.where)
 
 
-def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
-    """Train; if an iteration fails, keep what is needed to repeat it."""
+@contextmanager
+def _failures_kept(run: Run, trainer: Trainer) -> Iterator[None]:
+    """If the block fails, keep what is needed to repeat the next iteration."""
     try:
-        yield from trainer.run()
+        yield
     except Exception as error:
         keep_failure(run, trainer.iteration + 1, error)
         raise
 
 
+def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
+    with _failures_kept(run, trainer):
+        yield from trainer.run()
+
+
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
-    """Return a checkpoint; if the state cannot be saved, keep it as a failure of the next iteration."""
-    try:
+    with _failures_kept(run, trainer):
         state = trainer.state()
-    except ExplainedError as error:
-        keep_failure(run, trainer.iteration + 1, error)
-        raise
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
     )

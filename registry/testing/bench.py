@@ -22,7 +22,7 @@ from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
 from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.step_rendering import StepRenderer
+from ..training.step import step_renderer
 from .assertions import no_side_effects
 from .scenes import SMALL, Size, points_of, scene_of, step_of
 
@@ -119,7 +119,7 @@ class Bench:
         step = self._step(model)
         camera = step.sample.camera
         rendering = model.render(camera, collect_statistics=True, collect_absolute=absolute)
-        render = StepRenderer(other, step.sample, gradients=False)
+        render = step_renderer(other, step.sample, gradients=False)
         step.rendered(lambda: rendering, (OtherField(1, other.reader(), render(camera), render),))
         return step
 

@@ -17,7 +17,7 @@ from ..pipeline.parts import TRAINING_SECTIONS
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import parse, to_yaml
 from ..plugins.discovery import GROUP, Plugins, check_offer
-from ..training.component_parameters import check_groups
+from ..training.gradients import check_groups
 from .assertions import first_difference, require
 from .bench import Bench, Refused
 from .companions import UNDER_TEST, hook_point

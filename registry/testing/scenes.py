@@ -17,8 +17,7 @@ from ..contract.prior import Prior
 from ..contract.scene import PointCloud, Scene, View
 from ..contract.step import Sample, Step
 from ..pipeline.training_settings import TrainingSettings
-from ..training.learning_rates import learning_rates
-from ..training.step_rendering import StepRenderer
+from ..training.step import learning_rates, step_renderer
 from .assertions import require
 
 
@@ -129,7 +128,7 @@ def step_of(
         model=model.reader(),
         extent=extent,
         priors=priors or {},
-        render=StepRenderer(model, sample),
+        render=step_renderer(model, sample),
         log=log or _check_log,
         maps=maps or {},
         kinds=kinds or {},

@@ -7,8 +7,7 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from .checkpoint import CHECKPOINT, load_checkpoint
     from .initial_model import new_model
-    from .threads import one_torch_thread
-    from .trainer import Iteration, Trainer
+    from .trainer import Iteration, Trainer, one_torch_thread
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -68,10 +68,7 @@ class Checkpoint:
 
 
 def save_checkpoint(checkpoint: Checkpoint, folder: Path) -> None:
-    """Add a checkpoint to `folder`, and remove all but this one and the previous one.
-
-    Args:
-        folder: created if missing.
+    """Add a checkpoint to `folder`, created if missing; remove all but this one and the previous one.
 
     Raises:
         RunError: writing failed; earlier checkpoints are intact.
@@ -102,12 +99,8 @@ def load_checkpoint(folder: Path) -> Checkpoint:
             refused = refused or error
             continue
         if refused is not None:
-            _log.warning(
-                "%s (%s); continuing from the previous one, after iteration %d",
-                refused.what,
-                refused.where,
-                checkpoint.iteration,
-            )
+            message = "%s (%s); continuing from the previous one, after iteration %d"
+            _log.warning(message, refused.what, refused.where, checkpoint.iteration)
         return checkpoint
     raise refused or RunError(
         "the run has no checkpoint to continue from",
@@ -122,20 +115,15 @@ def trained_gaussians(run: Path) -> Gaussians:
     Raises:
         RunError: the folder has no checkpoint, or its Gaussians are inconsistent.
     """
-    folder = run / CHECKPOINT
-    with explain_misfit(folder):
-        return Gaussians(**load_checkpoint(folder).part("model"))
+    with explain_misfit(run / CHECKPOINT):
+        return Gaussians(**load_checkpoint(run / CHECKPOINT).part("model"))
 
 
 def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
-    """Write one checkpoint to a path that does not exist yet, completely or not at all.
-
-    Raises:
-        RunError: writing failed.
-    """
+    """Write one checkpoint to a new path, completely or not at all; a RunError explains why not."""
     try:
         with new_folder(place) as inside:
-            save_file(_apart(checkpoint.tensors), inside / _TENSORS)
+            save_file(_unshared(checkpoint.tensors), inside / _TENSORS)
             flush(inside / _TENSORS)
             write_text(inside / _PIPELINE, checkpoint.pipeline)
             manifest = {
@@ -158,18 +146,16 @@ def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
         ) from error
 
 
-def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the tensors, cloned where they share memory, which safetensors refuses.
-
-    An initializer may return one depth map for two views.
-    """
-    apart: dict[str, Tensor] = {}
-    taken: dict[int, str] = {}
+def _unshared(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Clone tensors that share memory, such as one depth map of two views: safetensors refuses them."""
+    result: dict[str, Tensor] = {}
+    memory = set[int]()
     for name, value in tensors.items():
         whole = value.contiguous()
-        shared = taken.setdefault(whole.untyped_storage().data_ptr(), name) != name
-        apart[name] = whole.clone() if shared else whole
-    return apart
+        place = whole.untyped_storage().data_ptr()
+        result[name] = whole.clone() if place in memory else whole
+        memory.add(place)
+    return result
 
 
 def read_checkpoint(place: Path) -> Checkpoint:
@@ -191,9 +177,12 @@ def read_checkpoint(place: Path) -> Checkpoint:
         for name in (_PIPELINE, _TENSORS):
             if manifest["files"][name] != _sha256(place / name):
                 raise ValueError(f"{name} was changed after it was written")
+        iteration, seconds = manifest["iteration"], float(manifest["seconds"])
+        if type(iteration) is not int or iteration < 0 or not 0 <= seconds < math.inf:
+            raise ValueError(f"the iteration is {iteration!r}, the seconds are {seconds!r}")
         return Checkpoint(
-            iteration=_count(manifest["iteration"]),
-            seconds=_duration(manifest["seconds"]),
+            iteration=iteration,
+            seconds=seconds,
             tensors=load_file(place / _TENSORS),
             pipeline=(place / _PIPELINE).read_text("utf-8"),
             run=str(manifest["run"]),
@@ -248,19 +237,6 @@ def _sha256(file: Path) -> str:
 def _digest(manifest: Mapping[str, Any]) -> str:
     """Return the SHA-256 of the content, independent of the layout."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
-
-
-def _count(value: Any) -> int:
-    if type(value) is not int or value < 0:
-        raise ValueError(f"the iteration is {value!r}")
-    return value
-
-
-def _duration(value: Any) -> float:
-    seconds = float(value)
-    if not 0 <= seconds < math.inf:
-        raise ValueError(f"the seconds are {value!r}")
-    return seconds
 
 
 def _first_line(error: Exception) -> str:

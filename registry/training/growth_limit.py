@@ -12,18 +12,10 @@ from core_rasterizer.layout import PARAMETERS
 
 
 def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
-    """Reduce an edit so that the number of Gaussians stays within a limit.
+    """Return an edit after which there are at most `limit` Gaussians, and how many it adds less than before.
 
-    A clone adds one Gaussian, a split one fewer than it has children. Clones and splits are dropped first,
-    those of the lowest rank first; equal ranks are ordered by index, so that the choice is deterministic.
-    Then added Gaussians are dropped, the last first.
-
-    Args:
-        limit: the largest number of Gaussians after the edit.
-        rank: `[N]`, for example the screen-space gradient.
-
-    Returns:
-        The edit, and the number of Gaussians dropped.
+    Clones and splits are dropped first: those of the lowest `rank` `[N]`, and of equal ranks those of the
+    highest index. Then added Gaussians are dropped, the last first.
     """
     count = rank.shape[0]
     clone, split, prune = (edit.mask(name, count) for name in ("clone", "split", "prune"))
@@ -36,7 +28,10 @@ def limited(edit: Edit, limit: int, rank: Tensor) -> tuple[Edit, int]:
     order = torch.argsort(rank, descending=True, stable=True)
     fits = torch.zeros_like(prune)
     fits[order] = grown[order].cumsum(0) <= room - kept_added
-    kept = replace(_with_added(edit, kept_added), clone=clone & fits, split=split & fits)
+    kept = replace(edit, clone=clone & fits, split=split & fits)
+    if edit.add is not None and edit.parents is not None:
+        first = {name: getattr(edit.add, name)[:kept_added] for name in PARAMETERS}
+        kept = replace(kept, add=Gaussians(**first), parents=edit.parents[:kept_added])
     return kept, int(grown[~fits].sum()) + added - kept_added
 
 
@@ -46,11 +41,3 @@ def without_growth(edit: Edit) -> Edit:
     New Gaussians would not be trained: a child of a split may lie in front of a camera, and stay there.
     """
     return replace(edit, clone=None, split=None, add=None, parents=None)
-
-
-def _with_added(edit: Edit, number: int) -> Edit:
-    """Return the edit with only the first of its added Gaussians."""
-    if edit.add is None or edit.parents is None:
-        return edit
-    first = {name: getattr(edit.add, name)[:number] for name in PARAMETERS}
-    return replace(edit, add=Gaussians(**first), parents=edit.parents[:number])

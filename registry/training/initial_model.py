@@ -29,13 +29,11 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
             picture is not a file name; or a kind is not a mask of the points.
     """
     _check(points)
-    count = len(points)
-    scales = points.scales
+    scales, opacities = points.scales, points.opacities
     if scales is None:
         scales = settings.initial_scale * mean_squared_distances(points.positions).sqrt().float()
-    opacities = points.opacities
     if opacities is None:
-        opacities = torch.full((count,), settings.initial_opacity)
+        opacities = torch.full((len(points),), settings.initial_opacity)
     return Gaussians.from_points(
         points.positions, points.colors, scales, opacities, settings.sh_degree
     )
@@ -58,15 +56,14 @@ def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) 
 def mean_squared_distances(positions: Tensor) -> Tensor:
     """Return the mean squared distance to the three nearest other points, `[N]` float64, at least 1e-7.
 
-    With fewer than four points the mean is over all others; a single point gets the smallest value.
+    With fewer than four points, the mean is over all others; for a single point it is 1e-7.
 
     Args:
         positions: `[N, 3]`, world units, N >= 1.
     """
     from scipy.spatial import KDTree  # slow import, not needed for points with sizes
 
-    count = positions.shape[0]
-    neighbours = min(NEIGHBOURS, count - 1)
+    neighbours = min(NEIGHBOURS, len(positions) - 1)
     if neighbours == 0:
         return torch.full((1,), MIN_SQUARED_DISTANCE, dtype=torch.float64)
     array = positions.double().numpy()

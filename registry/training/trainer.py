@@ -1,36 +1,33 @@
-"""The training loop. Only this module defines the order of one iteration.
+"""The training loop.
 
-1. choose a training view          4. modifiers, render                       7. topology
-2. schedules, samplers             5. photometric loss + due regularizers,    8. Adam
-3. terms stepped alone                backward                                9. perturbations
-                                   6. opacity policies
-
-With several fields (`training.fields`) each stage runs for all of them before the next. `Trainer.run` yields
-after every iteration; its caller then handles progress, observers, evaluation and checkpoints.
+`Trainer._iterate` defines the order of one iteration: each stage of `Field` runs for all fields
+(`training.fields`) before the next. `Trainer.run` yields after every iteration; its caller then handles
+progress, observers, evaluation and checkpoints.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
+import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, GaussianError, GaussianModel, Gaussians
+from core_rasterizer import GaussianError, GaussianModel, Gaussians
 
 from ..contract.maps import DepthMap
 from ..contract.scene import Scene
-from ..contract.step import OtherField
+from ..errors import RunError
 from ..pipeline.parts import Parts
 from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .checkpoint import Checkpoint
-from .field import Field, Surroundings
-from .guard import in_iteration
+from .field import Field
+from .gradients import in_iteration
 from .initial_model import new_model
-from .view_order import ViewOrder
 
 _log = logging.getLogger("stereogs")
 
@@ -43,7 +40,7 @@ class Iteration:
         number: 1-based.
         loss: total loss of the first field before the step.
         gaussians: number of Gaussians in the first field after the step.
-        logged: numbers logged by the loop and the components.
+        logged: numbers logged by the loop and the components; those of other fields begin with "field1/" etc.
     """
 
     number: int
@@ -79,30 +76,22 @@ class Trainer:
     ) -> None:
         self.settings, self.parts, self.scene, self.model = settings, parts, scene, model
         self.iteration = 0
-        self._around = Surroundings(settings, scene.for_training(), maps or {})
-        self.fields = [Field(self._around, parts, model, 0, kinds)]
+        self._maps, known = maps or {}, scene.for_training()
+        self._new_field = partial(Field, settings, known, self._maps)
+        self.fields = [self._new_field(parts, model, 0, kinds)]
         for index in range(1, settings.fields):
             twin = new_model(model.gaussians(), settings, model.device)
-            self.fields.append(Field(self._around, parts.for_field(index), twin, index, kinds))
-        for part in parts:
-            if part.item.point.scheduled and not part.item.schedule.ever_due(settings.iterations):
-                _log.warning(
-                    "%s at %s is never due in %d iterations",
-                    part.item.offer,
-                    part.item.place,
-                    settings.iterations,
-                )
+            self.fields.append(self._new_field(parts.for_field(index), twin, index, kinds))
+        last, items = settings.iterations, [part.item for part in parts]
+        for item in items:
+            if item.point.scheduled and not item.schedule.ever_due(last):
+                where = f"{item.offer} at {item.place}"
+                _log.warning("%s is never due in %d iterations", where, last)
+        self._train = known.train
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
 
-    @property
-    def optimizer(self) -> Adam:
-        """Optimizer of the first field."""
-        return self.fields[0].optimizer
-
     def run(self) -> Iterator[Iteration]:
-        """Train to the last iteration, and yield after each.
-
-        The state is consistent between two iterations, so the caller may stop iterating.
+        """Train to the last iteration, and yield after each; the caller may stop iterating.
 
         Raises:
             ExplainedError: a component failed or returned an invalid answer, or the loss is not finite.
@@ -113,27 +102,31 @@ class Trainer:
             with in_iteration(self.iteration + 1):
                 loss = self._iterate(self.iteration + 1)
             self.iteration += 1
-            yield Iteration(self.iteration, loss, self.model.count, self._logged())
+            logged = {
+                f"{one.prefix}{name}": value
+                for one in self.fields
+                for name, value in one.logged.items()
+            }
+            yield Iteration(self.iteration, loss, self.model.count, logged)
 
     def _iterate(self, iteration: int) -> float:
-        view = self._around.scene.train[self._views.next()]
+        view = self._train[self._views.next()]
         for one in self.fields:
             one.begin(iteration, view)
-        for one in self.fields:
-            one.step_terms_alone()
-        for one in self.fields:
-            one.render()
-        losses = [one.differentiate(self._others(one)) for one in self.fields]
+        for stage in (Field.step_terms_alone, Field.render):
+            for one in self.fields:
+                stage(one)
+        losses = [one.differentiate(self.fields) for one in self.fields]
         # The device is idle after reading the loss, so this check does not wait.
         self._check_parameters()
-        for one in self.fields:
-            one.update_opacities()
-        for one in self.fields:
-            one.change_topology()
-        for one in self.fields:
-            one.step_optimizer()
-        for one in self.fields:
-            one.perturb()
+        for stage in (
+            Field.update_opacities,
+            Field.change_topology,
+            Field.step_optimizer,
+            Field.perturb,
+        ):
+            for one in self.fields:
+                stage(one)
         if iteration == self.settings.iterations:
             self._check_parameters()
         return losses[0]
@@ -147,16 +140,6 @@ class Trainer:
                 error.fix += "; --check-plugins finds a component that writes into the Gaussians"
                 raise
 
-    def _others(self, one: Field) -> tuple[OtherField, ...]:
-        return tuple(other.seen_by_others() for other in self.fields if other is not one)
-
-    def _logged(self) -> dict[str, float]:
-        """Return the logged numbers of all fields; names of all but the first begin with the field."""
-        logged = dict(self.fields[0].logged)
-        for one in self.fields[1:]:
-            logged |= {f"field{one.index}/{name}": value for name, value in one.logged.items()}
-        return logged
-
     def state(self) -> dict[str, Tensor]:
         """Return everything that the next iterations depend on, by slash-separated names.
 
@@ -165,30 +148,56 @@ class Trainer:
         """
         with in_iteration(self.iteration + 1):
             self._check_parameters()
-        kinds: dict[str, Mapping[str, Tensor]] = {"views": self._views.state()}
+        state = {f"views/{name}": value for name, value in self._views.state().items()}
         for one in self.fields:
-            state = one.state(self.iteration)
-            kinds |= {f"{_prefix(one.index)}{kind}": values for kind, values in state.items()}
-        for name, known in self._around.maps.items():
-            kinds[f"maps/{name}"] = dict(vars(known))
-        return {f"{k}/{name}": value for k, state in kinds.items() for name, value in state.items()}
+            state |= one.state(self.iteration)
+        for view, known in self._maps.items():
+            state |= {f"maps/{view}/{name}": value for name, value in vars(known).items()}
+        return state
 
     def restore(self, iteration: int, part: Callable[[str], Mapping[str, Tensor]]) -> None:
-        """Continue after `iteration`.
+        """Continue after `iteration`; the model must already hold the Gaussians of the checkpoint.
 
         Args:
-            part: returns the tensors of `state` below a prefix (`Checkpoint.part`). The model must already
-                hold the Gaussians of the checkpoint.
+            part: returns the tensors of `state` below a prefix (`Checkpoint.part`).
         """
         self.iteration = iteration
         self._views.restore(part("views"))
         for index, one in enumerate(self.fields):
-            prefix = _prefix(index)
             if index:
-                gaussians = Gaussians(**part(f"{prefix}model"))
+                gaussians = Gaussians(**part(f"{one.prefix}model"))
                 model = new_model(gaussians, self.settings, self.model.device)
-                one = self.fields[index] = Field(self._around, one.parts, model, index)
-            one.restore(partial(_below, part, prefix))
+                one = self.fields[index] = self._new_field(one.parts, model, index)
+            one.restore(part)
+
+
+class ViewOrder:
+    """Shuffled order of `count` training views; draws every view once before any is repeated (3DGS)."""
+
+    def __init__(self, count: int, seed: int) -> None:
+        self._count = count
+        self._generator = torch.Generator().manual_seed(seed)
+        self._left = torch.empty(0, dtype=torch.int64)
+
+    def next(self) -> int:
+        """Return the index of the next view."""
+        if not len(self._left):
+            self._left = torch.randperm(self._count, generator=self._generator)
+        index, self._left = int(self._left[0]), self._left[1:]
+        return index
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the state for a checkpoint."""
+        return {"generator": self._generator.get_state(), "left": self._left.clone()}
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Restore the result of `state`; refuse views that do not exist."""
+        left = state["left"].clone()
+        numbers = left.tolist()
+        if left.ndim != 1 or not set(numbers) <= set(range(self._count)):
+            raise RunError(f"the remaining views, {numbers}, are not among the {self._count} views")
+        self._generator.set_state(state["generator"])
+        self._left = left
 
 
 def resumed(
@@ -198,10 +207,7 @@ def resumed(
     scene: Scene,
     model: GaussianModel,
 ) -> Trainer:
-    """Return a trainer that continues after a checkpoint.
-
-    Args:
-        model: holds the Gaussians of the checkpoint.
+    """Return a trainer that continues after a checkpoint, whose Gaussians the model holds.
 
     Raises:
         ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
@@ -211,25 +217,25 @@ def resumed(
     return trainer
 
 
-def _prefix(index: int) -> str:
-    """Return the prefix of a field's state, empty for the first field."""
-    return f"field{index}/" if index else ""
-
-
-def _below(
-    part: Callable[[str], Mapping[str, Tensor]], prefix: str, kind: str
-) -> Mapping[str, Tensor]:
-    return part(f"{prefix}{kind}")
-
-
 def maps_of(state: Mapping[str, Tensor]) -> dict[str, DepthMap]:
-    """Return the initializer's depth maps from a checkpoint.
-
-    Args:
-        state: the tensors below "maps" in `Trainer.state`, by "<view>/<field>".
-    """
+    """Return the initializer's depth maps from the tensors below "maps" in `Trainer.state`."""
     names = dict.fromkeys(name.rpartition("/")[0] for name in state)
     return {
         view: DepthMap(*(state[f"{view}/{key}"] for key in ("depth", "valid", "confidence")))
         for view in names
     }
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Limit torch to one thread within the block, or in the function that this decorates.
+
+    torch's threads spin while they wait and compete with those of the OpenCL device: small operations between
+    kernels then take milliseconds. One thread also makes torch's sums independent of the machine.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

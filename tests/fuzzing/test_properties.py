@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from core_rasterizer import ExplainedError, load_ply, load_points
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
-from registry.runs.results_file import read_results
+from registry.runs.results import read_results
 from registry.toolkit.networks.model_file import check_content
 from registry.toolkit.photos import Decoder, Finite, read_array, read_arrays, read_document
 

@@ -17,8 +17,7 @@ from registry.calls.watchdog import WATCHDOG
 from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
-from registry.runs.opening import open_run
-from registry.runs.replay import replay
+from registry.runs.opening import open_run, replay
 from registry.system.memory import resident_bytes
 from registry.toolkit.cache import FOLDER_VARIABLE
 

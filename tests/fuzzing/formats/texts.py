@@ -11,7 +11,7 @@ from unittest import mock
 
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
-from registry.runs.results_file import Results, read_results
+from registry.runs.results import Results, read_results
 from tests.fuzzing.target import Target
 from tests.registry.runs.test_results_file import RESULTS
 

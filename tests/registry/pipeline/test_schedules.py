@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from registry.pipeline.schedule import Schedule, active_sh_degree
 from registry.pipeline.seeding import derived_seed
 from registry.pipeline.training_settings import LearningRates, TrainingSettings
-from registry.training.learning_rates import learning_rates
-from registry.training.view_order import ViewOrder
+from registry.training.step import learning_rates
+from registry.training.trainer import ViewOrder
 
 
 def due(schedule: Schedule, last: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""Trains in child processes, kills them with SIGKILL, resumes them, and tells how each ended.
+"""Train in child processes, kill them with SIGKILL, resume them, and print how each ended.
 
     python -m tests.registry.runs.killing COUNT SEED FOLDER
 
@@ -36,11 +36,11 @@ training: {iterations: 40, sh_degree: 1, sh_every: 20, checkpoint_every: 4, max_
 
 Call = Callable[..., Any]
 PATIENCE = 120.0
-"""Seconds that a run may take until its folder is there."""
+"""Seconds that a run may take until its folder exists."""
 
 
 class Moments:
-    """Counts the moments around each flush, rename and write of a process; dies in one of them.
+    """Counts the times before and after each flush, rename and write of a process; kills it at one of them.
 
     Args:
         fatal: the number of the moment to die in, from 0 on; None: in none.
@@ -81,7 +81,7 @@ class Moments:
 
 
 def start(arguments: Sequence[str], log: Path, moments: Moments) -> int:
-    """Run the command line in a child process; returns its number."""
+    """Run the command line in a child process; return its process id."""
     process = os.fork()
     if process:
         return process
@@ -100,19 +100,19 @@ def start(arguments: Sequence[str], log: Path, moments: Moments) -> int:
 
 
 def wait_for(folder: Path) -> None:
-    """Wait until a run folder is there: before, a run has nothing to lose."""
+    """Wait until a run folder exists; an earlier run has nothing to lose."""
     end = time.monotonic() + PATIENCE
     while not folder.exists() and time.monotonic() < end:
         time.sleep(0.002)
 
 
 def ended(process: int) -> int:
-    """Wait for a child; its exit status, negative for a signal."""
+    """Wait for a child; return its exit status, negative for a signal."""
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
 def described(folder: Path) -> dict[str, Any]:
-    """What a finished run folder holds that must not depend on kills."""
+    """Return the contents of a finished run folder that must not depend on kills."""
     results = json.loads((folder / "results.json").read_text())
     lines = (folder / "metrics.jsonl").read_text().splitlines()
     return {
@@ -124,7 +124,7 @@ def described(folder: Path) -> dict[str, Any]:
 
 
 def killed(number: int, random_: random.Random, folder: Path, whole: dict[str, Any]) -> Any:
-    """Kill a run once, by the clock or within a save, and go on with it to its end."""
+    """Kill a run once, after some time or within a save, and resume it to its end."""
     place = folder / str(number)
     place.mkdir()
     out, log = place / "run", place / "log.txt"
@@ -152,7 +152,7 @@ def killed(number: int, random_: random.Random, folder: Path, whole: dict[str, A
 
 
 def run(count: int, seed: int, folder: Path) -> None:
-    """Kill so many runs, one after the other."""
+    """Kill `count` runs, one after the other."""
     (folder / "killed.yaml").write_text(PIPELINE)
     out, log = folder / "whole" / "run", folder / "whole.txt"
     train = ["train", str(folder / "killed.yaml"), "--out", str(out)]

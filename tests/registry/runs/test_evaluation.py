@@ -1,4 +1,4 @@
-"""Scores of views: missing ones, their means, and the average error."""
+"""Scores of views: missing scores, means, and the average error."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ METRICS = next(point for point in HOOK_POINTS if point.section == "metrics")
 
 
 class Fixed(r.Metric[r.Settings]):
-    """Answers what the class says, whatever the images."""
+    """Returns the answer of the class, for any images."""
 
     answer: Any = 0.0
 
@@ -41,7 +41,7 @@ class Fixed(r.Metric[r.Settings]):
 
 
 class OfView(r.ViewMetric[r.Settings]):
-    """Answers what only a whole view and scene can say."""
+    """Returns a score that needs the view and the scene."""
 
     def measure_view(
         self, rendering: Rendering, view: r.View, scene: r.Scene
@@ -70,7 +70,7 @@ def answering(use: str, answer: Any, device: Device, name: str = "") -> Part:
 
 
 def in_role(use: str, answer: Any = 0.0) -> type[Fixed]:
-    """A metric that can be the part of the average error that its name is known for."""
+    """Return a metric with the role in the average error that its name implies."""
     content = {"answer": answer, "average_error_role": ROLES.get(use)}
     return type("Answering", (Fixed,), content)
 
@@ -82,14 +82,14 @@ def scored(device: Device, *parts: Part, scene: r.Scene | None = None) -> Scores
     return evaluate(model, scene, scene.train, parts)
 
 
-def test_a_metric_that_is_not_available_leaves_a_gap_and_a_reason(device: Device) -> None:
+def test_an_unavailable_metric_has_no_score_but_a_reason(device: Device) -> None:
     scores = scored(device, answering("lost", r.Unavailable("no file"), device))
     assert scores.views == {"view0": {"lost": None}, "view2": {"lost": None}}
     assert scores.unavailable == {"lost": "no file"}
     assert scores.mean == {"lost": None}
 
 
-def test_the_mean_goes_over_the_views_that_have_the_score(device: Device) -> None:
+def test_the_mean_is_over_the_views_that_have_the_score(device: Device) -> None:
     scene = tiny_scene()
     blind = replace(scene, train=(replace(scene.train[0], depth=None), scene.train[1]))
     scores = scored(device, part("of_view", OfView, device), scene=blind)
@@ -102,7 +102,7 @@ def test_the_mean_goes_over_the_views_that_have_the_score(device: Device) -> Non
     ("answer", "why"),
     [(math.nan, "not a number"), ("high", "is a str, expected"), (None, "is a NoneType, expected")],
 )
-def test_what_is_no_score_is_a_gap_and_names_the_metric(
+def test_an_invalid_score_is_missing_and_names_the_metric(
     device: Device, answer: Any, why: str
 ) -> None:
     scores = scored(device, answering("bad", answer, device), answering("good", 1.0, device))
@@ -113,7 +113,7 @@ def test_what_is_no_score_is_a_gap_and_names_the_metric(
     assert "a.yaml:3" in scores.failures["metrics.bad"].where
 
 
-def test_an_infinite_score_is_one_and_its_views_are_named(device: Device) -> None:
+def test_an_infinite_score_is_kept_and_its_views_are_listed(device: Device) -> None:
     scores = scored(device, answering("psnr", math.inf, device))
     assert scores.mean == {"psnr": math.inf}
     assert scores.infinite == {"psnr": ["view0", "view2"]}
@@ -150,7 +150,7 @@ def test_the_average_error_takes_the_first_of_each_kind() -> None:
     assert averaged(items[:3]) == ()
 
 
-def test_a_metric_of_that_name_keeps_its_score(device: Device) -> None:
+def test_a_metric_named_avge_keeps_its_score(device: Device) -> None:
     names = (("avge", 0.7), ("lpips", 0.2), ("ssim", 0.75), ("psnr", 20.0))
     parts = [answering(use, value, device) for use, value in names]
     assert scored(device, *parts).views["view0"]["avge"] == 0.7
@@ -165,7 +165,7 @@ def test_without_one_of_the_three_there_is_no_average_error(device: Device) -> N
     assert "avge" not in scored(device, *parts, proper).views["view0"]
 
 
-def test_the_table_tells_a_missing_score_from_an_infinite_one() -> None:
+def test_the_table_distinguishes_missing_and_infinite_scores() -> None:
     row = {"psnr": None, "lpips": None}
     results = {
         "pipeline": "p",

@@ -1,4 +1,4 @@
-"""Digests of inputs: each change is seen, and called by its name."""
+"""Digests of inputs: each change is detected and named."""
 
 from __future__ import annotations
 
@@ -72,15 +72,15 @@ CHANGES: dict[str, tuple[Scene, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize(("scene", "changed"), CHANGES.values(), ids=list(CHANGES))
-def test_each_change_is_called_by_its_name(
-    toys: Plugins, scene: Scene, changed: tuple[str, ...]
-) -> None:
+def test_each_changed_input_is_named(toys: Plugins, scene: Scene, changed: tuple[str, ...]) -> None:
     pipeline = parse_pipeline(TEXT, toys)
     before, now = input_digests(tiny_scene(), pipeline), input_digests(scene, pipeline)
     assert changed_inputs(before, now) == changed
 
 
-def test_files_count_by_the_hashes_that_pipelines_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_model_files_are_compared_by_the_hashes_in_the_pipeline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("STEREOGS_PLUGINS")
     text = "name: x\nscene: procedural\ninitializer: random\nmetrics: [{use: lpips, file: a.onnx, "
     digests = [

@@ -1,4 +1,4 @@
-"""Runs that are killed with SIGKILL at any moment, within a save too, and resumed, end in the same bits.
+"""Runs that are killed with SIGKILL at any time, also within a save, and resumed, end in the same bits.
 
 KILLS=50 kills so many (`make kills`), each time other ones.
 """
@@ -19,7 +19,7 @@ FEW = 3
 
 
 @pytest.mark.proof
-def test_killed_runs_end_as_if_nobody_had_killed_them(tmp_path: Path) -> None:
+def test_killed_and_resumed_runs_end_in_the_same_bits(tmp_path: Path) -> None:
     count = int(os.environ.get("KILLS", FEW))
     seed = 1 if count == FEW else random.randrange(2**32)
     environment = {name: value for name, value in os.environ.items() if name != "STEREOGS_PLUGINS"}

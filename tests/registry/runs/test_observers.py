@@ -1,4 +1,4 @@
-"""Observers hear how a run goes, and nothing of it depends on them."""
+"""Observers are notified of a run, and no result depends on them."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ def failing(when: str) -> str:
 
 @pytest.fixture(scope="module")
 def alone(device: Device) -> Run:
-    """The run that nobody observes."""
+    """A run without observers."""
     return trained(TEXT, Plugins(TOYS), device, None)
 
 
-def test_what_it_hears_and_that_no_bit_depends_on_it(
+def test_observers_are_notified_in_order_and_change_no_bit(
     toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
     run = trained(WATCHED, toys, device, tmp_path / "run")
@@ -79,7 +79,7 @@ def test_what_it_hears_and_that_no_bit_depends_on_it(
 
 
 class Recorder(r.Observer):
-    """Keeps all that it is told."""
+    """Keeps all events."""
 
     def __init__(self, settings: r.Settings, context: r.Context) -> None:
         super().__init__(settings, context)
@@ -98,7 +98,7 @@ def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run,
     return run, run.parts["observers"][0].component.told
 
 
-def test_what_the_events_hold(toys: Plugins, device: Device, tmp_path: Path) -> None:
+def test_contents_of_events(toys: Plugins, device: Device, tmp_path: Path) -> None:
     run, told = recorded(parse_pipeline(TEXT, toys), device, tmp_path / "run")
     begun, iteration, _, final, ended = told
     assert begun.folder == tmp_path / "run/observers/recorder"
@@ -130,7 +130,7 @@ def test_a_run_in_memory_leaves_no_file(toys: Plugins, device: Device, alone: Ru
     assert run.hash == alone.hash
 
 
-def test_of_several_fields_it_hears_of_the_first(toys: Plugins, device: Device) -> None:
+def test_observers_receive_the_first_of_several_fields(toys: Plugins, device: Device) -> None:
     text = TEXT.replace("iterations: 6", "iterations: 6, fields: 2")
     run, told = recorded(parse_pipeline(text, toys), device, None)
     (iteration,) = [event for event in told if isinstance(event, IterationDone)]
@@ -139,7 +139,7 @@ def test_of_several_fields_it_hears_of_the_first(toys: Plugins, device: Device) 
 
 
 @pytest.mark.parametrize("when", ["started", "iterated", "evaluated", "ended", "draws", "writes"])
-def test_one_that_fails_ends_the_run_and_is_blamed(
+def test_an_observer_that_fails_ends_the_run_and_is_named(
     toys: Plugins, device: Device, tmp_path: Path, when: str
 ) -> None:
     out = tmp_path / "run"
@@ -159,7 +159,7 @@ def test_one_that_fails_ends_the_run_and_is_blamed(
         assert "None" not in told[0]
 
 
-def test_it_hears_what_went_wrong_and_may_fail_then_unheard(
+def test_observers_receive_the_error_and_a_second_error_is_logged(
     toys: Plugins, device: Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = failing("ended").replace("weight: 0.1", "fault: crash, start: 3")
@@ -171,7 +171,7 @@ def test_it_hears_what_went_wrong_and_may_fail_then_unheard(
     assert "boom in ended" in caplog.text
 
 
-def test_a_run_that_goes_on_is_told_from_where(
+def test_a_resumed_run_notifies_observers_of_its_iteration(
     toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
     out = tmp_path / "run"
@@ -188,7 +188,7 @@ def test_a_run_that_goes_on_is_told_from_where(
     ]
 
 
-def test_a_run_may_go_on_without_it(
+def test_a_run_can_be_resumed_without_its_observer(
     toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
     out = tmp_path / "run"
@@ -200,7 +200,7 @@ def test_a_run_may_go_on_without_it(
     assert resumed(out, toys, device).hash == alone.hash
 
 
-def test_a_run_may_go_on_with_a_new_one(
+def test_a_run_can_be_resumed_with_a_new_observer(
     toys: Plugins, device: Device, tmp_path: Path, alone: Run
 ) -> None:
     trained(TEXT, toys, device, tmp_path, callback=lambda done: done.number < 4)
@@ -210,7 +210,7 @@ def test_a_run_may_go_on_with_a_new_one(
     assert diary(tmp_path)[0].endswith(" 4 True 6")
 
 
-def test_what_one_changes_in_its_values_reaches_nobody(
+def test_observers_receive_copies(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def spoil(self: ToyDiary, scored: ViewsScored) -> None:
@@ -223,7 +223,7 @@ def test_what_one_changes_in_its_values_reaches_nobody(
     assert run.scores["test"].views["view1"].keys() == {"psnr"}
 
 
-def test_a_thread_may_stay_until_the_end(
+def test_an_observer_may_keep_a_thread_until_the_end(
     toys: Plugins, device: Device, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     import threading

@@ -35,7 +35,7 @@ LENGTH = {"iterations": 20_010, "sh_degree": 0}
 
 @pytest.fixture
 def constructed(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The name of each prior that was constructed; the priors draw random numbers as others use them."""
+    """The name of each prior that was constructed; the priors draw random numbers during use."""
     install("toys", "1.5", TOY_ENTRIES)
     monkeypatch.setenv("STEREOGS_PLUGINS", f"{os.environ['STEREOGS_PLUGINS']},{SHIPPED}")
     monkeypatch.chdir(tmp_path)
@@ -138,7 +138,7 @@ def test_a_prior_of_another_capability_is_refused_before_training() -> None:
 
 
 @pytest.mark.usefixtures("untouched")
-def test_either_of_two_capabilities_satisfies() -> None:
+def test_either_of_two_capabilities_is_enough() -> None:
     term = {"use": "patch_depth", "form": "hard", "start": 20_001}
     error = refused([], regularizers=[term])
     assert "'monocular_depth' or 'multi_view_depth' is needed" in error.what

@@ -1,4 +1,4 @@
-"""The moment before an iteration that failed is kept, to the bit, and the iteration can be repeated."""
+"""The checkpoint before a failed iteration is kept, and the iteration can be repeated to the same bits."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
+from registry.runs.opening import replay
 from registry.runs.options import RunOptions
-from registry.runs.replay import replay
 from registry.runs.training_run import start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
 from tests.registry.toy_plugin import ToyTerm
@@ -35,7 +35,7 @@ FAILED = "iteration-0000011"
 
 
 def train(plugins: Plugins, device: Device, out: Path | None, fault: str) -> ExplainedError | None:
-    """Train into a folder; the error that it ends in, if it does."""
+    """Train into a folder; return the error that ends the training, if any."""
     pipeline = parse_pipeline(TEXT.replace("FAULT", fault), plugins, source="toy.yaml")
     try:
         start(pipeline, RunOptions(device=device, progress=False), out)
@@ -45,7 +45,7 @@ def train(plugins: Plugins, device: Device, out: Path | None, fault: str) -> Exp
 
 
 @pytest.mark.parametrize("fault", ["gradient", "crash"])
-def test_the_moment_before_is_kept_and_the_same_error_comes_again(
+def test_the_checkpoint_before_a_failure_is_kept_and_repeats_the_error(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     first = train(toys, device, tmp_path / "run", fault)
@@ -64,7 +64,7 @@ def test_the_moment_before_is_kept_and_the_same_error_comes_again(
     assert (mended.iteration, mended.what) == (11, first.what)
 
 
-def test_what_is_kept_are_the_bits_of_a_run_that_did_not_fail(
+def test_the_kept_checkpoint_has_the_bits_of_a_run_that_did_not_fail(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     assert train(toys, device, tmp_path / "bad", "nan") is not None
@@ -76,7 +76,7 @@ def test_what_is_kept_are_the_bits_of_a_run_that_did_not_fail(
     assert [n for n, t in sound.tensors.items() if not torch.equal(t, kept.tensors[n])] == []
 
 
-def test_training_that_does_not_come_again_is_kept_from_further_back(
+def test_if_training_cannot_be_repeated_the_newest_checkpoint_is_kept(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[int] = []
@@ -110,14 +110,16 @@ def test_a_full_disk_does_not_hide_the_failure(
     def full(*arguments: object) -> None:
         raise RunError("No space left on device")
 
-    monkeypatch.setattr("registry.runs.replay.write_checkpoint", full)
+    monkeypatch.setattr("registry.runs.opening.write_checkpoint", full)
     error = train(toys, device, tmp_path / "run", "nan")
     assert error is not None
     assert error.what == "the loss is not finite"
     assert "replay" not in error.fix
 
 
-def test_what_is_no_failure_is_refused(toys: Plugins, device: Device, tmp_path: Path) -> None:
+def test_folders_without_a_failed_iteration_are_refused(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
     train(toys, device, tmp_path / "run", "nan")
     places = {
         "not of a failed iteration": tmp_path / "run" / "checkpoint" / "iteration-0000010",

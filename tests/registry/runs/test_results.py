@@ -1,4 +1,4 @@
-"""The end of a run: what fails there is told, and loses nothing else."""
+"""The end of a run: failures there are recorded, and do not affect other results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ training: {iterations: 2, sh_degree: 0}
 
 @pytest.fixture
 def train(toys: Plugins, device: Device, tmp_path: Path) -> Callable[[], Run]:
-    """Train in a few moments, into a folder."""
+    """Return a function that trains a short run into a folder."""
 
     def train() -> Run:
         pipeline = parse_pipeline(TEXT, toys, source="toy.yaml")
@@ -78,7 +78,7 @@ NONSENSE: dict[str, tuple[type, str, Any, str, str]] = {
 
 
 @pytest.mark.parametrize("fault", NONSENSE.values(), ids=list(NONSENSE))
-def test_what_fails_after_training_is_told_and_loses_nothing(
+def test_failures_after_training_are_recorded_and_other_results_kept(
     train: Callable[[], Run],
     toys: Plugins,
     device: Device,
@@ -113,7 +113,7 @@ def test_what_fails_after_training_is_told_and_loses_nothing(
     assert conclude(run, quiet()) == 0
 
 
-def test_an_infinite_score_is_null_and_its_views_are_named(
+def test_an_infinite_score_is_null_and_its_views_are_listed(
     train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ToyPsnr, "measure", lambda *_: float("inf"))
@@ -127,7 +127,7 @@ def test_an_infinite_score_is_null_and_its_views_are_named(
 
 
 def other_gaussians(folder: RunFolder) -> None:
-    """A newest checkpoint that is whole and of other Gaussians."""
+    """Replace the newest checkpoint by an intact one with other Gaussians."""
     place = max((folder.path / "checkpoint").iterdir())
     checkpoint = read_checkpoint(place)
     checkpoint.tensors["model/means"] = checkpoint.tensors["model/means"] + 1
@@ -146,7 +146,7 @@ def test_eval_refuses_gaussians_that_were_not_scored(
     assert (folder.path / "results.json").read_text() == before
 
 
-def test_eval_does_not_go_back_to_an_earlier_iteration(
+def test_eval_refuses_a_checkpoint_older_than_the_results(
     train: Callable[[], Run], toys: Plugins, device: Device
 ) -> None:
     folder = train().folder_or_refuse()

@@ -1,4 +1,4 @@
-"""A forged or damaged results.json is refused, whoever reads it."""
+"""A forged or damaged results.json is refused by every reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from registry import RunError
 from registry.cli import main
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
-from registry.runs.results_file import read_results
+from registry.runs.results import read_results
 from stereogs_plugins.reports.html import HtmlReport
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import PIPELINE, changed
 
@@ -100,7 +100,7 @@ FORGED: dict[str, tuple[str, Any]] = {
 
 
 def forged(path: str, value: Any) -> dict[str, Any]:
-    """The results with one value at a path; `...` removes it."""
+    """Return the results with a value changed; `...` removes it."""
     return changed(RESULTS, {path: value})
 
 
@@ -111,13 +111,13 @@ def written(folder: Path, content: str) -> Path:
     return run.path
 
 
-def test_what_the_host_writes_is_believed(tmp_path: Path) -> None:
+def test_valid_results_are_read(tmp_path: Path) -> None:
     path = written(tmp_path, json.dumps(RESULTS)) / "results.json"
     assert read_results(path) == RESULTS
 
 
 @pytest.mark.parametrize(("path", "value"), FORGED.values(), ids=list(FORGED))
-def test_what_is_forged_is_refused(
+def test_forged_results_are_refused(
     path: str, value: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = written(tmp_path, json.dumps(forged(path, value)))
@@ -148,13 +148,13 @@ def test_what_is_forged_is_refused(
     ],
     ids=lambda content: content[:20],
 )
-def test_what_is_no_document_is_refused(content: str, tmp_path: Path) -> None:
+def test_content_that_is_not_a_json_object_is_refused(content: str, tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(content, "utf-8")
     with pytest.raises(RunError, match="is inconsistent"):
         read_results(tmp_path / "results.json")
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "results.json").symlink_to("/dev/zero")
     with pytest.raises(RunError, match="no such file"):
         read_results(tmp_path / "results.json")

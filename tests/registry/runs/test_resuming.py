@@ -30,14 +30,14 @@ from tests.registry.toy_plugin import ToyScene
 
 
 @pytest.fixture
-def _ctrl_c_as_on_a_terminal() -> Iterator[None]:
-    """A shell's background job ignores Ctrl-C, and so would the tests in it."""
+def _default_interrupt_handler() -> Iterator[None]:
+    """Handle Ctrl-C as on a terminal: background jobs of a shell ignore it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.usefixtures("_ctrl_c_as_on_a_terminal")
+@pytest.mark.usefixtures("_default_interrupt_handler")
 @pytest.mark.parametrize(
     ("iteration", "number"), [(1, signal.SIGINT), (10, signal.SIGTERM), (17, signal.SIGINT)]
 )
@@ -136,7 +136,7 @@ def test_changed_inputs_are_refused_unless_accepted(
     assert open_run(folder.path, plugins=toys, device=device).changed == ()
 
 
-def test_a_run_that_kept_no_digests_goes_on(toys: Plugins, device: Device, tmp_path: Path) -> None:
+def test_a_run_without_digests_can_be_opened(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     (folder.path / "inputs.json").unlink()
     assert open_run(folder.path, plugins=toys, device=device).changed == ()
@@ -179,8 +179,8 @@ def test_another_runs_checkpoint_is_refused(toys: Plugins, device: Device, tmp_p
         resumed(mine.path, toys, device)
 
 
-def written_anew(folder: RunFolder, **changes: Any) -> None:
-    """A newest checkpoint that somebody has changed, hashes and all."""
+def replace_newest(folder: RunFolder, **changes: Any) -> None:
+    """Replace the newest checkpoint by a changed one with valid hashes."""
     place = newest(folder)
     forged = replace(read_checkpoint(place), **changes)
     shutil.rmtree(place)
@@ -191,7 +191,7 @@ def test_an_iteration_beyond_the_end_is_refused(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
-    written_anew(folder, iteration=1_000_000_000)
+    replace_newest(folder, iteration=1_000_000_000)
     with pytest.raises(RunError, match="of iteration 1000000000, but the run has 30"):
         resumed(folder.path, toys, device)
 
@@ -211,7 +211,7 @@ MISFITS: dict[str, Callable[[Tensor], Tensor | None]] = {
 }
 
 
-def test_state_that_does_not_fit_is_explained(
+def test_errors_for_a_mismatched_state_name_the_checkpoint(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
@@ -219,13 +219,13 @@ def test_state_that_does_not_fit_is_explained(
     for name, change in MISFITS.items():
         changed = change(tensors[name])
         rest = {key: value for key, value in tensors.items() if key != name}
-        written_anew(folder, tensors=rest if changed is None else {**rest, name: changed})
+        replace_newest(folder, tensors=rest if changed is None else {**rest, name: changed})
         with pytest.raises(ExplainedError) as caught:
             resumed(folder.path, toys, device)
         assert "checkpoint" in caught.value.where, name
 
 
-def test_a_damaged_checkpoint_costs_iterations_and_not_the_run(
+def test_a_damaged_checkpoint_falls_back_to_the_previous_one(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run", "training.checkpoint_every=20")
@@ -237,7 +237,7 @@ def test_a_damaged_checkpoint_costs_iterations_and_not_the_run(
     assert [line["iteration"] for line in again.metrics] == [30]
 
 
-def test_a_run_can_be_resumed_from_its_first_moment(
+def test_a_run_can_be_resumed_before_its_first_iteration(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = run(toys, device, tmp_path / "whole")[0].results()
@@ -276,7 +276,7 @@ def test_checkpoints_are_saved_by_the_clock_too(
     ]
 
 
-def test_a_run_at_work_is_left_alone(toys: Plugins, device: Device, tmp_path: Path) -> None:
+def test_a_run_in_use_is_not_changed(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     lines = (folder.path / "metrics.jsonl").read_text()
     with folder.locked(), pytest.raises(RunError, match="in use by another process"):

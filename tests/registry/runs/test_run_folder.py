@@ -5,12 +5,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from registry import RunError
-from registry.runs.folder import RunFolder, default_folder
+from registry.runs.folder import RunFolder
 from registry.runs.progress import MetricsLog
+from registry.runs.training_run import in_runs
 from registry.system.files import new_folder, replacing, write_text
 from registry.training.trainer import Iteration
 
@@ -46,7 +49,7 @@ def test_an_empty_folder_is_taken_and_a_full_one_refused(tmp_path: Path) -> None
     assert "stereogs resume" in caught.value.fix
 
 
-def test_places_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_paths_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(RunError, match="the path is a file"):
@@ -57,19 +60,26 @@ def test_places_where_nothing_can_be_written(tmp_path: Path) -> None:
     assert not (tmp_path / "a").exists()
 
 
-def test_something_else_is_no_run(tmp_path: Path) -> None:
+def test_a_folder_without_a_pipeline_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="not a run folder"):
         RunFolder.existing(tmp_path)
 
 
-def test_default_folders_are_numbered() -> None:
-    taken = {Path("runs/a-b"), Path("runs/a-b-2")}
-    assert default_folder("a b", taken.__contains__) == Path("runs/a-b-3")
-    assert default_folder("../ü/..", taken.__contains__).parent == Path("runs")
-    assert default_folder("///", taken.__contains__) == Path("runs/run")
+def test_default_folders_are_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def chosen(pipeline: str, scene: str) -> Path:
+        named: Any = (SimpleNamespace(name=name) for name in (pipeline, scene))
+        return in_runs(*named)
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("a-b", "a-b-2"):
+        Path("runs", name).mkdir(parents=True)
+    assert chosen("a", "b") == Path("runs/a-b-3")
+    assert chosen("c d", "e") == Path("runs/c-d-e")
+    assert chosen("../ü/..", "../ü").parent == Path("runs")
+    assert chosen("///", "///") == Path("runs/run")
 
 
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     write_text(path, "old")
 
@@ -84,7 +94,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_a_folder_that_fails_vanishes(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_filled_is_removed(tmp_path: Path) -> None:
     def fail() -> None:
         with new_folder(tmp_path / "x") as folder:
             (folder / "file").write_text("half")
@@ -96,13 +106,13 @@ def test_a_folder_that_fails_vanishes(tmp_path: Path) -> None:
 
 
 def ended_process() -> int:
-    """The number of a process that is no more."""
+    """Return the id of a process that has ended."""
     child = subprocess.Popen([sys.executable, "-c", ""])
     child.wait()
     return child.pid
 
 
-def test_what_killed_processes_had_begun_is_cleared_away(tmp_path: Path) -> None:
+def test_partial_files_of_killed_processes_are_removed(tmp_path: Path) -> None:
     dead = ended_process()
     leftovers = [tmp_path / f".a.png.{dead}.partial", tmp_path / "deep" / f".b.x1.{dead}.partial"]
     kept = [tmp_path / f".a.png.{os.getpid()}.partial", tmp_path / ".mine", tmp_path / "a.partial"]
@@ -115,13 +125,13 @@ def test_what_killed_processes_had_begun_is_cleared_away(tmp_path: Path) -> None
         assert all(path.exists() for path in kept)
 
 
-def test_a_creation_that_was_killed_leaves_nothing_once_it_is_done_again(tmp_path: Path) -> None:
+def test_creating_a_run_again_removes_partial_folders(tmp_path: Path) -> None:
     (tmp_path / f".run.x1.{ended_process()}.partial").mkdir()
     RunFolder(tmp_path / "run").create("name: x\n", {}, {}, lambda folder: None)
     assert names(tmp_path) == ["run"]
 
 
-def test_a_full_disk_is_told_with_how_to_go_on(tmp_path: Path) -> None:
+def test_the_error_for_a_full_disk_says_how_to_continue(tmp_path: Path) -> None:
     (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
     with pytest.raises(RunError, match="No space left") as caught:
         RunFolder(tmp_path).append_metrics({"iteration": 1})
@@ -140,7 +150,7 @@ def test_metrics_lines_are_averages_and_json(tmp_path: Path) -> None:
     ]
 
 
-def test_metrics_of_iterations_to_be_done_again_are_forgotten(tmp_path: Path) -> None:
+def test_metrics_of_iterations_to_repeat_are_removed(tmp_path: Path) -> None:
     run = RunFolder(tmp_path)
     run.forget_metrics_after(10)
     for iteration in (50, 100, 150):
@@ -178,7 +188,7 @@ def test_a_damaged_file_is_named_with_its_field(
     assert caught.value.where == str(tmp_path / file)
 
 
-def test_lines_of_metrics_that_are_none_are_dropped(tmp_path: Path) -> None:
+def test_invalid_lines_of_metrics_are_removed(tmp_path: Path) -> None:
     lines = [
         b'{"iteration": 1}',
         b"\xff\x00",

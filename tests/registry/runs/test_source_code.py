@@ -42,7 +42,7 @@ def test_a_checkout_of_this_project_names_its_commit() -> None:
     assert here["commit"] == git(ROOT, "rev-parse", "HEAD")
 
 
-def test_packages_of_plugins_name_theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commit_of_plugin_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Installed from a repository, editable from a checkout, from an index, or not at all."""
     source = tmp_path / "repository" / "package"
     source.mkdir(parents=True)

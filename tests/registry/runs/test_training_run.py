@@ -21,7 +21,7 @@ from tests.registry.runs.toy_run import pipeline, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
 
-def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: Path) -> None:
+def test_files_of_a_run(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, finished, output = run(toys, device, tmp_path / "run")
     assert finished
     assert "2 training views, 1 test views" in output
@@ -68,7 +68,7 @@ def test_everything_that_a_run_leaves(toys: Plugins, device: Device, tmp_path: P
     assert again == pipeline(toys)
 
 
-def test_facts_of_components_stand_beside_the_hosts(
+def test_facts_of_components_do_not_replace_those_of_the_host(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load, initialize = ToyScene.load, ToyPoints.initialize
@@ -97,7 +97,7 @@ def test_one_seed_one_hash(toys: Plugins, device: Device, tmp_path: Path) -> Non
     assert first == second != other
 
 
-def test_evaluations_on_the_way_leave_the_bits_as_they_are(
+def test_evaluations_during_training_change_no_bit(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     hashes = {}
@@ -123,7 +123,7 @@ def test_a_run_is_evaluated_at_each_quarter_unless_it_is_short(
         assert _evaluated(folder) == expected
 
 
-def test_a_metric_that_takes_long_is_measured_of_test_views_at_the_end(
+def test_a_slow_metric_is_measured_on_test_views_at_the_end(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow = property(lambda metric: metric.context.name == "slow")
@@ -138,7 +138,7 @@ def test_a_metric_that_takes_long_is_measured_of_test_views_at_the_end(
 
 
 def _evaluated(folder: RunFolder) -> list[int]:
-    """The iterations after which test views were scored."""
+    """Return the iterations after which test views were scored."""
     lines = map(json.loads, (folder.path / "metrics.jsonl").read_text().splitlines())
     return [line["iteration"] for line in lines if "test" in line]
 
@@ -182,7 +182,7 @@ def test_a_scene_without_test_views(toys: Plugins, device: Device, tmp_path: Pat
     assert not (folder.path / "renders").exists()
 
 
-def test_the_scene_is_loaded_anew_by_its_own_settings(
+def test_opening_a_run_loads_the_scene_with_its_settings(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run", "scene.test_views=0")
@@ -191,7 +191,7 @@ def test_the_scene_is_loaded_anew_by_its_own_settings(
     assert opened.model.digest() == folder.results()["hash"]
 
 
-def test_the_module_writes_with_the_projects_own_plugins(
+def test_the_demo_pipeline_trains_with_the_installed_plugins(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)

@@ -1,4 +1,4 @@
-"""A short run of toy components, to its end or resumed."""
+"""A short run of toy components, from its start or resumed."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ training: {iterations: 30, sh_degree: 1, sh_every: 10, evaluate_every: 20}
 
 
 def pipeline(plugins: Plugins, *overrides: str) -> Pipeline:
-    """The toy run's pipeline."""
+    """Return the pipeline of the toy run."""
     return parse_pipeline(TEXT, plugins, source="toy.yaml", overrides=overrides)
 
 
 def run(
     plugins: Plugins, device: Device, out: Path, *overrides: str
 ) -> tuple[RunFolder, bool, str]:
-    """Trained: its folder, whether it is finished, and what was printed."""
+    """Train; return the folder, whether the run is finished, and the output."""
     stream = io.StringIO()
     options = RunOptions(device=device, progress=Console(file=stream))
     done = start(pipeline(plugins, *overrides), options, out)
@@ -46,5 +46,5 @@ def run(
 
 
 def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
-    """The same from its last checkpoint on."""
+    """Resume the run from its newest checkpoint."""
     return resume(path, RunOptions(device=device, progress=False), plugins)

@@ -1,4 +1,4 @@
-"""Checkpoints are whole or absent, the one before is kept, and every bit is checked."""
+"""Checkpoints are complete or absent, the previous one is kept, and every bit is verified."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_what_was_saved_is_loaded_and_two_are_kept(tmp_path: Path) -> None:
+def test_checkpoints_are_loaded_and_two_are_kept(tmp_path: Path) -> None:
     for iteration in (5, 10, 20):
         save_checkpoint(checkpoint(iteration), tmp_path / "new")
     assert names(tmp_path / "new") == [FIRST, SECOND]
@@ -46,7 +46,7 @@ def test_what_was_saved_is_loaded_and_two_are_kept(tmp_path: Path) -> None:
     assert torch.equal(loaded.part("views")["left"], torch.arange(3))
 
 
-def test_tensors_that_share_memory_are_saved_apart(tmp_path: Path) -> None:
+def test_tensors_that_share_memory_are_saved_separately(tmp_path: Path) -> None:
     rows = torch.arange(6.0).reshape(2, 3)
     shared = {"all": rows, "same": rows, "second": rows[1], "turned": rows.T, "none": rows[:0]}
     tensors = {f"maps/{name}": value for name, value in shared.items()}
@@ -58,7 +58,7 @@ def test_tensors_that_share_memory_are_saved_apart(tmp_path: Path) -> None:
 
 @contextmanager
 def full_disk(free: int) -> Iterator[None]:
-    """No file can grow beyond so many bytes: the system itself refuses the write."""
+    """Limit files to `free` bytes: the system refuses larger writes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (free, before[1]))
     try:
@@ -68,8 +68,8 @@ def full_disk(free: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("free", [0, 100, 300])
-def test_a_full_disk_leaves_what_was_there(tmp_path: Path, free: int) -> None:
-    """No byte fits, the tensors break off, or the manifest does."""
+def test_a_full_disk_leaves_earlier_checkpoints_intact(tmp_path: Path, free: int) -> None:
+    """No byte fits, or the tensors are cut off, or the manifest is."""
     with pytest.raises(RunError, match="cannot be written") as caught, full_disk(free):
         save_checkpoint(checkpoint(10), tmp_path)
     assert "whole" not in caught.value.fix
@@ -83,14 +83,14 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, free: int) -> None:
 
 
 def flipped(file: Path, bit: int) -> None:
-    """Turn one bit of a file over."""
+    """Flip one bit of a file."""
     data = bytearray(file.read_bytes())
     data[bit // 8 % len(data)] ^= 1 << bit % 8
     file.write_bytes(data)
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "pipeline.yaml", "tensors.safetensors"])
-def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, name: str) -> None:
+def test_every_flipped_bit_is_detected(tmp_path: Path, name: str) -> None:
     save_checkpoint(checkpoint(10), tmp_path)
     file = tmp_path / FIRST / name
     bits = 8 * file.stat().st_size
@@ -103,7 +103,7 @@ def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, name: str) -> None:
 
 
 def forged(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], None]:
-    """Edit the manifest as a person would, without its hash."""
+    """Return a function that edits the manifest, but not its hash."""
 
     def damage(place: Path) -> None:
         manifest = json.loads((place / "manifest.json").read_text())
@@ -143,7 +143,7 @@ DAMAGE: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=list(DAMAGE))
-def test_damage_is_explained_and_the_one_before_is_taken(
+def test_damage_is_explained_and_the_previous_checkpoint_is_used(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: Callable[[Path], None]
 ) -> None:
     save_checkpoint(checkpoint(20), tmp_path)
@@ -162,7 +162,7 @@ def test_damage_is_explained_and_the_one_before_is_taken(
     assert "continuing from the previous one, after iteration 10" in caplog.text
 
 
-def test_an_iteration_that_comes_again_is_saved_beside(tmp_path: Path) -> None:
+def test_a_second_checkpoint_of_an_iteration_gets_a_number(tmp_path: Path) -> None:
     for iteration in (9_999_999, 10_000_000):
         save_checkpoint(checkpoint(iteration), tmp_path)
     assert load_checkpoint(tmp_path).iteration == 10_000_000
@@ -181,7 +181,7 @@ def test_no_checkpoint(tmp_path: Path) -> None:
             load_checkpoint(folder)
 
 
-def test_what_does_not_fit_names_the_checkpoint(tmp_path: Path) -> None:
+def test_errors_of_a_mismatch_name_the_checkpoint(tmp_path: Path) -> None:
     with (
         pytest.raises(RunError, match="match this pipeline: KeyError: 'screen'") as caught,
         explain_misfit(tmp_path),

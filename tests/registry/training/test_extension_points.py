@@ -1,4 +1,4 @@
-"""Every extension point of the training loop, each used by a small plugin."""
+"""Each extension point of the training loop, used by a small plugin."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def train(trainer: Trainer) -> list[Iteration]:
 
 
 def resumed(make: Make, text: str, *overrides: str, stop: int = 3) -> tuple[Trainer, Trainer]:
-    """A trainer that ran through, and one that went on from the other's state in the middle."""
+    """Return a trainer that ran without a stop, and one that was restored from its state halfway."""
     whole, first, second = (make(text, *overrides) for _ in range(3))
     train(whole)
     for done in first.run():
@@ -76,7 +76,7 @@ def test_a_sampler_changes_target_view_and_background(make: Make) -> None:
     assert one_view.model.digest() != plain.model.digest()
 
 
-def test_a_target_that_does_not_fit_is_refused_by_name(make: Make) -> None:
+def test_a_target_of_another_size_is_refused(make: Make) -> None:
     with pytest.raises(PluginError, match="the target is") as caught:
         train(make("samplers: [{use: toy_target, wrong: true}]\n"))
     assert "toy_target" in caught.value.where
@@ -85,7 +85,7 @@ def test_a_target_that_does_not_fit_is_refused_by_name(make: Make) -> None:
 # Colours between render and loss; parameters of a plugin.
 
 
-def test_an_appearance_is_trained_beside_the_gaussians(make: Make) -> None:
+def test_an_appearance_is_trained_with_the_gaussians(make: Make) -> None:
     text = "samplers: [{use: toy_target, brightness: 0.2}]\nappearances: [toy_exposure]\n"
     done = train(make(text, "training.iterations=30"))
     assert done[0].logged["exposure"] == 1
@@ -115,7 +115,7 @@ def test_a_sampler_refines_the_camera_by_its_gradient(make: Make) -> None:
 # Losses on parameters, terms stepped alone, parameters left alone.
 
 
-def test_a_loss_on_parameters_moves_them_alone(make: Make) -> None:
+def test_a_loss_on_parameters_changes_only_those(make: Make) -> None:
     text = "regularizers: [{use: toy_shape, weight: 1000, step: alone}]\n"
     quiet = [f"training.learning_rates.{name}=0" for name in ("position", "position_final")]
     trainer = make(text, "training.iterations=1", *quiet)
@@ -126,27 +126,27 @@ def test_a_loss_on_parameters_moves_them_alone(make: Make) -> None:
     assert torch.equal(after.means, before.means)
 
 
-def test_a_term_stepped_alone_has_a_step_of_its_own(make: Make) -> None:
+def test_a_term_stepped_alone_has_its_own_step(make: Make) -> None:
     together = make("regularizers: [toy_shape]\n")
     alone = make("regularizers: [{use: toy_shape, step: alone}]\n")
     for trainer in (together, alone):
         train(trainer)
-    steps = [trainer.optimizer.steps for trainer in (together, alone)]
+    steps = [trainer.fields[0].optimizer.steps for trainer in (together, alone)]
     assert steps == [6, 12]
 
 
-def test_a_term_stepped_alone_leaves_other_groups_and_their_moments(make: Make) -> None:
+def test_a_term_stepped_alone_does_not_change_other_groups_and_moments(make: Make) -> None:
     text = "regularizers: [{use: toy_picture, step: alone, opacity: 0.9, moves: [means]}]\n"
     rates = ("position", "sh_constant", "sh_rest", "opacity", "scale", "rotation")
     still = [f"training.learning_rates.{name}=0" for name in rates[1:]]
     trainer = make(text, "training.iterations=1", *still)
-    moments = trainer.optimizer.state()["first_moments"].clone()
+    moments = trainer.fields[0].optimizer.state()["first_moments"].clone()
     before = trainer.model.gaussians()
     trainer.fields[0].begin(1, trainer.scene.for_training().train[0])
     trainer.fields[0].step_terms_alone()
     after, changed = (
         trainer.model.gaussians(),
-        trainer.optimizer.state()["first_moments"] != moments,
+        trainer.fields[0].optimizer.state()["first_moments"] != moments,
     )
     assert not torch.equal(after.means, before.means)
     assert changed[:3].any()
@@ -170,7 +170,7 @@ def test_a_render_may_leave_parameters_alone(make: Make) -> None:
     assert torch.equal(free["log_scales"], held["log_scales"])
 
 
-def test_visibility_is_known_to_a_plugin(make: Make) -> None:
+def test_plugins_can_read_the_visibility(make: Make) -> None:
     (done,) = train(make("regularizers: [toy_picture]\n", "training.iterations=1"))
     assert 0 < done.logged["seen"] <= 60
 
@@ -184,7 +184,7 @@ def test_unknown_groups_are_refused_by_name(make: Make) -> None:
 # Policies.
 
 
-def test_several_policies_come_in_the_pipelines_order(make: Make) -> None:
+def test_policies_run_in_the_order_of_the_pipeline(make: Make) -> None:
     text = """\
 densification:
   - {use: toy_move, name: a, add: 2, stop: 1}
@@ -197,7 +197,7 @@ opacity: [{use: toy_fade, value: 0.5}, {use: toy_fade, name: again, factor: 0.5}
     assert trainer.model.opacities().allclose(torch.tensor(0.25))
 
 
-def test_edits_add_split_and_relocate_and_states_follow(make: Make) -> None:
+def test_states_follow_edits_that_add_split_and_relocate(make: Make) -> None:
     text = "densification: {use: toy_move, children: 3, add: 2, relocate: 2, start: 5, stop: 5}\n"
     trainer = make(text)
     train(trainer)
@@ -213,7 +213,7 @@ def test_the_limit_counts_all_children_and_added_ones(make: Make) -> None:
     assert trainer.model.count <= 62
 
 
-def test_absolute_gradients_are_collected_for_who_asks_and_survive_a_resume(make: Make) -> None:
+def test_absolute_gradients_are_collected_on_request_and_restored(make: Make) -> None:
     text = "densification: {use: toy_move, absolute: true, every: 5}\n"
     whole, second = resumed(make, text)
     assert whole.model.digest() == second.model.digest()
@@ -243,7 +243,7 @@ def test_a_perturbation_comes_after_the_step(make: Make) -> None:
     assert "toy_noise" in caught.value.where
 
 
-def test_kinds_of_points_follow_an_edit_before_the_next_component_asks(make: Make) -> None:
+def test_kinds_of_points_follow_each_edit(make: Make) -> None:
     text = "densification: {use: toy_move, children: 3, every: 2}\nperturbations: [toy_noise]\n"
     trainer = make(text, "training.iterations=7")
     counts = [done.logged["even"] for done in train(trainer)]
@@ -282,7 +282,7 @@ def test_fields_in_lock_step_differ_and_see_each_other(make: Make) -> None:
     assert done[-1].gaussians == trainer.fields[0].model.count
 
 
-def test_the_first_field_is_the_one_that_would_be_alone(make: Make) -> None:
+def test_other_fields_do_not_change_the_first(make: Make) -> None:
     alone, first = (
         make("modifiers: [toy_dropout]\n"),
         make("modifiers: [toy_dropout]\n", "training.fields=2"),
@@ -301,7 +301,7 @@ def test_several_fields_are_resumed_to_the_same_bits(make: Make) -> None:
 # What the initializer knows, and what nobody may know.
 
 
-def test_depth_of_the_initializer_reaches_regularizers_and_survives_a_resume(make: Make) -> None:
+def test_depth_of_the_initializer_reaches_regularizers_and_is_restored(make: Make) -> None:
     whole, second = resumed(make, "regularizers: [toy_guide]\n")
     assert whole.model.digest() == second.model.digest()
 
@@ -310,7 +310,7 @@ def test_depth_of_the_initializer_reaches_regularizers_and_survives_a_resume(mak
     ("at", "message"),
     [("test", "test views"), ("depth", "true depth"), ("early", "before it exists")],
 )
-def test_asking_for_the_truth_is_an_error_with_the_plugins_name(
+def test_reading_true_depth_is_an_error_that_names_the_plugin(
     make: Make, at: str, message: str
 ) -> None:
     with pytest.raises(ExplainedError, match=message) as caught:
@@ -327,7 +327,7 @@ def test_an_initializer_sees_no_test_view(make: Make) -> None:
 # The loss.
 
 
-def test_l1_and_dissimilarity_have_weights_of_their_own(make: Make) -> None:
+def test_l1_and_dissimilarity_have_separate_weights(make: Make) -> None:
     def first(*overrides: str) -> float:
         return train(make("", "training.iterations=1", *overrides))[0].loss
 
@@ -337,7 +337,7 @@ def test_l1_and_dissimilarity_have_weights_of_their_own(make: Make) -> None:
     assert both == pytest.approx(usual + 0.2 * l1, rel=1e-5)
 
 
-def test_what_is_not_used_changes_nothing(make: Make) -> None:
+def test_unused_extension_points_change_no_bit(make: Make) -> None:
     plain, dressed = (
         make(""),
         make("opacity: []\nsamplers: []\nperturbations: []\n", "training.fields=1"),

@@ -1,4 +1,4 @@
-"""What is left of an edit where the number of Gaussians is limited."""
+"""Edits with a limit for the number of Gaussians."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ ALL = torch.ones(5, dtype=torch.bool)
 
 
 def gaussians(count: int) -> Gaussians:
-    """Their places say which they are."""
+    """Return Gaussians whose positions identify them."""
     places = torch.arange(3.0 * count).reshape(count, 3)
     return Gaussians.from_points(
         places, torch.zeros(count, 3), torch.ones(count), torch.full((count,), 0.5), 1
     )
 
 
-def test_growth_is_cut_by_rank_then_index() -> None:
+def test_growth_is_limited_by_rank_then_index() -> None:
     prune = torch.tensor([False, False, False, False, True])
     edit, dropped = limited(Edit(clone=ALL, prune=prune), 6, RANK)
     assert edit.clone is not None
@@ -45,7 +45,7 @@ def test_a_split_counts_as_many_as_it_adds() -> None:
     assert limited(edit, 20, RANK) == (edit, 0)
 
 
-def test_a_clone_does_not_take_the_place_of_a_split_of_higher_rank() -> None:
+def test_a_clone_does_not_replace_a_split_of_higher_rank() -> None:
     split = torch.tensor([False, False, False, False, True])
     kept, dropped = limited(Edit(clone=~split, split=split, split_into=3), 6, RANK)
     assert kept.clone is not None
@@ -55,7 +55,7 @@ def test_a_clone_does_not_take_the_place_of_a_split_of_higher_rank() -> None:
     assert dropped == 6
 
 
-def test_added_ones_stay_until_all_clones_are_cut_and_go_from_the_end() -> None:
+def test_added_gaussians_are_dropped_after_all_clones_and_the_last_first() -> None:
     parents = torch.tensor([4, 3, 2])
     relocate = Relocation(parents[:1], parents[1:2])
     edit = Edit(clone=ALL, add=gaussians(3), parents=parents, relocate=relocate)
@@ -81,13 +81,13 @@ def test_added_ones_stay_until_all_clones_are_cut_and_go_from_the_end() -> None:
     full.check(5)
 
 
-def test_what_is_pruned_makes_room() -> None:
+def test_pruned_gaussians_make_room() -> None:
     prune = torch.tensor([True, True, False, False, False])
     edit = Edit(prune=prune, add=gaussians(2), parents=torch.tensor([0, 0]))
     assert limited(edit, 5, RANK) == (edit, 0)
 
 
-def test_without_growth_the_rest_of_an_edit_stays() -> None:
+def test_without_growth_keeps_the_rest_of_an_edit() -> None:
     parents = torch.tensor([4, 3])
     relocate = Relocation(parents[:1], parents[1:])
     prune = torch.tensor([True, False, False, False, False])

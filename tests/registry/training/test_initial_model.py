@@ -42,7 +42,7 @@ def test_duplicates_get_a_size() -> None:
     assert (gaussians.log_scales.exp() > 1e-4).all()
 
 
-def test_what_the_points_say_is_kept() -> None:
+def test_scales_and_opacities_of_the_points_are_used() -> None:
     points = PointCloud(
         torch.zeros(1, 3),
         torch.tensor([[0.2, 0.5, 0.9]]),
@@ -81,7 +81,7 @@ def test_impossible_points_are_refused(points: PointCloud, message: str) -> None
         initial_gaussians(points, SETTINGS)
 
 
-def test_all_may_start_smaller_than_their_neighbours_are_away() -> None:
+def test_initial_scale_multiplies_the_size() -> None:
     settings = TrainingSettings(initial_scale=0.1)
     whole, tenth = (initial_gaussians(cloud(9), s).log_scales.exp() for s in (SETTINGS, settings))
     torch.testing.assert_close(tenth, 0.1 * whole)

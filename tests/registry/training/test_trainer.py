@@ -34,7 +34,7 @@ def make(toys: Plugins, device: Device) -> Any:
 
 
 def poison(trainer: Trainer, rows: slice, columns: slice | list[int], value: float) -> None:
-    """Put a value into parameters past the checks of `GaussianModel.write`."""
+    """Write a value into parameters without the checks of `GaussianModel.write`."""
     parameters = trainer.model.parameters.read().clone()
     parameters[rows, columns] = value
     trainer.model.adopt(parameters, trainer.model.count)
@@ -44,7 +44,7 @@ def train(trainer: Trainer) -> list[Iteration]:
     return list(trainer.run())
 
 
-def test_the_loss_falls_and_every_iteration_is_told(make: Any) -> None:
+def test_the_loss_falls_and_every_iteration_is_yielded(make: Any) -> None:
     trainer = make("", "training.iterations=60")
     before = trainer.model.digest()
     done = train(trainer)
@@ -58,7 +58,7 @@ def test_the_last_iteration_is_stepped(make: Any) -> None:
     trainer = make("", "training.iterations=1")
     before = trainer.model.digest()
     train(trainer)
-    assert trainer.optimizer.steps == 1
+    assert trainer.fields[0].optimizer.steps == 1
     assert trainer.model.digest() != before
 
 
@@ -79,7 +79,7 @@ def test_one_seed_one_result(make: Any) -> None:
     assert digests[0] != digests[2]
 
 
-def test_a_component_never_shifts_anothers_random_numbers(make: Any) -> None:
+def test_a_component_does_not_change_random_numbers_of_others(make: Any) -> None:
     alone = make("modifiers: [toy_dropout]\n")
     beside = make("modifiers: [toy_dropout]\nregularizers: [{use: toy_term, weight: 1}]\n")
     draws = [
@@ -121,7 +121,7 @@ def test_components_follow_changes_of_topology(make: Any) -> None:
 def test_no_step_is_taken_with_gradients_from_before_an_edit(make: Any) -> None:
     trainer = make("densification: {use: toy_growth, every: 12}\n")
     train(trainer)
-    assert trainer.optimizer.steps == 11
+    assert trainer.fields[0].optimizer.steps == 11
 
 
 def test_the_last_iteration_adds_nothing(make: Any) -> None:
@@ -135,7 +135,7 @@ def test_the_last_iteration_adds_nothing(make: Any) -> None:
 def test_an_empty_edit_costs_no_step(make: Any) -> None:
     trainer = make("densification: {use: toy_growth, empty: true, every: 12}\n")
     train(trainer)
-    assert trainer.optimizer.steps == 12
+    assert trainer.fields[0].optimizer.steps == 12
 
 
 def test_opacities_are_kept_from_0_and_1(make: Any) -> None:
@@ -150,13 +150,13 @@ def test_opacities_are_kept_from_0_and_1(make: Any) -> None:
     torch.testing.assert_close(logits.sigmoid(), torch.full_like(logits, 1 - 1e-6))
 
 
-def test_opacities_that_were_reset_take_no_step_from_before(make: Any) -> None:
+def test_opacities_that_were_reset_take_no_step_from_earlier_gradients(make: Any) -> None:
     trainer = make("opacity: {use: toy_fade, value: 0.01, reset: true}\n", "training.iterations=1")
     train(trainer)
     torch.testing.assert_close(
         trainer.model.opacities(), torch.full((trainer.model.count,), 0.01), rtol=1e-5, atol=0
     )
-    row = trainer.optimizer.state()["second_moments"][10]
+    row = trainer.fields[0].optimizer.state()["second_moments"][10]
     assert not row.any()
 
 
@@ -190,7 +190,9 @@ def test_a_bad_answer_is_refused_before_the_step(
     assert trainer.iteration == 2
 
 
-def test_what_is_never_due_is_told(make: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_component_that_is_never_due_is_logged(
+    make: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     make("regularizers: [{use: toy_term, start: 5000}]\n")
     assert caplog.messages == [
         "regularizer 'toy_term' (unknown package ?) at p.yaml:4 is never due in 12 iterations"
@@ -222,7 +224,7 @@ def test_checked_plugins_end_in_the_same_bits(make: Any) -> None:
     assert plain.model.digest() == checked.model.digest()
 
 
-def test_a_component_is_looked_at_in_its_first_call_and_now_and_then(
+def test_global_random_numbers_are_checked_in_the_first_call_and_every_tenth_iteration(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def draw(self: ToyTerm, step: Step) -> torch.Tensor:
@@ -250,7 +252,7 @@ def test_a_loss_that_overflows_stops_the_run(make: Any) -> None:
     assert "iteration 1" in caught.value.where
 
 
-def test_a_parameter_that_is_no_number_ends_the_iteration(make: Any) -> None:
+def test_a_parameter_that_is_nan_ends_the_iteration(make: Any) -> None:
     trainer = make("", "training.iterations=9")
     iterations = trainer.run()
     next(iterations)
@@ -262,7 +264,9 @@ def test_a_parameter_that_is_no_number_ends_the_iteration(make: Any) -> None:
         assert caught.value.where == "log_scales[3]; iteration 3"
 
 
-def test_max_gaussians_holds_and_is_told_once(make: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_max_gaussians_is_a_limit_and_is_logged_once(
+    make: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     trainer = make("densification: {use: toy_growth, prune: false}\n", "training.max_gaussians=100")
     with caplog.at_level(logging.WARNING):
         counts = [done.gaussians for done in train(trainer)]

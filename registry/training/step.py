@@ -1,10 +1,46 @@
-"""Learning rates of one iteration."""
+"""Parts of each `Step`: renders and learning rates."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from math import cos, pi
 
+import torch
+from torch import Tensor
+
+from core_rasterizer import Camera, GaussianModel, Rendering
+
+from ..contract.step import Render, Sample
 from ..pipeline.training_settings import TrainingSettings
+
+
+def step_renderer(model: GaussianModel, sample: Sample, *, gradients: bool = True) -> Render:
+    """Return the implementation of `step.render`; see `registry.contract.step.Render`.
+
+    Args:
+        sample: gives the default background and SH degree.
+        gradients: False for renders without gradients.
+    """
+
+    def render(
+        camera: Camera,
+        *,
+        gradient: bool = True,
+        background: Sequence[float] | None = None,
+        opacity_scale: Tensor | None = None,
+        detach: Collection[str] = (),
+        sh_degree: float | None = None,
+    ) -> Rendering:
+        with torch.set_grad_enabled(gradient and gradients and torch.is_grad_enabled()):
+            return model.render(
+                camera,
+                background=sample.background if background is None else background,
+                sh_degree=int(sample.sh_degree if sh_degree is None else sh_degree),
+                opacity_scale=opacity_scale,
+                detach=detach,
+            )
+
+    return render
 
 
 def learning_rates(iteration: int, settings: TrainingSettings, extent: float) -> dict[str, float]:
@@ -18,8 +54,7 @@ def learning_rates(iteration: int, settings: TrainingSettings, extent: float) ->
         extent: extent of the scene, world units; scales the rate of the means.
     """
     rates = settings.learning_rates
-    steps = rates.position_steps or settings.iterations
-    progress = min(iteration / steps, 1.0)
+    progress = min(iteration / (rates.position_steps or settings.iterations), 1.0)
     if rates.position > 0 and rates.position_final > 0:
         position = rates.position * (rates.position_final / rates.position) ** progress
     else:  # no logarithm of zero: linear instead

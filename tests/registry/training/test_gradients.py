@@ -1,4 +1,4 @@
-"""What stops an iteration before the optimizer, and whose fault it is said to be."""
+"""Failures that stop an iteration before the optimizer step, and the component that is named."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
 
 @pytest.fixture
 def fail(extension_points: Plugins, device: Device) -> Any:
-    """Train until an iteration fails; its error. The Gaussians must be those before it."""
+    """Return a function that trains until an iteration fails, and returns the error.
+
+    It checks that the failed iteration did not change the Gaussians.
+    """
 
     def fail(text: str) -> ExplainedError:
         settings = ["training.iterations=3", "training.sh_degree=0"]
@@ -59,7 +62,7 @@ regularizers:
     ("fault", "what", "tensor"),
     [("gradient", "undefined gradient", "alpha[0, 0]"), ("backward", "no way back", "")],
 )
-def test_the_term_is_named_whose_gradient_is_undefined(
+def test_a_term_with_an_undefined_gradient_is_named(
     fail: Any, step: str, fault: str, what: str, tensor: str
 ) -> None:
     error = fail(TWO.replace("FAULT", fault).replace("STEP", step))
@@ -80,7 +83,7 @@ def test_a_loss_on_parameters_names_the_gaussian(fail: Any, monkeypatch: Any) ->
     assert "p.yaml:4, iteration 1" in error.where
 
 
-def test_the_appearance_is_named_that_lets_no_gradient_through(fail: Any, monkeypatch: Any) -> None:
+def test_an_appearance_with_an_undefined_gradient_is_named(fail: Any, monkeypatch: Any) -> None:
     colors = ToyExposure.colors
 
     def broken(self: ToyExposure, step: r.Step, rgb: Tensor) -> Tensor:
@@ -95,7 +98,7 @@ def test_the_appearance_is_named_that_lets_no_gradient_through(fail: Any, monkey
     assert "p.yaml:4" in error.where
 
 
-def test_a_term_that_its_weight_makes_infinite_is_named(fail: Any) -> None:
+def test_a_term_made_infinite_by_its_weight_is_named(fail: Any) -> None:
     error = fail("regularizers: [toy_shape, {use: toy_term, weight: 1.0e+39}]\n")
     assert "times its weight" in error.what
     assert "regularizer 'toy_term'" in error.where
@@ -112,7 +115,7 @@ def test_a_failure_of_the_engine_blames_no_component(fail: Any, monkeypatch: Any
     assert fail("regularizers: [toy_term]\n").where == "60 Gaussians; iteration 1"
 
 
-def test_an_edit_that_leaves_nothing_names_its_policy(fail: Any, monkeypatch: Any) -> None:
+def test_an_edit_that_removes_all_gaussians_names_its_policy(fail: Any, monkeypatch: Any) -> None:
     def refine(self: object, step: r.Step) -> Edit:
         return Edit(prune=torch.ones(step.model.count, dtype=torch.bool))
 

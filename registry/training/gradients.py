@@ -1,0 +1,263 @@
+"""The loss of an iteration, its backward pass, and the trainable parameters of components.
+
+Only finite gradients reach the optimizer. The checks cost nothing without a failure: the loss is read anyway,
+and the engine checks the gradients of images and parameters as it reads them. After a failure the terms are
+differentiated one by one, to find the component that caused it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import reduce
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometric_loss
+from core_rasterizer.finite import undefined_places
+
+from ..calls.read_only_guard import ReadOnlyGuard
+from ..contract.checks.answers import check_loss
+from ..contract.component import ParameterGroup
+from ..contract.step import Step
+from ..errors import PluginError, RunError
+from ..pipeline.blame import Blamable, blame
+from ..pipeline.parts import Part, Parts
+from ..pipeline.training_settings import TrainingSettings
+
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A term of the loss.
+
+    Args:
+        item: its regularizer; None for the photometric term.
+        value: scalar with gradient, including the weight.
+    """
+
+    item: Blamable | None
+    value: Tensor
+
+
+def photometric_term(
+    settings: TrainingSettings, shown: Tensor | Rendering, step: Step, model: GaussianModel
+) -> Term:
+    """Return L1 and D-SSIM between colours, or a render, and the target of the iteration.
+
+    Raises:
+        RunError: the colours are not finite.
+    """
+    try:
+        loss = photometric_loss(
+            shown,
+            step.sample.target,
+            settings.ssim_weight,
+            l1_weight=settings.l1_weight,
+            device=model.device,
+        )
+    except ExplainedError as error:
+        raise RunError(
+            error.what,
+            where=f"iteration {step.iteration}, view {step.view.name!r}",
+            fix="lower the learning rates; the last checkpoint, if any, is intact",
+        ) from error
+    return Term(None, loss)
+
+
+def regularizing_term(
+    part: Part, step: Step, lent: ReadOnlyGuard, logged: dict[str, float]
+) -> Term:
+    """Return the term of a regularizer times its weight, and log it without the weight."""
+    with part.at_work(step.iteration, lent):
+        term = check_loss(part.component.loss(step))
+    logged[part.item.qualified_name] = float(term.detach())
+    return Term(part.item, part.item.host.weight * term)
+
+
+def backward(
+    terms: Sequence[Term],
+    iteration: int,
+    model: GaussianModel,
+    parameters: ComponentParameters,
+    colors: Sequence[tuple[Blamable, Tensor]] = (),
+) -> float:
+    """Run the backward pass, and return the loss.
+
+    Args:
+        terms: terms of the loss, in order of summation.
+        model, parameters: receive the gradients.
+        colors: each appearance, in order, with its input.
+
+    Raises:
+        ExplainedError: the loss or a gradient is not finite, or the backward pass of a component failed;
+            names the component.
+    """
+    loss = reduce(torch.add, [term.value for term in terms])
+    total = float(loss.detach())
+    if not math.isfinite(total):
+        _refuse_loss(terms, iteration)
+    with in_iteration(iteration):
+        try:
+            loss.backward(retain_graph=True)
+            parameters.check_gradients(iteration)
+        except Exception:
+            _differentiate_each(terms, iteration, model, parameters, colors)
+            raise
+    return total
+
+
+@contextmanager
+def in_iteration(iteration: int) -> Iterator[None]:
+    """Add the iteration to errors of the block that lack it."""
+    try:
+        yield
+    except ExplainedError as error:
+        if "iteration" not in error.where:
+            place = f"iteration {iteration}"
+            error.where = f"{error.where}; {place}" if error.where else place
+        raise
+
+
+def zero_gradients(model: GaussianModel, parameters: ComponentParameters) -> None:
+    """Clear the gradients of the Gaussians and of the components' parameters."""
+    model.zero_gradients()
+    parameters.zero_gradients()
+
+
+def _refuse_loss(terms: Sequence[Term], iteration: int) -> None:
+    """Name the first term that is not finite; each was finite before the weight."""
+    what = "the loss is too large for single precision"
+    fix = "lower the weight of the term, or its size"
+    for term in terms:
+        if term.item is not None and not math.isfinite(float(term.value.detach())):
+            with blame(term.item, iteration):
+                raise PluginError(f"{what}: this term times its weight is", fix=fix)
+    raise RunError(what, where=f"iteration {iteration}", fix=fix)
+
+
+def _differentiate_each(
+    terms: Sequence[Term],
+    iteration: int,
+    model: GaussianModel,
+    parameters: ComponentParameters,
+    colors: Sequence[tuple[Blamable, Tensor]],
+) -> None:
+    """Differentiate the terms one by one; the first that fails raises with the name of its component."""
+    for term in terms:
+        if not term.value.requires_grad:
+            continue
+        zero_gradients(model, parameters)
+        for item, before in reversed(colors) if term.item is None else ():
+            with blame(item, iteration):
+                (gradient,) = torch.autograd.grad(
+                    term.value, before, retain_graph=True, allow_unused=True
+                )
+                what = "the colours have an undefined gradient"
+                check_finite(gradient, what, "pixel and channel")
+        with nullcontext() if term.item is None else blame(term.item, iteration):
+            term.value.backward(retain_graph=True)
+            parameters.check_gradients(iteration)
+
+
+class ComponentParameters:
+    """The parameters of all components of a pipeline, with one Adam per component.
+
+    Args:
+        parts: `parameters` of each component is called once.
+
+    Raises:
+        PluginError: a group has a tensor that is not a leaf with gradient, a repeated name, or a negative
+            learning rate.
+    """
+
+    def __init__(self, parts: Parts) -> None:
+        self._trained: list[tuple[Part, tuple[ParameterGroup, ...], torch.optim.Adam]] = []
+        for part in parts:
+            with part.at_work():
+                groups = tuple(part.component.parameters())
+                if groups:
+                    check_groups(groups)
+                    options = [{"params": list(g.tensors), "lr": g.learning_rate} for g in groups]
+                    self._trained.append((part, groups, torch.optim.Adam(options)))
+
+    def zero_gradients(self) -> None:
+        """Clear the gradients."""
+        for _, _, optimizer in self._trained:
+            optimizer.zero_grad(set_to_none=True)
+
+    def check_gradients(self, iteration: int) -> None:
+        """Refuse gradients that are not finite, before any step."""
+        for part, groups, _ in self._trained:
+            with blame(part.item, iteration):
+                for group in groups:
+                    for number, tensor in enumerate(group.tensors):
+                        what = "the gradient of its parameters is not finite"
+                        check_finite(tensor.grad, what, f"{group.name}, tensor {number}:")
+
+    def step(self) -> None:
+        """Step each Adam; tensors without gradient do not change."""
+        for _, _, optimizer in self._trained:
+            optimizer.step()
+
+    def state(self) -> dict[str, Tensor]:
+        """Return values and moments, by slash-separated names."""
+        state: dict[str, Tensor] = {}
+        for name, tensor, optimizer in self._named():
+            state[f"{name}/value"] = tensor.detach().clone()
+            moments = optimizer.state.get(tensor, {})
+            state |= {f"{name}/{key}": moments[key].clone() for key in moments}
+        return state
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Restore the result of `state`."""
+        for name, tensor, optimizer in self._named():
+            with torch.no_grad():
+                tensor.copy_(state[f"{name}/value"])
+            known = {key: state.get(f"{name}/{key}") for key in _MOMENTS}
+            moments = {key: value.clone() for key, value in known.items() if value is not None}
+            if moments:
+                optimizer.state[tensor] = moments
+
+    def _named(self) -> Iterator[tuple[str, Tensor, torch.optim.Adam]]:
+        for part, groups, optimizer in self._trained:
+            for group in groups:
+                for index, tensor in enumerate(group.tensors):
+                    yield f"{part.item.qualified_name}/{group.name}/{index}", tensor, optimizer
+
+
+def check_finite(gradient: Tensor | None, what: str, place: str) -> None:
+    """Refuse a gradient that is not finite; `what` and `place` describe it in the message."""
+    if gradient is None:
+        return
+    undefined = undefined_places(gradient)
+    if len(undefined):
+        raise PluginError(
+            f"{what} in {len(undefined)} values",
+            where=f"{place} {undefined[0].tolist()}",
+            fix="look for a division by zero or a square root of zero",
+        )
+
+
+def check_groups(groups: Sequence[ParameterGroup]) -> None:
+    """Refuse groups that cannot be trained.
+
+    Raises:
+        PluginError: see `ComponentParameters`.
+    """
+    names = [group.name for group in groups]
+    if len(set(names)) < len(names):
+        raise PluginError(f"two groups of parameters share a name: {', '.join(names)}")
+    for group in groups:
+        if not group.learning_rate >= 0:
+            raise PluginError(f"the learning rate of {group.name!r} is {group.learning_rate}")
+        for tensor in group.tensors:
+            if not (tensor.is_leaf and tensor.requires_grad and tensor.is_floating_point()):
+                raise PluginError(
+                    f"the group {group.name!r} holds a tensor that cannot be trained",
+                    fix="use torch leaves made with requires_grad=True",
+                )
