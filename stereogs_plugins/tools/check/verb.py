@@ -55,7 +55,7 @@ class Check(Command):
         """Load the scene, print its properties, write the image."""
         picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
         _check_writable(picture)
-        from registry.inspection import facts, find_loader, load, warnings
+        from registry.inspection import find_loader
         from registry.plugins import Plugins
 
         output = console()
@@ -63,6 +63,7 @@ class Check(Command):
             arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
         )
         from core_rasterizer import open_device
+        from registry.inspection import facts, load, warnings
         from registry.pipeline import build_part
         from registry.toolkit.drawing import save_png
         from registry.training import one_torch_thread
