@@ -303,10 +303,9 @@ def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
     Raises:
         ExplainedError: no such exporter, or wrong settings.
     """
-    from .inspection.single_item import qualified, single_item
+    from .inspection.scene_source import single_item
 
-    offer = Plugins().find(SECTIONS["exporters"], format_name)
-    return single_item(offer, [qualified(text, "exporters") for text in changes])
+    return single_item(Plugins().find(SECTIONS["exporters"], format_name), changes)
 
 
 def export(

@@ -147,7 +147,7 @@ def _write_package(arguments: argparse.Namespace) -> int:
 
 def _show_component(arguments: argparse.Namespace) -> int:
     """Print the help of every component of that name."""
-    from ..inspection.component_help import component_help
+    from ..inspection.explanation import component_help
     from ..plugins.discovery import Plugins
 
     console().print(component_help(arguments.name, Plugins()), end="")
@@ -181,7 +181,7 @@ def _table(offers: Sequence[Offer]) -> Table:
     """Return a row for each component, below its section of a pipeline."""
     from rich.table import Table
 
-    from ..inspection.component_help import summary
+    from ..inspection.explanation import summary
 
     table = Table.grid(padding=(0, 2))
     longest = max((len(offer.name) for offer in offers), default=0)
@@ -197,7 +197,7 @@ def _table(offers: Sequence[Offer]) -> Table:
 
 
 def _as_json(offer: Offer) -> dict[str, Any]:
-    from ..inspection.component_help import summary
+    from ..inspection.explanation import summary
 
     return {
         "name": offer.name,

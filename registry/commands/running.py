@@ -211,7 +211,7 @@ def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
         SceneError: no loader or several recognize the folder.
     """
     from ..pipeline.settings_check import escape_variables
-    from ..plugins.recognition import recognize
+    from ..plugins.discovery import recognize
 
     scene = {"path": escape_variables(str(folder))}
     if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):

@@ -1,62 +1,57 @@
-"""What a pipeline will do, told before it does it: what runs when, what it reads and needs, what it takes."""
+"""Text about components and pipelines: help, what runs when and what it needs, known faults."""
 
 from __future__ import annotations
 
+import inspect
+import json
+import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from ..contract.component import Component
 from ..contract.hook_points import PIPELINE_POINTS, STAGES
+from ..errors import PluginError
+from ..messages.suggestions import did_you_mean
 from ..pipeline.pipeline import Item, Pipeline
-from .component_help import summary
-from .prior_needs import able, needs, prior_faults
+from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
-"""Numbers kept for each parameter: itself, its gradient, Adam's two moments."""
+"""Numbers stored for each parameter: its value, its gradient, Adam's two moments."""
 _FLOAT_BYTES = 4
 _UNKNOWN_COUNT = 100_000
 
 
-@dataclass(frozen=True)
-class Explained:
-    """One component of a pipeline.
-
-    Args:
-        name: in the pipeline, for example "regularizers.stereo_depth".
-        notes: what it is, when it is asked, what it reads and needs; label and text.
-    """
+class Explained(NamedTuple):
+    """A component by its qualified name, and notes about it, each as label and text."""
 
     name: str
-    notes: tuple[tuple[str, str], ...]
+    notes: list[tuple[str, str]]
 
 
-def explained(pipeline: Pipeline) -> Iterator[tuple[str, tuple[Explained, ...]]]:
-    """Each stage that has something to do, with its components."""
+def explained(pipeline: Pipeline) -> Iterator[tuple[str, list[Explained]]]:
+    """Yield each stage that has components, with the components."""
     for number, stage in enumerate(STAGES):
         points = sorted((p for p in PIPELINE_POINTS if p.stage == number), key=lambda p: p.late)
         items = [item for point in points for item in pipeline.items[point.section]]
         if items:
-            yield stage, tuple(_explained(item, pipeline) for item in items)
+            yield stage, [_explained(item, pipeline) for item in items]
 
 
 def faults(pipeline: Pipeline) -> list[str]:
-    """What can be known to go wrong, or to come to nothing, before anything is loaded."""
-    found = []
+    """Return the problems that are known before anything is loaded."""
+    found: list[tuple[Item, str]] = []
     for item in pipeline:
-        found += [
-            f"{item.qualified_name}: {path} does not exist"
-            for path in _paths(item)
-            if not path.exists()
-        ]
-        if item.point.scheduled and not _due(item, pipeline):
-            found.append(f"{item.qualified_name}: is never due")
-    found += [f"{item.qualified_name}: {fault.what}" for item, fault in prior_faults(pipeline)]
-    return found
+        missing = [path for path in _paths(dict(item.settings)) if not path.exists()]
+        found += [(item, f"{path} does not exist") for path in missing]
+        if not _is_used(item, pipeline):
+            found.append((item, "is never due"))
+    found += [(item, fault.what) for item, fault in _prior_faults(pipeline)]
+    return [f"{item.qualified_name}: {fault}" for item, fault in found]
 
 
 def memory(pipeline: Pipeline) -> str:
-    """An estimate of what the Gaussians take, in words."""
+    """Return an estimate of the memory that the Gaussians take, as a sentence."""
     from core_rasterizer.layout import row_count
 
     training = pipeline.training
@@ -71,51 +66,163 @@ def memory(pipeline: Pipeline) -> str:
 
 
 def _explained(item: Item, pipeline: Pipeline) -> Explained:
-    component = item.offer.component
-    notes = [("is", summary(item.offer))]
-    notes.append(("from", f"{item.offer.distribution} {item.offer.version}, {item.place}"))
+    offer = item.offer
+    origin = f"{offer.distribution} {offer.version}, {item.place}"
+    notes = [("is", summary(offer)), ("from", origin)]
     if item.point.scheduled:
-        notes.append(("when", _when(item, pipeline)))
+        notes.append(("when", _when(item, pipeline.training.iterations)))
     notes.append(("reads", item.point.reads))
-    notes += [("file", f"{path}, {_size(path)}") for path in _paths(item)]
-    for wanted in needs(component):
-        names = ", ".join(able(pipeline, wanted)) or "none in the pipeline"
+    notes += [("file", f"{path}, {_size(path)}") for path in _paths(dict(item.settings))]
+    for wanted in needs(offer.component):
+        names = ", ".join(_usable(_capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
-    return Explained(item.qualified_name, tuple(notes))
+    return Explained(item.qualified_name, notes)
 
 
-def _due(item: Item, pipeline: Pipeline) -> list[int]:
-    """The iterations in which a component is called."""
-    if item.host.weight == 0:
-        return []
-    return [n for n in range(1, pipeline.training.iterations + 1) if item.schedule.due(n)]
+def _is_used(item: Item, pipeline: Pipeline) -> bool:
+    due = item.schedule.due_in(pipeline.training.iterations)
+    return not item.point.scheduled or bool(due and item.host.weight)
 
 
-def _when(item: Item, pipeline: Pipeline) -> str:
-    due = _due(item, pipeline)
-    if not due:
-        return f"never in {pipeline.training.iterations} iterations"
+def _when(item: Item, iterations: int) -> str:
+    due = item.schedule.due_in(iterations)
+    if not due or item.host.weight == 0:
+        return f"never in {iterations} iterations"
     if len(due) <= 3:
         return f"iteration {', '.join(map(str, due))}"
     return f"iterations {due[0]}, {due[1]} to {due[-1]}, {len(due)} times"
 
 
-def _paths(item: Item) -> list[Path]:
-    """Every path among the settings, in mappings and sequences too."""
-    return list(_paths_in([value for _, value in item.settings]))
-
-
-def _paths_in(value: Any) -> Iterator[Path]:
+def _paths(value: Any) -> Iterator[Path]:
+    """Yield every path in a value, also in mappings and sequences."""
     if isinstance(value, Path):
         yield value
-    elif isinstance(value, Mapping):
-        yield from _paths_in(list(value.values()))
-    elif isinstance(value, list | tuple):
-        for inner in value:
-            yield from _paths_in(inner)
+    elif isinstance(value, Mapping | list | tuple):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from _paths(inner)
 
 
 def _size(path: Path) -> str:
     if path.is_dir():
         return "a folder"
     return f"{path.stat().st_size / 1e6:.1f} MB" if path.exists() else "which does not exist"
+
+
+def refuse_missing_priors(pipeline: Pipeline) -> None:
+    """Raise a PluginError if a needed prior is missing, ambiguous, or has another capability."""
+    for _, fault in _prior_faults(pipeline):
+        raise fault
+
+
+def needs(component: type[Component[Any]]) -> list[tuple[str, ...]]:
+    """Return the needs of a component, each as the capabilities that satisfy it."""
+    return [(need,) if isinstance(need, str) else need for need in component.needs_priors]
+
+
+def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
+    """Yield each component whose prior is missing, ambiguous, or has another capability."""
+    known = _capabilities(pipeline)
+    for item in pipeline:
+        if not _is_used(item, pipeline):
+            continue
+        for wanted in needs(item.offer.component):
+            found = _prior_fault(known, wanted, _names(getattr(item.settings, "prior", None)))
+            if found is not None:
+                what, fix = found
+                yield item, PluginError(what, where=f"{item.offer} at {item.place}", fix=fix)
+
+
+def _capabilities(pipeline: Pipeline) -> dict[str, str | None]:
+    return {
+        item.name: getattr(item.offer.component, "capability", None)
+        for item in pipeline.items["priors"]
+    }
+
+
+def _usable(known: Mapping[str, str | None], wanted: tuple[str, ...]) -> list[str]:
+    """Return the priors with the first capability of `wanted` that any prior has."""
+    found = ([name for name, own in known.items() if own == capability] for capability in wanted)
+    return next((names for names in found if names), [])
+
+
+def _names(setting: Any) -> list[str]:
+    """Return all names in a setting `prior`: a name, a sequence, or a mapping to names."""
+    if isinstance(setting, str):
+        return [setting]
+    values = setting.values() if isinstance(setting, dict) else setting or ()
+    return [name for value in values for name in _names(value)]
+
+
+def _prior_fault(
+    known: Mapping[str, str | None], wanted: tuple[str, ...], names: list[str]
+) -> tuple[str, str] | None:
+    """Return what is wrong and how to fix it, with the messages of `Prior.choose`."""
+    capability = " or ".join(map(repr, wanted))
+    listed = ", ".join(f"{name} ({own})" for name, own in known.items()) or "none"
+    for name in names:
+        if known.get(name) not in wanted:
+            what = f"there is no prior named {name!r}"
+            if name in known:
+                what = f"the prior {name!r} has the capability {known[name]!r}"
+            fix = f"name one that has it; the pipeline's priors are: {listed}"
+            return f"{what}; {capability} is needed", fix
+    usable = _usable(known, wanted)
+    if names or len(usable) == 1:
+        return None
+    if usable:
+        what = f"{len(usable)} priors have the capability {capability}"
+        return what, f"choose with `prior: NAME`, one of {', '.join(usable)}"
+    what = f"a prior with the capability {capability} is needed, and the pipeline has none"
+    fix = f"add one under `priors:`; `stereogs plugins` lists them (the pipeline's: {listed})"
+    return what, fix
+
+
+def component_help(name: str, plugins: Plugins) -> str:
+    """Return the help of every component of that name; lines are broken as in the docstrings.
+
+    Raises:
+        PluginError: there is no such component.
+    """
+    offers = plugins.all()
+    found = [offer for offer in offers if offer.name == name]
+    if not found:
+        raise PluginError(
+            f"no plugin offers {name!r}{did_you_mean(name, [offer.name for offer in offers])}",
+            where="the command line",
+            fix="`stereogs plugins` lists all components",
+        )
+    return "\n".join("\n".join([*_help_lines(offer), ""]) for offer in found)
+
+
+def summary(offer: Offer) -> str:
+    """Return the purpose of a component in a sentence.
+
+    Taken from the module's docstring if that begins "`name`: ..."; else the first line of the class's.
+    """
+    module = inspect.getdoc(sys.modules[offer.component.__module__]) or ""
+    names, _, sentence = " ".join(module.partition("\n\n")[0].split()).partition(": ")
+    own = inspect.getdoc(offer.component) or ""
+    return sentence if f"`{offer.name}`" in names else own.partition("\n")[0]
+
+
+def _help_lines(offer: Offer) -> Iterator[str]:
+    yield f"{offer.name}: {offer.point.title} ({offer.distribution} {offer.version})"
+    yield ""
+    own = inspect.cleandoc(offer.component.__doc__ or "")
+    if not own.startswith(sentence := summary(offer)):
+        yield from (sentence, "")
+    yield from own.splitlines()
+    yield ""
+    yield f"settings, in the pipeline's section `{offer.point.section}`:"
+    fields = offer.settings_type.model_fields
+    if not fields:
+        yield "  none of its own"
+    for name, field in fields.items():
+        if field.is_required():
+            yield f"  {name} (required)"
+        else:
+            default = field.get_default(call_default_factory=True)
+            yield f"  {name} = {json.dumps(default, default=str)}"
+        for line in inspect.cleandoc(field.description or "").splitlines():
+            yield f"      {line}"
+    yield f"settings that the host reads: {', '.join(offer.point.host_settings)}"

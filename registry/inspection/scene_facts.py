@@ -1,4 +1,4 @@
-"""What a loader found, in words: facts for people before training, and what looks like trouble."""
+"""Facts about a loaded scene as text, and warnings about likely problems."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import torch
 from core_rasterizer import Camera
 
 from ..contract.scene import Scene, View
+from ..messages.suggestions import listing
 
 FEW_POINTS = 100
-"""Fewer sparse points leave most of a scene to chance."""
+"""Number of sparse points below which most of a scene is unknown."""
 FEW_POINTS_IN_VIEW = 30
 SMALL_BASELINE = 0.01
-"""In units of the scene's depth; triangulated depths are then off by as much as they say."""
+"""In units of the scene's depth; the error of triangulated depths is then as large as the depths."""
 WIDE_ANGLE = 45.0
-"""Degrees between two views; features are hardly recognized beyond."""
+"""Degrees between two views; features are rarely matched beyond."""
 
 
 def summary(scene: Scene) -> str:
-    """The facts in one line, for the start of a run."""
+    """Return the main facts in one line, for the start of a run."""
     points = f"{len(scene.points):,} points" if scene.points is not None else "no points"
     return (
         f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views, "
@@ -31,18 +32,20 @@ def summary(scene: Scene) -> str:
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
-    """Label and text of what the scene shows, in the order in which people read it."""
+    """Return the facts of a scene, each as label and text."""
     views = (*scene.train, *scene.test)
     masked = sum(view.mask is not None for view in views)
     with_depth = sum(view.depth is not None for view in views)
+    offset_x = _range(views, lambda camera: camera.cx - camera.width / 2)
+    offset_y = _range(views, lambda camera: camera.cy - camera.height / 2)
     return [
         ("views", f"{len(views)}: {len(scene.train)} train, {len(scene.test)} test"),
-        ("train", _names(scene.train)),
-        ("test", _names(scene.test)),
+        ("train", listing(view.name for view in scene.train)),
+        ("test", listing(view.name for view in scene.test)),
         ("size", _sizes(views)),
         ("focal x", _range(views, lambda camera: camera.fx)),
         ("focal y", _range(views, lambda camera: camera.fy)),
-        ("center off", _principal_offset(views)),
+        ("center off", f"x {offset_x}, y {offset_y}"),
         ("depth", _span(scene.bounds)),
         ("points", _points(scene)),
         ("masks", f"{masked} of {len(views)} views" if masked else "none"),
@@ -52,12 +55,12 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
 
 
 def warnings(scene: Scene) -> list[str]:
-    """One sentence for each thing about the training views that is likely to spoil the result."""
+    """Return a sentence for each property of the training views that is likely to spoil the result."""
     return [*_about_points(scene), *_about_baselines(scene), *_about_angles(scene)]
 
 
 def points_in_view(scene: Scene, view: View) -> int:
-    """How many of the scene's points lie inside the view's image, in front of it."""
+    """Return the number of the scene's points in front of a view and inside its image."""
     if scene.points is None:
         return 0
     camera = view.camera
@@ -65,12 +68,11 @@ def points_in_view(scene: Scene, view: View) -> int:
 
 
 def _about_points(scene: Scene) -> Iterator[str]:
-    """Few are worse than none: initializers that need points and get none say so themselves."""
-    count = len(scene.points) if scene.points is not None else 0
-    if not count:
+    """Without points there is no warning: initializers that need points raise an error."""
+    if scene.points is None or not len(scene.points):
         return
-    if count < FEW_POINTS:
-        yield f"there are only {count} sparse points"
+    if len(scene.points) < FEW_POINTS:
+        yield f"there are only {len(scene.points)} sparse points"
     for view in scene.train:
         inside = points_in_view(scene, view)
         if inside < FEW_POINTS_IN_VIEW:
@@ -79,7 +81,7 @@ def _about_points(scene: Scene) -> Iterator[str]:
 
 def _about_baselines(scene: Scene) -> Iterator[str]:
     if len(scene.train) == 1:
-        yield "one training view alone says nothing about depth"
+        yield "depth cannot be estimated from a single training view"
     depth = typical_depth(scene)
     for first, second in combinations(scene.train, 2):
         baseline = float((first.camera.center - second.camera.center).norm())
@@ -91,7 +93,7 @@ def _about_baselines(scene: Scene) -> Iterator[str]:
 
 
 def _about_angles(scene: Scene) -> Iterator[str]:
-    """Views that look elsewhere than every other one, or at it from another side."""
+    """Views whose direction differs from that of every other view."""
     if len(scene.train) < 2:
         return
     axes = torch.stack([view.camera.world_to_camera[2, :3] for view in scene.train])
@@ -107,26 +109,16 @@ def _about_angles(scene: Scene) -> Iterator[str]:
 
 
 def typical_depth(scene: Scene) -> float:
-    """Median depth of the points before the training views; without points, the bounds' mean (geometric).
+    """Return the median depth of the points in front of the training views, world units.
 
-    World units.
+    Without points, the geometric mean of the bounds.
     """
     near, far = scene.bounds
-    if scene.points is None or not len(scene.points):
-        return math.sqrt(near * far)
-    depths = torch.cat(
-        [
-            scene.points.positions.double() @ view.camera.world_to_camera[2, :3]
-            + view.camera.world_to_camera[2, 3]
-            for view in scene.train
-        ]
-    )
+    positions = torch.empty(0, 3) if scene.points is None else scene.points.positions
+    rows = [view.camera.world_to_camera[2] for view in scene.train]
+    depths = torch.cat([positions.double() @ row[:3] + row[3] for row in rows])
     before = depths[depths > 0]
     return float(before.median()) if len(before) else math.sqrt(near * far)
-
-
-def _names(views: Sequence[View]) -> str:
-    return ", ".join(view.name for view in views) or "none"
 
 
 def _sizes(views: Sequence[View]) -> str:
@@ -141,13 +133,6 @@ def _range(views: Sequence[View], number: Callable[[Camera], float]) -> str:
     values = [number(view.camera) for view in views]
     low, high = min(values), max(values)
     return f"{low:.1f} px" if high - low < 0.05 else f"{low:.1f} .. {high:.1f} px"
-
-
-def _principal_offset(views: Sequence[View]) -> str:
-    """The principal point as seen from the image's centre."""
-    x = _range(views, lambda camera: camera.cx - camera.width / 2)
-    y = _range(views, lambda camera: camera.cy - camera.height / 2)
-    return f"x {x}, y {y}"
 
 
 def _span(bounds: tuple[float, float]) -> str:

@@ -1,24 +1,26 @@
-"""Scenes by themselves: the loader for a folder of data or for a pipeline file, without training."""
+"""Components without a pipeline: a scene loader for a folder, or one component with its settings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..contract.checks.scene import validate
 from ..errors import SceneError
+from ..pipeline.edits import apply_override, expand
 from ..pipeline.pipeline import Item, load_pipeline
 from ..pipeline.ready import is_pipeline_file, ready_pipelines
-from ..pipeline.settings_check import escape_variables
-from ..pipeline.yaml_source import Node
-from ..plugins.discovery import Plugins
-from ..plugins.recognition import SCENE, recognize
-from .single_item import COMMAND_LINE, qualified, single_item
+from ..pipeline.schedule import HostSettings
+from ..pipeline.settings_check import escape_variables, validate_settings
+from ..pipeline.yaml_source import Node, Place
+from ..plugins.discovery import SCENE, Offer, Plugins, recognize
 
 if TYPE_CHECKING:
     from ..contract.scene import Scene
     from ..pipeline.parts import Part
+
+_COMMAND_LINE = Place("the command line")
 
 
 class FoundLoader(NamedTuple):
@@ -29,49 +31,64 @@ class FoundLoader(NamedTuple):
 
 
 def find_loader(
-    data: Path,
-    plugins: Plugins,
-    *,
-    format_name: str | None = None,
-    changes: Sequence[str] = (),
+    data: Path, plugins: Plugins, *, format_name: str | None = None, changes: Sequence[str] = ()
 ) -> FoundLoader:
-    """The loader for a folder, or of a pipeline.
+    """Return the loader for a folder, or the loader of a pipeline.
 
     Args:
         data: a folder, a pipeline's YAML file, or the name of a ready pipeline.
-        format_name: the loader to use for a folder; None asks the loaders which one knows it.
+        format_name: the loader to use for a folder; None chooses the loader that recognizes it.
         changes: `key=value` or `scene.key=value`, settings of the loader.
 
     Raises:
-        ExplainedError: nothing is there, no loader or several know the folder, or wrong settings.
+        ExplainedError: the path does not exist, no loader or several recognize the folder, or a setting
+            is wrong.
     """
-    overrides = [qualified(text, SCENE.section) for text in changes]
-    if is_pipeline_file(data) or (not data.exists() and data.as_posix() in ready_pipelines()):
-        if format_name is not None:
-            raise SceneError(
-                "a pipeline file names its own loader",
-                where=f"--format {format_name}",
-                fix="leave --format out, or give the folder of the data",
-            )
-        pipeline = load_pipeline(data, plugins, overrides=overrides)
-        return FoundLoader(pipeline.one(SCENE.section), pipeline.training.seed)
-    return FoundLoader(_folder_item(data, plugins, format_name, overrides))
+    if not is_pipeline_file(data) and (data.exists() or data.as_posix() not in ready_pipelines()):
+        offer = (
+            recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
+        )
+        path = Node(escape_variables(str(data)), _COMMAND_LINE)
+        return FoundLoader(single_item(offer, changes, {"path": path}))
+    if format_name is not None:
+        raise SceneError(
+            "a pipeline file names its own loader",
+            where=f"--format {format_name}",
+            fix="leave --format out, or give the folder of the data",
+        )
+    overrides = [_qualified(text, SCENE.section) for text in changes]
+    pipeline = load_pipeline(data, plugins, overrides=overrides)
+    return FoundLoader(pipeline.one(SCENE.section), pipeline.training.seed)
 
 
 def load(loader: Part) -> Scene:
-    """Load a scene and validate it.
-
-    Raises:
-        ExplainedError: raised by the loader, or the scene is not valid.
-    """
+    """Load a scene and validate it; raises an ExplainedError if the loader fails or it is not valid."""
     with loader.at_work():
         return validate(loader.component.load())
 
 
-def _folder_item(
-    data: Path, plugins: Plugins, format_name: str | None, overrides: Sequence[str]
+def single_item(
+    offer: Offer, changes: Sequence[str] = (), written: Mapping[str, Node] | None = None
 ) -> Item:
-    """The item that a pipeline would have with `scene: {use: ..., path: ..., ...}`."""
-    offer = recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
-    path = Node(escape_variables(str(data)), COMMAND_LINE)
-    return single_item(offer, overrides, {"path": path})
+    """Return the item of a component that no pipeline names.
+
+    Args:
+        changes: `key=value` or `section.key=value`, settings of the component.
+        written: settings that the changes apply to.
+
+    Raises:
+        PipelineError: a change is malformed, or a setting is wrong.
+    """
+    section = offer.point.section
+    root = Node({section: Node(dict(written or {}), _COMMAND_LINE)}, _COMMAND_LINE)
+    for text in changes:
+        apply_override(root, _qualified(text, section))
+    settings = validate_settings(
+        offer.settings_type, Node(expand(root.at((section,))), _COMMAND_LINE), section
+    )
+    return Item(offer.name, settings, HostSettings(use=offer.name), offer, _COMMAND_LINE)
+
+
+def _qualified(change: str, section: str) -> str:
+    """Return `key=value` as `section.key=value`, which may be written so already."""
+    return f"{section}.{change.removeprefix(f'{section}.')}"

@@ -1,4 +1,4 @@
-"""Does a device compute what the reference computes? What `stereogs doctor` asks each of them."""
+"""Compare a device with the reference renderer, for `stereogs doctor`."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import torch
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians, reference
 
 TOLERANCE = 1e-3
-"""Largest difference of a colour in [0, 1] that rounding explains; images differ by 1/255 visibly."""
+"""Largest difference of a colour in [0, 1] due to rounding; a visible difference is 1/255."""
 GRADIENT_TOLERANCE = 1e-2
 """Largest relative difference of a gradient, by norm."""
+_SEED = 20240229
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far a device is from the reference.
+    """Difference between a device and the reference.
 
     Args:
-        image_error: largest difference of a colour, colours being about 0 to 1.
-        gradient_error: norm of the difference over norm of the reference, the worst parameter's.
+        image_error: largest difference of a colour; colours are about 0 to 1.
+        gradient_error: norm of the difference over norm of the reference, of the worst parameter.
     """
 
     image_error: float
@@ -36,10 +37,12 @@ def self_test(device: Device) -> Verdict:
     """Render 300 Gaussians and differentiate the image, on the device and by the reference.
 
     Raises:
-        DeviceError: the device could not be opened, or refused the kernels.
+        DeviceError: the device could not be opened, or the kernels could not be built.
     """
-    gaussians, camera = _scene()
-    weights = torch.rand(camera.height, camera.width, 3, generator=_generator())
+    gaussians = _gaussians()
+    camera = Camera(torch.eye(4), fx=90.0, fy=95.0, cx=47.0, cy=34.0, width=96, height=66)
+    generator = torch.Generator().manual_seed(_SEED)
+    weights = torch.rand(camera.height, camera.width, 3, generator=generator)
     model = GaussianModel(gaussians, device)
     rendering = model.render(camera)
     (rendering.rgb * weights).sum().backward()
@@ -57,33 +60,25 @@ def self_test(device: Device) -> Verdict:
     )
     (expected.rgb * weights.double()).sum().backward()
     image_error = float((rendering.rgb.detach().double() - expected.rgb.detach()).abs().max())
+    gradients = [(model.gradient(name).double(), leaf.grad) for name, leaf in leaves.items()]
     errors = [
-        float((model.gradient(name).double() - leaf.grad).norm() / leaf.grad.norm())
-        for name, leaf in leaves.items()
-        if leaf.grad is not None
+        float((own - true).norm() / true.norm()) for own, true in gradients if true is not None
     ]
     return Verdict(image_error, max(errors))
 
 
-def _generator() -> torch.Generator:
-    return torch.Generator().manual_seed(20240229)
-
-
-def _scene() -> tuple[Gaussians, Camera]:
-    generator = _generator()
+def _gaussians() -> Gaussians:
+    count, generator = 300, torch.Generator().manual_seed(_SEED)
 
     def uniform(*shape: int, low: float, high: float) -> torch.Tensor:
         return low + (high - low) * torch.rand(*shape, generator=generator)
 
-    count = 300
     means = uniform(count, 3, low=-1.5, high=1.5)
     means[:, 2] += 4.0
-    gaussians = Gaussians(
+    return Gaussians(
         means=means,
         log_scales=uniform(count, 3, low=-3.5, high=-1.5),
         quaternions=torch.randn(count, 4, generator=generator),
         opacity_logits=uniform(count, low=-1.5, high=1.5),
         sh=0.3 * torch.randn(count, 16, 3, generator=generator),
     )
-    camera = Camera(torch.eye(4), fx=90.0, fy=95.0, cx=47.0, cy=34.0, width=96, height=66)
-    return gaussians, camera

@@ -1,12 +1,11 @@
-"""Around every call into a component: whose error it is, and what the call must leave as it was."""
+"""The context of every call into a component: names it in errors, and checks what it leaves behind."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from core_rasterizer.errors import ExplainedError
 
@@ -16,32 +15,24 @@ from ..calls.read_only_guard import NOTHING, ReadOnlyGuard
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.prior import Prior
 from ..errors import PluginError
-from ..plugins.discovery import Offer
-from .yaml_source import Place
 
-
-class Blamable(Protocol):
-    """A component's origin: what a pipeline's item carries."""
-
-    @property
-    def offer(self) -> Offer: ...
-    @property
-    def place(self) -> Place: ...
+if TYPE_CHECKING:
+    from .pipeline import Item
 
 
 @contextmanager
-def blame(item: Blamable, iteration: int | None = None) -> Iterator[None]:
+def blame(item: Item, iteration: int | None = None) -> Iterator[None]:
     """Name the component in every error that leaves the block.
 
-    An `ExplainedError` keeps its type and what, gains the component in its `where`, and a fix if it
-    has none; any other exception, and an attempt to exit, becomes a `PluginError` with the original as
-    its cause. Ctrl-C passes, with a note of who was at work.
+    An `ExplainedError` keeps its type and text; the component is added to its `where`, and a fix if it has
+    none. Any other exception, and an attempt to exit, becomes a `PluginError` with the original as its
+    cause. Ctrl-C passes, with a note that names the component.
 
     Args:
-        item: the component at work.
+        item: the component that is called.
         iteration: of training, or None outside the loop.
     """
-    culprit = _culprit(item)
+    name = culprit = _name(item)
     if iteration is not None:
         culprit += f", iteration {iteration}"
     try:
@@ -61,80 +52,74 @@ def blame(item: Blamable, iteration: int | None = None) -> Iterator[None]:
         stop.add_note(f"while {culprit} was at work")
         raise
     except Hang as hang:
-        if hang.call.who != _culprit(item):
-            raise  # not this one, but who asked it
+        if hang.call.who != name:
+            raise  # another component hangs, which this one called or was called by
         raise hang.explained() from None
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What a component's call hands on to those that it asks itself, such as priors."""
+class _Call(NamedTuple):
+    """The current call into a component; the calls that it makes itself, such as to priors, inherit it."""
 
     iteration: int | None = None
     lent: ReadOnlyGuard = NOTHING
     look: bool = True
 
 
-_NOBODY = _Asked()
-_ASKED: ContextVar[_Asked] = ContextVar("asked")
+_CALL: ContextVar[_Call] = ContextVar("call")
 
 
 @contextmanager
 def at_work(
-    item: Blamable,
+    item: Item,
     seed: int,
     iteration: int | None = None,
     lent: ReadOnlyGuard = NOTHING,
     *,
     look: bool = True,
 ) -> Iterator[None]:
-    """Everything that is done around a call into a component.
+    """The context of a call into a component.
 
-    Errors name it (`blame`), the watchdog knows of it, its memory is counted, and it must leave what it
-    is lent and what the process shares as they are. Within an iteration it may not touch global random
-    generators; else it has them to itself.
+    Errors name it (`blame`), the watchdog and the memory ledger record it, and it must not change the
+    tensors that it receives or the state of the process. Within an iteration it must not use global random
+    generators; outside, they are seeded for the call and restored afterwards.
 
     Args:
-        item: the component at work.
-        seed: for the global generators.
-        iteration: of training; None outside the loop, or for that of the component that asks.
-        lent: what it is shown, beside what the component that asks was.
-        look: whether to look at the global generators within an iteration, which takes longer than all
-            the rest.
+        iteration: of training; None outside the loop, or for the iteration of the calling component.
+        lent: tensors that it receives, besides those of the calling component.
+        look: check the global generators within an iteration, which takes longer than all other checks.
     """
-    asked = _ASKED.get(_NOBODY)
+    outer = _CALL.get(_Call())
     if iteration is None:
-        iteration, look = asked.iteration, look and asked.look
-    inner = _Asked(iteration, asked.lent + lent, look)
-    who = _culprit(item)
-    token = _ASKED.set(inner)
+        iteration, look = outer.iteration, look and outer.look
+    call = _Call(iteration, outer.lent + lent, look)
+    name = _name(item)
+    random_numbers: AbstractContextManager[None] = nullcontext()
+    if iteration is None:
+        random_numbers = own_random_numbers(seed)
+    elif look:
+        random_numbers = no_global_random_numbers()
+    token = _CALL.set(call)
     try:
         with (
             blame(item, iteration),
-            WATCHDOG.watching(who, iteration),
-            LEDGER.watching(who),
-            left_as_found(who, threads=not item.offer.point.observes),
-            _random_numbers(seed, inner),
-            inner.lent.kept(),
+            WATCHDOG.watching(name, iteration),
+            LEDGER.watching(name),
+            left_as_found(name, threads=not item.point.observes),
+            random_numbers,
+            call.lent.kept(),
         ):
             yield
     finally:
-        _ASKED.reset(token)
+        _CALL.reset(token)
 
 
-def _random_numbers(seed: int, asked: _Asked) -> AbstractContextManager[None]:
-    if asked.iteration is None:
-        return own_random_numbers(seed)
-    return no_global_random_numbers() if asked.look else nullcontext()
-
-
-def _culprit(item: Blamable) -> str:
+def _name(item: Item) -> str:
     return f"{item.offer} at {item.place}"
 
 
-def _advice(item: Blamable) -> str:
-    """What a user can do about a component that fails."""
-    point, package = item.offer.point, item.offer.distribution
-    if point.required or issubclass(point.base, Prior):
-        return f"report it to the authors of {package}, or put another {point.title} in its place"
-    return f"report it to the authors of {package}, or switch it off with `--disable {item.offer.name}`"
+def _advice(item: Item) -> str:
+    """How a user can work around a component that fails."""
+    report = f"report it to the authors of {item.offer.distribution}"
+    if item.point.required or issubclass(item.point.base, Prior):
+        return f"{report}, or put another {item.point.title} in its place"
+    return f"{report}, or switch it off with `--disable {item.offer.name}`"

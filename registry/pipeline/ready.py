@@ -10,8 +10,8 @@ from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import PipelineError
 from ..messages.suggestions import did_you_mean, listing
+from .yaml_source import Place
 
 PIPELINES, PROTOCOLS = "stereogs.pipelines", "stereogs.protocols"
 """The entry-point groups."""
@@ -41,18 +41,11 @@ def ready_pipelines() -> dict[str, tuple[Path, ...]]:
     return packaged_files(PIPELINES)
 
 
-def only_file(what: str, files: tuple[Path, ...], where: str, fix: str) -> Path:
-    """Return the single file of a name.
-
-    Raises:
-        PipelineError: several packages provide it.
-    """
+def only_file(what: str, files: tuple[Path, ...], place: Place, fix: str) -> Path:
+    """Return the single file of a name; raise a PipelineError if several packages provide it."""
     if len(files) > 1:
-        raise PipelineError(
-            f"{what} is provided by several packages: {listing(map(str, files))}",
-            where=where,
-            fix=fix,
-        )
+        files_listed = listing(map(str, files))
+        raise place.error(f"{what} is provided by several packages: {files_listed}", fix)
     return files[0]
 
 
@@ -64,17 +57,15 @@ def find_pipeline(given: Path) -> Path:
     """
     if given.is_file() or given.suffix.lower() in _SUFFIXES:
         return given
-    name, where = given.as_posix(), "the command line"
+    name, place = given.as_posix(), Place("the command line")
     ready = ready_pipelines()
     if name in ready:
-        return only_file(
-            f"the pipeline {name!r}", ready[name], where, "give the path of one of them"
-        )
+        fix = "give the path of one of them"
+        return only_file(f"the pipeline {name!r}", ready[name], place, fix)
     folders = {found.partition("/")[0]: None for found in ready if "/" in found}
     more = f"; more are in {listing(folders)}" if folders else ""
-    raise PipelineError(
+    raise place.error(
         f"found neither a pipeline file nor a ready pipeline {name!r}{did_you_mean(name, ready)}",
-        where=where,
         fix="give the path of a YAML file (to train, also of an existing folder), or one of: "
         f"{listing(found for found in ready if '/' not in found)}{more}",
     )

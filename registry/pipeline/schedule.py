@@ -1,4 +1,4 @@
-"""When a component is due, and how many spherical-harmonic bands are in use."""
+"""The iterations in which a component is called, and the other settings that the host reads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, Self
 import pydantic
 
 from ..contract.component import Settings
-from ..errors import PipelineError
 from .yaml_source import Node
 
 _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
@@ -19,11 +18,10 @@ _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
 class Schedule(Settings):
     """The iterations in which a component is called.
 
-    Due exactly when start <= iteration <= stop and iteration % every == phase % every. Iterations count
-    from 1. A given `start` is the first due iteration: `start: 5, every: 2` is due at 5, 7, 9. Without
-    `start`, `every: 100` is due at 100, 200. An explicit `phase` overrides both: `start: 550, every: 100,
-    phase: 0` is due at 600, 700. In a pipeline, all four may also be written as a share of
-    `training.iterations`, such as `50%`.
+    Due if start <= iteration <= stop and iteration % every == phase % every. Iterations count from 1. A
+    given `start` is the first due iteration: `start: 5, every: 2` is due at 5, 7, 9. Without `start`,
+    `every: 100` is due at 100, 200. An explicit `phase` overrides both: `start: 550, every: 100, phase: 0`
+    is due at 600, 700. In a pipeline, all four may also be a share of `training.iterations`, such as `50%`.
     """
 
     start: Annotated[int, pydantic.Field(ge=1)] = 1
@@ -43,7 +41,7 @@ class Schedule(Settings):
         start, every = data.get("start"), data.get("every", 1)
         if isinstance(start, int) and isinstance(every, int) and start > 0 and every > 0:
             return {**data, "phase": start % every}
-        return data  # the fields' own types refuse it
+        return data  # invalid types are reported by the fields
 
     @pydantic.model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -52,78 +50,75 @@ class Schedule(Settings):
         return self
 
     def due(self, iteration: int) -> bool:
-        """Whether the component is called in this iteration."""
+        """Return whether the component is called in this iteration."""
         in_turn = (iteration - self.phase) % self.every == 0
         return in_turn and iteration >= self.start and not self.over(iteration)
 
-    def ever_due(self, iterations: int) -> bool:
-        """Whether the component is called at all in so many iterations."""
+    def due_in(self, iterations: int) -> range:
+        """Return the iterations of a run in which the component is called."""
+        first = self.start + (self.phase - self.start) % self.every
         last = iterations if self.stop is None else min(iterations, self.stop)
-        first_turn = range(self.start, min(last, self.start + self.every - 1) + 1)
-        return any(self.due(iteration) for iteration in first_turn)
+        return range(first, last + 1, self.every)
 
     def over(self, iteration: int) -> bool:
-        """Whether neither this iteration nor a later one is due."""
+        """Return whether neither this iteration nor a later one is due."""
         return self.stop is not None and iteration > self.stop
 
 
-def moved(moment: int, factor: Fraction) -> int:
-    """A moment of a run in one of another length, rounded down.
-
-    The first iteration stays the first, and what is due in each one stays due in each.
-    """
-    return max(1, int(moment * factor)) if moment > 1 else moment
+def rescaled(iterations: int, factor: Fraction) -> int:
+    """Return iterations in a run of another length, rounded down; 0 and 1 stay as they are."""
+    return max(1, int(iterations * factor)) if iterations > 1 else iterations
 
 
 class HostSettings(Schedule):
-    """What the host lends to a component beside the component's own settings."""
+    """The settings of a component that the host reads."""
 
     use: str
-    """The component's name, as its plugin registered it."""
+    """The component's name, as its plugin registers it."""
     name: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
-    """What this component is called in the pipeline; `use` unless given."""
+    """The component's name in the pipeline; `use` unless given."""
     enabled: bool = True
-    """False switches the component off, as if it were not written."""
+    """False disables the component, as if it were not written."""
     weight: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 1.0
     """Factor of a regularizer's term in the loss."""
     step: Literal["together", "alone"] = "together"
-    """A regularizer's term joins the loss, or has a backward pass and an optimizer step of its own,
-    before the iteration's own render, in the order of the pipeline."""
+    """"together": the regularizer's term is added to the loss. "alone": it has its own backward pass and
+    optimizer step, before the iteration's render, in the order of the pipeline."""
 
     def scaled(self, factor: Fraction) -> Self:
-        """The same in a run of another length."""
+        """Return the settings for a run of another length."""
         changes = {
-            "start": moved(self.start, factor),
-            "stop": None if self.stop is None else moved(self.stop, factor),
-            "every": moved(self.every, factor),
+            "start": rescaled(self.start, factor),
+            "stop": None if self.stop is None else rescaled(self.stop, factor),
+            "every": rescaled(self.every, factor),
             "phase": int(self.phase * factor),
         }
         return self.model_validate({**self.model_dump(), **changes})
 
 
 def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
-    """The host's settings with shares such as `stop: 50%` as numbers of iterations, rounded down.
+    """Return the host's settings with shares such as `stop: 50%` as iterations, rounded down.
 
-    In a run so short that a share ends before the start, the component is never due: it is disabled.
+    If a run is so short that a share ends before the start, the component is disabled.
 
     Raises:
         PipelineError: a share is more than 100 %.
     """
     result = dict(settings)
     shares: list[Node] = []
-    for name in ("start", "stop", "every", "phase"):
+    for name in Schedule.model_fields:
         node = settings.get(name)
-        share = _SHARE.fullmatch(node.content) if node and isinstance(node.content, str) else None
-        if node and share:
-            if float(share[1]) > 100:
-                raise PipelineError(
-                    f"{name} is {node.content} of the iterations: that moment never comes",
-                    where=str(node.place),
-                    fix="write a share from 0% to 100%, or a number of iterations",
-                )
-            moment = int(Fraction(share[1]) * iterations / 100)  # floats make 57 % of 10,000 5,699
-            result[name] = Node(max(1, moment), node.place)
-            shares.append(result[name])
+        share = _SHARE.fullmatch(str(node.content)) if node else None
+        if node is None or share is None:
+            continue
+        if float(share[1]) > 100:
+            raise node.place.error(
+                f"{name} is {node.content} of the iterations, more than there are",
+                fix="write a share from 0% to 100%, or a number of iterations",
+            )
+        exact = Fraction(share[1]) * iterations / 100  # with floats, 57 % of 10,000 is 5,699
+        result[name] = Node(max(1, int(exact)), node.place)
+        shares.append(result[name])
     start, stop = (result[name].content if name in result else None for name in ("start", "stop"))
     if shares and isinstance(start, int) and isinstance(stop, int) and stop < start:
         del result["start"], result["stop"]
@@ -132,7 +127,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
 
 
 def active_sh_degree(iteration: int, sh_degree: int, every: int) -> int:
-    """Bands in use: degree 0 at first, one more in each multiple of `every` (3DGS: 1000).
+    """Return the highest band in use: 0 at first, one more in each multiple of `every` (3DGS: 1000).
 
     Args:
         iteration: 1-based.

@@ -1,17 +1,16 @@
-"""Typed settings from YAML: pydantic decides, and its errors become ones with a line and a fix."""
+"""Settings from YAML, validated by pydantic; errors give the line and a fix."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar, get_args
 
 import pydantic
 
 from ..contract.component import Settings
-from ..errors import PipelineError
 from ..messages.suggestions import did_you_mean, listing
 from .yaml_source import Node, Place
 
@@ -34,25 +33,29 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     Args:
         node: the mapping; `${NAME}` in its texts is replaced by the environment variable.
         path: the mapping's place in the pipeline, for messages, for example "scene".
-        lent: further names that may stand beside these, which the host reads itself.
+        lent: further names that the section may contain, which the host reads.
 
     Raises:
         PipelineError: unknown names (with the nearest known one), wrong types or values, an
-            environment variable that is not set. All mistakes of the mapping at once.
+            environment variable that is not set. Reports all mistakes of the mapping.
     """
     # Through JSON, pydantic's strict types still take a list as a tuple and text as a path.
     text = json.dumps(plain(node))
     try:
         return model.model_validate_json(text, strict=True)
     except pydantic.ValidationError as error:
-        # A setting that is missing is often the one that another name was meant for.
+        # A missing setting is often a misspelt one: report the misspelt name first.
         found = sorted(error.errors(), key=lambda problem: problem["type"] == "missing")
-        problems = [_explain(problem, model, node, path, lent) for problem in found]
-    raise _joined(problems)
+    problems = list(dict.fromkeys(_explain(one, model, node, path, lent) for one in found))
+    place, what, _ = problems[0]
+    if len(problems) > 1:
+        lines = [f"  {place}: {message}" for place, message, _ in problems]
+        what = "\n".join([f"{len(problems)} settings are wrong:", *lines])
+    raise place.error(what, fix="\n".join(dict.fromkeys(fix for _, _, fix in problems)))
 
 
 def plain(node: Node) -> Any:
-    """A node as plain dicts, lists and scalars, with environment variables filled in.
+    """Return a node as plain dicts, lists and scalars, with environment variables filled in.
 
     Raises:
         PipelineError: a variable is not set, or its `}` is missing.
@@ -80,15 +83,13 @@ def _expand_variables(text: str, place: Place) -> str:
         if name is None:
             return "${"
         if not match.group(2):
-            raise PipelineError(
+            raise place.error(
                 f"the variable in {text[:100]!r} is not closed",
-                where=str(place),
                 fix="write ${NAME}; $${ stands for these two characters themselves",
             )
         if name not in os.environ:
-            raise PipelineError(
+            raise place.error(
                 f"the environment variable {name!r} is not set",
-                where=str(place),
                 fix=f"set it (export {name}=...), or override this setting with --set",
             )
         return os.environ[name]
@@ -99,68 +100,38 @@ def _expand_variables(text: str, place: Place) -> str:
 def _explain(
     problem: Any, model: type[Settings], node: Node, path: str, lent: Sequence[str]
 ) -> tuple[Place, str, str]:
-    """One of pydantic's errors as place, message and fix."""
+    """Return place, message and fix of one of pydantic's errors."""
     location: tuple[str | int, ...] = problem["loc"]
-    kind, context = problem["type"], problem.get("ctx", {})
-    owner = _model_at(model, location[:-1])
-    # A value that is itself a model's, such as `training.learning_rates: 3`, has fields of its own.
-    names = [*owner.model_fields, *(lent if len(location) <= 1 else ())]
-    where = _dotted(path, location)
-    fix = f"settings: {listing(names)}"
+    kind, written = problem["type"], node.at(location)
+    # A value of a nested model, such as `training.learning_rates: 3`, is not a field of that model.
+    fields = _model_at(model, location[:-1]).model_fields
+    names = [*fields, *(lent if len(location) <= 1 else ())]
+    where = ".".join([path, *map(str, location)])
+    section = ".".join([path, *map(str, location[:-1])])
     if kind == "extra_forbidden":
         name = str(location[-1])
-        section = _dotted(path, location[:-1])
         message = f"{section} has no setting {name!r}{did_you_mean(name, names)}"
     elif kind == "missing":
-        message = f"{_dotted(path, location[:-1])} needs the setting {str(location[-1])!r}"
+        message = f"{section} needs the setting {str(location[-1])!r}"
     elif kind in ("value_error", "assertion_error"):
-        message = f"{where}: {context.get('error', problem['msg'])}"
+        message = f"{where}: {problem.get('ctx', {}).get('error', problem['msg'])}"
     elif kind in _MESSAGES:
-        message = f"{where} {_MESSAGES[kind]}, not {node.at(location).kind}"
+        message = f"{where} {_MESSAGES[kind]}, not {written.kind}"
     else:
-        message = f"{where}: {_decapitalized(problem['msg'])}, not {node.at(location).kind}"
-    return node.at(location).place, message, fix
-
-
-def _joined(problems: list[tuple[Place, str, str]]) -> PipelineError:
-    distinct = list(dict.fromkeys(problems))
-    if len(distinct) == 1:
-        place, message, fix = distinct[0]
-        return PipelineError(message, where=str(place), fix=fix)
-    lines = "\n".join(f"  {place}: {message}" for place, message, _ in distinct)
-    return PipelineError(
-        f"{len(distinct)} settings are wrong:\n{lines}",
-        where=str(distinct[0][0]),
-        fix="\n".join(dict.fromkeys(fix for _, _, fix in distinct)),
-    )
+        message = f"{where}: {problem['msg'][:1].lower()}{problem['msg'][1:]}, not {written.kind}"
+    return written.place, message, f"settings: {listing(names)}"
 
 
 def _model_at(model: type[Settings], location: tuple[str | int, ...]) -> type[Settings]:
-    """The settings model that a location points into, as far as fields lead there."""
+    """Return the innermost settings model on the way to a location."""
     for step in location:
         field = model.model_fields.get(str(step))
-        nested = _first(field.annotation, _is_model) if field else None
-        if nested is None:
-            continue
-        model = nested
+        model = (_settings_in(field.annotation) if field else None) or model
     return model
 
 
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, Settings)
-
-
-def _first(annotation: Any, accept: Callable[[Any], bool]) -> Any:
-    """The first part of a type, such as a member of a union, that is accepted."""
-    if accept(annotation):
+def _settings_in(annotation: Any) -> type[Settings] | None:
+    """Return the first settings model in a type, such as a member of a union."""
+    if isinstance(annotation, type) and issubclass(annotation, Settings):
         return annotation
-    parts = (_first(part, accept) for part in get_args(annotation))
-    return next((part for part in parts if part is not None), None)
-
-
-def _dotted(path: str, location: tuple[str | int, ...]) -> str:
-    return ".".join([path, *map(str, location)])
-
-
-def _decapitalized(text: str) -> str:
-    return text[:1].lower() + text[1:]
+    return next(filter(None, map(_settings_in, get_args(annotation))), None)

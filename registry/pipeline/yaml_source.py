@@ -1,4 +1,4 @@
-"""YAML as a tree that knows where each value stands, read without YAML's traps.
+"""YAML as a tree of values with their lines.
 
 Plain scalars follow YAML 1.2's core rules, not PyYAML's older ones: `yes`, `no`, `on` and `off` are
 text, `1e-3` is a number, `012` is twelve and `1:30` is text. A repeated key, an alias and a tag such
@@ -8,6 +8,7 @@ as `!!python/object` are refused. `to_yaml` writes text that `parse` reads back 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,26 +20,28 @@ from ..errors import PipelineError
 
 Scalar = str | int | float | bool | None
 
-_WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
-_WORDS |= {word.capitalize(): _WORDS[word] for word in ("null", "true", "false")}
-_WORDS |= {word.upper(): _WORDS[word] for word in ("null", "true", "false")}
+_WORDS: Mapping[str, Scalar] = {"": None, "~": None} | {
+    form: value
+    for word, value in {"null": None, "true": True, "false": False}.items()
+    for form in (word, word.capitalize(), word.upper())
+}
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _CORE_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
 _LEFT_OPEN = ("while parsing a flow", "while scanning a simple key", "while scanning a quoted")
-"""How PyYAML begins to tell of a bracket, key or quotation mark without its end."""
+"""How PyYAML's errors about a bracket, key or quotation mark without its end begin."""
 _MAX_DEPTH = 32
 _MAX_BYTES = 100_000
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value was written: a line of a file, or the command line.
+    """Where a value was written.
 
     Args:
-        source: the file as the user named it, or the option, for example "--set training.seed=1".
-        line: 1-based, or None for the command line.
+        source: a file, or an option such as "--set training.seed=1".
+        line: 1-based; None for an option.
     """
 
     source: str
@@ -47,10 +50,14 @@ class Place:
     def __str__(self) -> str:
         return self.source if self.line is None else f"{self.source}:{self.line}"
 
+    def error(self, what: str, fix: str = "") -> PipelineError:
+        """Return an error at this place."""
+        return PipelineError(what, where=str(self), fix=fix)
+
 
 @dataclass
 class Node:
-    """A value with its place. `content` is a scalar, a list of nodes, or nodes by key."""
+    """A value and its place. `content` is a scalar, a list of nodes, or nodes by key."""
 
     content: Scalar | list[Node] | dict[str, Node]
     place: Place
@@ -65,7 +72,7 @@ class Node:
         return "empty" if self.content is None else repr(self.content)
 
     def as_written(self) -> Any:
-        """Plain values, environment variables not filled in."""
+        """Return plain values, with environment variables as written."""
         if isinstance(self.content, dict):
             return {key: child.as_written() for key, child in self.content.items()}
         if isinstance(self.content, list):
@@ -73,7 +80,7 @@ class Node:
         return self.content
 
     def at(self, path: tuple[str | int, ...]) -> Node:
-        """The node at a path of keys and indices, or the last one on the way that exists."""
+        """Return the node at a path of keys and indices, or the last existing node on the way."""
         node = self
         for step in path:
             if isinstance(node.content, dict) and step in node.content:
@@ -93,28 +100,24 @@ def read(path: Path) -> Node:
     """
     try:
         if path.exists() and not path.is_file():
-            raise OSError("it is no regular file")
+            raise OSError("it is not a regular file")
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise PipelineError(
+        raise Place(str(path)).error(
             f"the pipeline file cannot be read: {error.strerror or error}",
-            where=str(path),
             fix="give the path of a pipeline file, or the name of a ready one, for example 3dgs",
         ) from error
     if len(data) > _MAX_BYTES:
-        raise PipelineError(
+        raise Place(str(path)).error(
             f"the file has more than {_MAX_BYTES:,} bytes, too many for a pipeline",
-            where=str(path),
             fix="give the path of a pipeline file, for example pipelines/3dgs.yaml",
         )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        raise PipelineError(
-            "the file is not UTF-8 text", where=f"{path}:{line}", fix="save it as UTF-8"
-        ) from error
+        place = Place(str(path), data[: error.start].count(b"\n") + 1)
+        raise place.error("the file is not UTF-8 text", fix="save it as UTF-8") from error
     return parse(text, str(path))
 
 
@@ -128,24 +131,29 @@ def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
     Raises:
         PipelineError: see `read`.
     """
-    root = _compose(text, source, has_lines)
-    if root is None:
-        return Node(None, Place(source, 1 if has_lines else None))
-    return _Converter(source, has_lines).convert(root)
 
+    def place(line: int) -> Place:
+        return Place(source, line + 1 if has_lines else None)
 
-class _TooDeepError(Exception):
-    """Nodes within nodes beyond what any pipeline has; its argument is the 0-based line."""
+    root = _compose(text, place)
+    return Node(None, place(0)) if root is None else _converted(root, place, set())
 
 
 class _Loader(yaml.BaseLoader):
-    """PyYAML's loader of plain nodes, which stops where they are nested too deeply."""
+    """PyYAML's loader of plain nodes, with a limit on their depth."""
 
     _depth = 0
 
+    def __init__(self, text: str, place: Callable[[int], Place]) -> None:
+        super().__init__(text)
+        self._place = place
+
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self._depth > _MAX_DEPTH:
-            raise _TooDeepError(self.peek_event().start_mark.line)
+            raise self._place(self.peek_event().start_mark.line).error(
+                "the YAML is nested too deeply",
+                fix="a pipeline has sections, components and their settings; check the brackets",
+            )
         self._depth += 1
         try:
             return super().compose_node(parent, index)
@@ -153,20 +161,12 @@ class _Loader(yaml.BaseLoader):
             self._depth -= 1
 
 
-def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
-    """PyYAML's tree, its errors explained with their line."""
-
-    def refused(what: str, line: int, fix: str = "") -> PipelineError:
-        where = Place(source, line + 1 if has_lines else None)
-        return PipelineError(what, where=str(where), fix=fix)
-
+def _compose(text: str, place: Callable[[int], Place]) -> yaml.Node | None:
+    """Return PyYAML's tree; its errors become PipelineErrors. `place` takes a 0-based line."""
     loader: _Loader | None = None
     try:
-        loader = _Loader(text)
+        loader = _Loader(text, place)
         return loader.get_single_node()
-    except _TooDeepError as error:
-        fix = "a pipeline has sections, components and their settings; check the brackets"
-        raise refused("the YAML is nested too deeply", error.args[0], fix) from error
     except yaml.MarkedYAMLError as error:
         lines = text.splitlines()
         line = _error_line(error, len(lines))
@@ -174,19 +174,21 @@ def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
         fix = "check the indentation, colons, quotes and brackets at this line"
         if "${" in lines[line]:
             fix = "within { } put quotes around a value that contains ${...}"
-        raise refused(f"this is not valid YAML: {problem}", line, fix) from error
+        raise place(line).error(f"this is not valid YAML: {problem}", fix) from error
     except ReaderError as error:
-        what = f"the character U+{error.character:04X} is not allowed in YAML"
-        line = len(text[: error.position + 1].splitlines()) - 1
-        raise refused(what, line, "remove it; it may be invisible in an editor") from error
-    except (ValueError, OverflowError) as error:  # PyYAML looks no escape up before it uses it
-        what = 'this is not valid YAML: an escape such as "\\U00110000" stands for no character'
-        fix = "write the character itself"
-        raise refused(what, loader.line if loader else 0, fix) from error
+        raise place(len(text[: error.position + 1].splitlines()) - 1).error(
+            f"the character U+{error.character:04X} is not allowed in YAML",
+            fix="remove it; it may be invisible in an editor",
+        ) from error
+    except (ValueError, OverflowError) as error:  # PyYAML does not check the number of an escape
+        raise place(loader.line if loader else 0).error(
+            'this is not valid YAML: an escape such as "\\U00110000" is not a character',
+            fix="write the character itself",
+        ) from error
 
 
 def _error_line(error: yaml.MarkedYAMLError, count: int) -> int:
-    """The 0-based line of an error; of what was left open, where that is noticed further down."""
+    """The 0-based line of an error; for a bracket left open, the line of the bracket."""
     marks = [error.problem_mark, error.context_mark]
     if str(error.context).startswith(_LEFT_OPEN):
         marks.reverse()
@@ -194,75 +196,56 @@ def _error_line(error: yaml.MarkedYAMLError, count: int) -> int:
     return next((line for line in lines if line < count), count - 1)
 
 
-class _Converter:
-    """PyYAML's nodes to ours."""
-
-    def __init__(self, source: str, has_lines: bool) -> None:
-        self._source, self._has_lines = source, has_lines
-        self._seen: set[int] = set()
-
-    def convert(self, node: yaml.Node) -> Node:
-        place = self._place(node)
-        if id(node) in self._seen:
-            raise PipelineError(
-                "anchors and aliases (& and *) are not supported in pipelines",
-                where=str(place),
-                fix="write the value out where it is used",
+def _converted(node: yaml.Node, place: Callable[[int], Place], seen: set[int]) -> Node:
+    """Convert PyYAML's node; `seen` has the ids of earlier nodes, as an alias returns its node again."""
+    here = place(node.start_mark.line)
+    if id(node) in seen:
+        raise here.error(
+            "anchors and aliases (& and *) are not supported in pipelines",
+            fix="write the value out where it is used",
+        )
+    seen.add(id(node))
+    if node.tag not in _CORE_TAGS:
+        raise here.error(
+            f"the tag {node.tag} is not supported in pipelines",
+            fix="remove the tag; the setting determines the type of its value",
+        )
+    if isinstance(node, yaml.SequenceNode):
+        return Node([_converted(item, place, seen) for item in node.value], here)
+    if isinstance(node, yaml.ScalarNode):
+        text = _checked_text(node.value, here)
+        return Node(text if node.style else resolve(text), here)
+    result: dict[str, Node] = {}
+    for key, value in node.value:
+        key_place = place(key.start_mark.line)
+        if not isinstance(key, yaml.ScalarNode):
+            raise key_place.error(
+                "a key must be a plain word",
+                fix="write `name: value`, without ? and brackets in front of the colon",
             )
-        self._seen.add(id(node))
-        if node.tag not in _CORE_TAGS:
-            raise PipelineError(
-                f"the tag {node.tag} is not supported in pipelines",
-                where=str(place),
-                fix="remove the tag; values get their type from what reads them",
+        name = _checked_text(key.value, key_place)
+        if name in result:
+            raise key_place.error(
+                f"the key {name!r} is written twice",
+                fix=f"remove one of them; the first is at {result[name].place}",
             )
-        if isinstance(node, yaml.MappingNode):
-            return Node(self._mapping(node), place)
-        if isinstance(node, yaml.SequenceNode):
-            return Node([self.convert(item) for item in node.value], place)
-        text = _whole_characters(node.value, place)
-        quoted = isinstance(node, yaml.ScalarNode) and node.style
-        return Node(text if quoted else resolve(text), place)
-
-    def _mapping(self, node: yaml.MappingNode) -> dict[str, Node]:
-        result: dict[str, Node] = {}
-        for key, value in node.value:
-            place = self._place(key)
-            if not isinstance(key, yaml.ScalarNode):
-                raise PipelineError(
-                    "a key must be a plain word",
-                    where=str(place),
-                    fix="write `name: value`, without ? and brackets in front of the colon",
-                )
-            name = _whole_characters(key.value, place)
-            if name in result:
-                raise PipelineError(
-                    f"the key {name!r} is written twice",
-                    where=str(place),
-                    fix=f"remove one of them; the first is at {result[name].place}",
-                )
-            child = self.convert(value)
-            result[name] = Node(child.content, place)
-        return result
-
-    def _place(self, node: yaml.Node) -> Place:
-        return Place(self._source, node.start_mark.line + 1 if self._has_lines else None)
+        result[name] = Node(_converted(value, place, seen).content, key_place)
+    return Node(result, here)
 
 
-def _whole_characters(text: str, place: Place) -> str:
-    """Return the text, checked for unpaired surrogates, which cannot be written to a file."""
+def _checked_text(text: str, place: Place) -> str:
+    """Return the text; refuse unpaired surrogates, which cannot be written to a file."""
     surrogate = next((c for c in text if "\ud800" <= c <= "\udfff"), None)
     if surrogate is not None:
-        raise PipelineError(
+        raise place.error(
             f"unpaired surrogate \\u{ord(surrogate):04X}",
-            where=str(place),
             fix="write the character itself, or \\U and its eight digits",
         )
     return text
 
 
 def resolve(text: str) -> Scalar:
-    """What an unquoted scalar means under YAML 1.2's core rules."""
+    """Return the value of an unquoted scalar under YAML 1.2's core rules."""
     if text in _WORDS:
         return _WORDS[text]
     if _INTEGER.fullmatch(text) and len(text) <= 20:
@@ -275,22 +258,21 @@ def resolve(text: str) -> Scalar:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every text that `resolve` would read as something else, and writes no aliases."""
+    """Quotes text that `resolve` would read as another value, and writes no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        style = None if resolve(text) == text else "'"
+        if not text.isprintable():
+            style = '"'  # the only style with escapes: others fold line breaks and lose U+0085
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = None if resolve(text) == text else "'"
-    if not text.isprintable():
-        style = '"'  # the only style with escapes: others fold line breaks and lose U+0085
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
-
-_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(str, _Dumper.represent_text)
 
 
 def to_yaml(value: Any) -> str:
-    """Plain dicts, lists and scalars as YAML, keys in their order."""
+    """Return plain dicts, lists and scalars as YAML, keys in their order."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100))

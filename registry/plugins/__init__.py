@@ -5,9 +5,15 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .discovery import GROUP, Offer, Plugins, offered_name
-    from .optional import optional_module
-    from .recognition import recognize, scene_loaders
+    from .discovery import (
+        GROUP,
+        Offer,
+        Plugins,
+        offered_name,
+        optional_module,
+        recognize,
+        scene_loaders,
+    )
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -1,20 +1,18 @@
-"""Verbs and train options: listed by their entry points, imported when they are used."""
+"""Verbs and train options: listed by their entry points, imported on first use."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from typing import Any
 
 from ..contract.command import Command, TrainOption
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
-
-Kind = TypeVar("Kind", Command, TrainOption)
 
 COMMANDS, TRAIN_OPTIONS = "stereogs.commands", "stereogs.train_options"
 """Entry-point groups. An entry is named after the verb or option that its module registers."""
@@ -32,20 +30,15 @@ _BUILT_IN = {
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb of the command line, not imported yet.
+    """A verb of the command line, not imported yet; the entry point of a built-in verb has no group."""
 
-    Args:
-        name: as the user types it.
-        entry: its entry point; built-in verbs have one without a package.
-    """
-
-    name: str
     entry: EntryPoint
 
     @property
     def owner(self) -> str:
         """The package that offers it, and its version."""
-        return _owner(self.entry)
+        package = self.entry.dist
+        return f"{package.name} {package.version}" if package else "the host"
 
     @property
     def summary(self) -> str:
@@ -65,64 +58,69 @@ class Verb:
         Raises:
             PluginError: the module cannot be imported or does not register the verb.
         """
-        if self.entry.dist is None and self.entry.group == "":
-            command: Command = self.entry.load()()
-            return command
-        return _registered(self.entry, "stereogs_register_commands", Command)  # type: ignore[type-abstract]
+        command: Command
+        if self.entry.group:
+            command = _registered(self.entry, "stereogs_register_commands", Command)
+        else:  # built in
+            command = self.entry.load()()
+        return command
 
 
 def verbs() -> dict[str, Verb]:
-    """All verbs by name, the host's own first.
+    """Return all verbs by name, the host's own first.
 
     Raises:
         PluginError: two packages offer a verb of the same name.
     """
     found = {
-        name: Verb(name, EntryPoint(name, f"registry.commands.{value}", ""))
+        name: Verb(EntryPoint(name, f"registry.commands.{value}", ""))
         for name, value in _BUILT_IN.items()
     }
     for entry in sorted(entry_points(group=COMMANDS), key=lambda entry: entry.name):
         if entry.name in found:
-            raise PluginError(
-                f"the verb {entry.name!r} is offered twice: by {found[entry.name].owner} and "
-                f"{_owner(entry)}",
-                fix="uninstall one of them",
-            )
-        found[entry.name] = Verb(entry.name, entry)
+            owners = f"{found[entry.name].owner} and {Verb(entry).owner}"
+            what = f"the verb {entry.name!r} is offered twice: by {owners}"
+            raise PluginError(what, fix="uninstall one of them")
+        found[entry.name] = Verb(entry)
     return found
 
 
 def train_options(verb: str) -> Sequence[TrainOption]:
-    """The options that plugins add to a verb, by name.
+    """Return the options that plugins add to a verb, sorted by name.
 
     Raises:
         PluginError: one cannot be imported or does not register itself.
     """
     entries = sorted(entry_points(group=TRAIN_OPTIONS), key=lambda entry: entry.name)
-    options = [_option(entry) for entry in entries]
+    options = [_registered(e, "stereogs_register_train_options", TrainOption) for e in entries]
     return [option for option in options if verb in option.verbs]
 
 
-def _option(entry: EntryPoint) -> TrainOption:
-    return _registered(entry, "stereogs_register_train_options", TrainOption)  # type: ignore[type-abstract]
+def _registered(entry: EntryPoint, hook: str, base: type[Any]) -> Any:
+    """Return an instance of the class that an entry's module registers under the entry's name."""
+    # These import pydantic, which `stereogs --help` does without.
+    from ..contract.hook_points import PROJECT
+    from .discovery import check_api
 
-
-def _registered(entry: EntryPoint, hook: str, kind: type[Kind]) -> Kind:
-    """An instance of the class that the entry's module registers under the entry's name."""
     where = f"entry point {entry.group}: {entry.name} = {entry.value}"
-    fix = f"update {_owner(entry)}, or uninstall it"
+    owner = Verb(entry).owner
+    fix = f"update {owner}, or uninstall it"
     try:
         module = entry.load()
     except Exception as error:  # the module of a third party may raise anything
-        raise PluginError(
-            f"{entry.name!r} of {_owner(entry)} cannot be imported: {type(error).__name__}: {error}",
-            where=where,
-            fix=fix,
-        ) from error
-    from .discovery import check_api
-
+        what = f"{entry.name!r} of {owner} cannot be imported: {type(error).__name__}: {error}"
+        raise PluginError(what, where=where, fix=fix) from error
     check_api(entry, module)
-    offered = _offered(module, hook, where)
+    offered: dict[str, Any] = {}
+
+    def register(name: str, cls: Any) -> None:
+        if name in offered:
+            raise PluginError(f"{name!r} is registered twice", where=where, fix="register it once")
+        offered[name] = cls
+
+    implementation: Any = getattr(module, hook, None)
+    if hasattr(implementation, f"{PROJECT}_impl"):
+        implementation(register)
     cls = offered.get(entry.name)
     if cls is None:
         known = listing(offered) if offered else "nothing"
@@ -131,40 +129,14 @@ def _registered(entry: EntryPoint, hook: str, kind: type[Kind]) -> Kind:
             where=where,
             fix=f"call `register({entry.name!r}, ...)` in {hook}, below `@registry.hookimpl`",
         )
-    if not (isinstance(cls, type) and issubclass(cls, kind)):
-        raise PluginError(
-            f"{entry.name!r} registers {cls!r}, not a subclass of registry.{kind.__name__}",
-            where=where,
-            fix=fix,
-        )
+    if not (isinstance(cls, type) and issubclass(cls, base)):
+        what = f"{entry.name!r} registers {cls!r}, not a subclass of registry.{base.__name__}"
+        raise PluginError(what, where=where, fix=fix)
     return cls()
 
 
-def _offered(module: object, hook: str, where: str) -> dict[str, Any]:
-    """All that a module registers through a hook, by name."""
-    from ..contract.hook_points import (
-        PROJECT,  # imports pydantic, which `stereogs --help` does without
-    )
-
-    offered: dict[str, Any] = {}
-
-    def register(name: str, cls: Any) -> None:
-        if name in offered:
-            raise PluginError(f"{name!r} is registered twice", where=where, fix="register it once")
-        offered[name] = cls
-
-    implementation: Callable[..., None] | None = getattr(module, hook, None)
-    if implementation is not None and hasattr(implementation, f"{PROJECT}_impl"):
-        implementation(register)
-    return offered
-
-
-def _owner(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "the host"
-
-
 def _source(module: str) -> str | None:
-    """Source text of a module, found without importing it or its packages."""
+    """Return the source of a module without importing it or its packages."""
     top, *rest = module.split(".")
     spec, name = find_spec(top), top
     for part in rest:

@@ -45,11 +45,8 @@ def new_plugin(name: str, kind: str, parent: Path) -> Path:
     words = _words(name, kind)
     folder = parent / words["distribution"]
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise PluginError(
-            "folder exists and is not empty",
-            where=str(folder),
-            fix="choose another name, or --into",
-        )
+        what, fix = "folder exists and is not empty", "choose another name, or --into"
+        raise PluginError(what, where=str(folder), fix=fix)
     with new_folder(folder) as temporary:
         for file, text in _files(kind, words):
             (temporary / file).write_text(text, "utf-8")
@@ -58,14 +55,12 @@ def new_plugin(name: str, kind: str, parent: Path) -> Path:
 
 def _files(kind: str, words: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     body = _filled(f"kinds/{kind}.py", words).rstrip("\n")
+    suffix = "_command" if kind == COMMAND else ""
     yield "pyproject.toml", _filled("package/pyproject.toml", words)
     yield f"{words['module']}.py", _filled("package/plugin.py", {**words, "body": body})
-    if kind == COMMAND:
-        yield "README.md", _filled("package/README_command.md", words)
-        yield f"test_{words['module']}.py", _filled("package/test_command.py", words)
-    else:
-        yield "README.md", _filled("package/README.md", words)
-        yield f"test_{words['module']}.py", _filled("package/test.py", words)
+    yield "README.md", _filled(f"package/README{suffix}.md", words)
+    yield f"test_{words['module']}.py", _filled(f"package/test{suffix}.py", words)
+    if kind != COMMAND:
         yield "pipeline.yaml", _pipeline(kind, words)
 
 
@@ -82,15 +77,13 @@ def _check(name: str, kind: str) -> None:
             where="NAME",
             fix="use lower-case letters, digits, '-' and '_', a letter first",
         )
+    noun, installed = "component", {offered_name(entry): entry for entry in installed_entries()}
     if kind == COMMAND:
-        installed = {verb.name: verb.entry for verb in verbs().values()}
-    else:
-        installed = {offered_name(entry): entry for entry in installed_entries()}
+        noun, installed = "command", {name: verb.entry for name, verb in verbs().items()}
     if name in installed:
-        entry = installed[name]
+        package = installed[name].dist
         raise PluginError(
-            f"a {'command' if kind == COMMAND else 'component'} {name!r} is installed, offered by "
-            f"{entry.dist.name if entry.dist else 'the host'}",
+            f"a {noun} {name!r} is installed, offered by {package.name if package else 'the host'}",
             where="NAME",
             fix="choose another name: a name that two packages offer cannot be used",
         )
@@ -99,36 +92,32 @@ def _check(name: str, kind: str) -> None:
 def _words(name: str, kind: str) -> dict[str, str]:
     """Return the values of the templates' placeholders."""
     parts = [part for part in re.split(r"[-_]+", name) if part]
-    words = {
+    if kind == COMMAND:
+        title, hook, group = "Command", OTHER_HOOKS[0], COMMANDS
+        summary = "Print the number of files in a folder."
+    else:
+        title, hook, group = COMPONENTS[kind].title.capitalize(), COMPONENTS[kind].hook, GROUP
+        summary = f"{title} `{name}`."
+    return {
         "name": name,
         "kind": kind,
         "distribution": "stereogs-" + "-".join(parts),
         "module": "stereogs_" + "_".join(parts),
         "class_name": "".join(part.capitalize() for part in [*parts, kind]),
         "api": str(API_VERSION),
+        "title": title,
+        "hook": hook,
+        "group": group,
+        "summary": summary,
     }
-    if kind == COMMAND:
-        summary = "Print the number of files in a folder."
-        more = {"title": "Command", "hook": OTHER_HOOKS[0], "group": COMMANDS, "summary": summary}
-        return words | more
-    title = COMPONENTS[kind].title.capitalize()
-    more = {"title": title, "hook": COMPONENTS[kind].hook, "group": GROUP}
-    return words | more | {"summary": f"{title} `{name}`."}
 
 
 def _pipeline(kind: str, words: Mapping[str, str]) -> str:
     """Return the pipeline of all packages, with the sections of this kind replaced."""
     own = _filled(f"kinds/{kind}.yaml", words).splitlines()
-    keys = {_key(line) for line in own} - {""}
+    keys = {line.partition(":")[0] for line in own if line[:1].isalpha()}
     usual = _filled("package/pipeline.yaml", words).splitlines()
-    kept = [line for line in usual if _key(line) not in keys]
-    return "\n".join([*kept, *own, ""])
-
-
-def _key(line: str) -> str:
-    """Return the section that starts in a line, or an empty text."""
-    found = re.match(r"(\w+):", line)
-    return found[1] if found else ""
+    return "\n".join([*(x for x in usual if x.partition(":")[0] not in keys), *own, ""])
 
 
 def _filled(path: str, words: Mapping[str, str]) -> str:

@@ -16,11 +16,13 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from ..contract.maps import DepthMap, Disparity, Flow, Matches
-    from .matching import MatchingPrior
-    from .monocular_depth import MonocularDepthPrior
-    from .multi_view_depth import MultiViewDepthPrior
-    from .optical_flow import OpticalFlowPrior
-    from .stereo import StereoPrior
+    from .capabilities import (
+        MatchingPrior,
+        MonocularDepthPrior,
+        MultiViewDepthPrior,
+        OpticalFlowPrior,
+        StereoPrior,
+    )
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

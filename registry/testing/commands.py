@@ -65,4 +65,4 @@ def check_command(command: type[Command]) -> None:
     require(not done.returncode, f"importing {name} imports torch; import it within `run`")
     for entry in entry_points(group=COMMANDS):
         if entry.module == name:
-            Verb(entry.name, entry).load()
+            Verb(entry).load()

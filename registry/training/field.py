@@ -42,10 +42,10 @@ from ..contract.scene import TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
 from ..errors import PluginError, RunError
 from ..events import IterationDone
-from ..pipeline.blame import Blamable, blame
-from ..pipeline.parts import Part, Parts
+from ..pipeline.blame import blame
+from ..pipeline.parts import Part, Parts, derived_seed
+from ..pipeline.pipeline import Item
 from ..pipeline.schedule import active_sh_degree
-from ..pipeline.seeding import derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .gradients import (
     ComponentParameters,
@@ -204,7 +204,7 @@ class Field:
         ]
         step.rendered(lambda: self._rendering, tuple(others))
         shown: Any = self._rendering
-        colors: list[tuple[Blamable, Tensor]] = []
+        colors: list[tuple[Item, Tensor]] = []
         for part in self.parts.due("appearances", step.iteration):
             before = shown if colors else shown.rgb
             with part.at_work(step.iteration, self.lent):

@@ -24,8 +24,9 @@ from ..contract.checks.answers import check_loss
 from ..contract.component import ParameterGroup
 from ..contract.step import Step
 from ..errors import PluginError, RunError
-from ..pipeline.blame import Blamable, blame
+from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts
+from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
@@ -40,7 +41,7 @@ class Term:
         value: scalar with gradient, including the weight.
     """
 
-    item: Blamable | None
+    item: Item | None
     value: Tensor
 
 
@@ -84,7 +85,7 @@ def backward(
     iteration: int,
     model: GaussianModel,
     parameters: ComponentParameters,
-    colors: Sequence[tuple[Blamable, Tensor]] = (),
+    colors: Sequence[tuple[Item, Tensor]] = (),
 ) -> float:
     """Run the backward pass, and return the loss.
 
@@ -145,7 +146,7 @@ def _differentiate_each(
     iteration: int,
     model: GaussianModel,
     parameters: ComponentParameters,
-    colors: Sequence[tuple[Blamable, Tensor]],
+    colors: Sequence[tuple[Item, Tensor]],
 ) -> None:
     """Differentiate the terms one by one; the first that fails raises with the name of its component."""
     for term in terms:

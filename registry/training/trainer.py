@@ -21,8 +21,7 @@ from core_rasterizer import GaussianError, GaussianModel, Gaussians
 from ..contract.maps import DepthMap
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..pipeline.parts import Parts
-from ..pipeline.seeding import derived_seed
+from ..pipeline.parts import Parts, derived_seed
 from ..pipeline.training_settings import TrainingSettings
 from .checkpoint import Checkpoint
 from .field import Field
@@ -84,7 +83,7 @@ class Trainer:
             self.fields.append(self._new_field(parts.for_field(index), twin, index, kinds))
         last, items = settings.iterations, [part.item for part in parts]
         for item in items:
-            if item.point.scheduled and not item.schedule.ever_due(last):
+            if item.point.scheduled and not item.schedule.due_in(last):
                 where = f"{item.offer} at {item.place}"
                 _log.warning("%s is never due in %d iterations", where, last)
         self._train = known.train

@@ -12,7 +12,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from core_rasterizer import ExplainedError
-from registry.priors.prior_cache import PriorCache
+from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.toolkit.networks import OnnxModel
 from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from tests.fuzzing.target import Target
@@ -53,8 +53,12 @@ class PriorAnswers(Target):
         """Write one estimate with an image and its inputs."""
         logging.getLogger("registry.toolkit.cache.entries").setLevel(logging.ERROR)
         with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
-            PriorCache("fuzzed").save(
-                self._key, TENSORS, {"depth": torch.full((3, 4, 3), 0.5)}, {"question": "something"}
+            save_estimate(
+                "fuzzed",
+                self._key,
+                TENSORS,
+                {"depth": torch.full((3, 4, 3), 0.5)},
+                {"question": "something"},
             )
         entry = self.folder / "fuzzed" / self._key
         return tuple(str(path.relative_to(self.folder)) for path in sorted(entry.iterdir()))
@@ -62,7 +66,7 @@ class PriorAnswers(Target):
     def read(self) -> None:
         """Load it."""
         with mock.patch.dict(os.environ, STEREOGS_CACHE=str(self.folder)):
-            found = PriorCache("fuzzed").load(self._key)
+            found = load_estimate("fuzzed", self._key)
         if found is None:
             raise Refused("it is discarded")
         assert all(torch.equal(found[name], TENSORS[name]) for name in TENSORS)

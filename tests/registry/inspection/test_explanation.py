@@ -9,8 +9,7 @@ import pytest
 from core_rasterizer.layout import row_count
 from registry.commands.inspecting import FAULT
 from registry.contract.hook_points import PIPELINE_POINTS, STAGES
-from registry.inspection.explanation import explained, faults, memory
-from registry.inspection.prior_needs import needs
+from registry.inspection.explanation import explained, faults, memory, needs
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.priors import (

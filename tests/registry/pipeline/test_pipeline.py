@@ -228,7 +228,7 @@ class TestOverrides:
 
     @pytest.mark.parametrize(
         ("name", "message"),
-        [("toy_trem", "did you mean 'toy_term'"), ("toy_scene", "cannot do without")],
+        [("toy_trem", "did you mean 'toy_term'"), ("toy_scene", "which a pipeline requires")],
     )
     def test_disable_mistakes(self, toys: Plugins, name: str, message: str) -> None:
         error = refused(FULL, toys, disabled=[name])

@@ -146,7 +146,7 @@ def test_a_contradiction_names_both_places(toy: Plugins) -> None:
     assert "modified: [scene.test_views]" in error.fix
 
 
-def test_a_contradiction_can_be_owned_up_to(toy: Plugins) -> None:
+def test_a_contradiction_can_be_declared(toy: Plugins) -> None:
     choice = "protocol={use: toy-1, modified: [scene.test_views, scene.colors]}"
     pipeline = parse(toy, TEXT, choice, "scene.test_views=0")
     assert pipeline.protocol is not None
@@ -167,9 +167,9 @@ def test_a_contradiction_can_be_owned_up_to(toy: Plugins) -> None:
             "protocol={use: toy-1, modified: [scene.test_view]}",
             "does not fix 'scene.test_view'; did you mean 'scene.test_views'",
         ),
-        ("scene={path: x}", "says nothing about the scene loader None"),
-        ("scene.use=other", "says nothing about the scene loader 'other'"),
-        ("metrics=[{use: psnr, enabled: false}]", "measures 'psnr', which is switched off"),
+        ("scene={path: x}", "does not cover the scene loader None"),
+        ("scene.use=other", "does not cover the scene loader 'other'"),
+        ("metrics=[{use: psnr, enabled: false}]", "measures 'psnr', which is disabled"),
         ("metrics=[{use: other, name: psnr}]", "metrics.psnr.use is 'other'"),
         ("metrics=psnr", "metrics must be a list"),
     ],
@@ -180,7 +180,7 @@ def test_mistakes_are_explained(toy: Plugins, override: str, message: str) -> No
 
 def test_a_metric_of_the_protocol_cannot_be_disabled(toy: Plugins) -> None:
     text = TEXT + "metrics: [psnr]\n"
-    assert "switched off" in refused(toy, text, disabled=["psnr"]).what
+    assert "which is disabled" in refused(toy, text, disabled=["psnr"]).what
 
 
 def test_a_missing_scene_is_still_a_missing_scene(toy: Plugins) -> None:

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from registry.pipeline.parts import derived_seed
 from registry.pipeline.schedule import Schedule, active_sh_degree
-from registry.pipeline.seeding import derived_seed
 from registry.pipeline.training_settings import LearningRates, TrainingSettings
 from registry.training.step import learning_rates
 from registry.training.trainer import ViewOrder
@@ -52,9 +52,10 @@ def test_over_means_never_again() -> None:
         (Schedule(start=8, every=100, phase=7), 107, True),
     ],
 )
-def test_whether_it_is_ever_due(schedule: Schedule, iterations: int, due: bool) -> None:
-    assert schedule.ever_due(iterations) is due
-    assert due is any(schedule.due(iteration) for iteration in range(1, iterations + 1))
+def test_the_iterations_that_are_due(schedule: Schedule, iterations: int, due: bool) -> None:
+    found = schedule.due_in(iterations)
+    assert bool(found) is due
+    assert list(found) == [i for i in range(1, iterations + 1) if schedule.due(i)]
 
 
 def test_bands_come_one_by_one() -> None:

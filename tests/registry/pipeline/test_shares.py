@@ -63,7 +63,7 @@ def test_what_is_no_share_is_refused(toys: Plugins) -> None:
 
 
 def test_a_moment_after_the_end_is_refused(toys: Plugins) -> None:
-    with pytest.raises(PipelineError, match="150% of the iterations: that moment never comes"):
+    with pytest.raises(PipelineError, match="150% of the iterations, more than there are"):
         parse_pipeline(TEXT.replace("10%", "150%"), toys)
 
 

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from registry.plugins.discovery import GROUP
-from registry.priors.prior_cache import PriorCache, code_digest, source_digest
+from registry.priors.prior_cache import code_digest, load_estimate, save_estimate, source_digest
 from registry.testing import tiny_scene
 
 from .toy_priors import Brightness, Middle, built
@@ -94,11 +94,11 @@ def test_a_full_disk_gives_a_warning(cache: Path, caplog: pytest.LogCaptureFixtu
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # acts like a full disk
     try:
-        PriorCache("full").save("0" * 32, {"answer": torch.zeros(1000)}, {}, {})
+        save_estimate("full", "0" * 32, {"answer": torch.zeros(1000)}, {}, {})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert "could not be cached" in caplog.text
-    assert PriorCache("full").load("0" * 32) is None
+    assert load_estimate("full", "0" * 32) is None
 
 
 def test_the_key_contains_the_code_of_the_component() -> None:

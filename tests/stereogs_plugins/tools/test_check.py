@@ -14,8 +14,7 @@ from core_rasterizer import Camera
 from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
 from registry.inspection.scene_facts import facts, points_in_view, summary, typical_depth, warnings
-from registry.plugins.discovery import Plugins
-from registry.plugins.recognition import recognize
+from registry.plugins.discovery import Plugins, recognize
 from registry.testing import tiny_scene
 from stereogs_plugins.tools.check.scene_picture import (
     TEST_COLOR,
@@ -232,7 +231,7 @@ def test_points_outside_and_behind_are_not_counted() -> None:
             scene_of(camera(0.0), camera(0.01), camera(1.0), points=wall(200, depth=8.0)),
             ["v0 and v1 were taken from nearly one place: 0.12%"],
         ),
-        (scene_of(camera(), points=wall(200)), ["one training view alone"]),
+        (scene_of(camera(), points=wall(200)), ["a single training view"]),
     ],
     ids=["no points", "few points", "wide apart", "one place", "one view"],
 )

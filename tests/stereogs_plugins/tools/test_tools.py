@@ -94,8 +94,8 @@ def test_help_lists_every_verb_and_imports_no_tool() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout
     assert output.splitlines()[-1] == "[]"
-    for verb in verbs().values():
-        assert f"    {verb.name}" in output
+    for name, verb in verbs().items():
+        assert f"    {name}" in output
         assert verb.summary
 
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from registry.pipeline.protocol_rules import AppliedProtocol
-from registry.pipeline.protocols import load_protocol
+from registry.pipeline.protocols import AppliedProtocol, load_protocol
 from registry.plugins.discovery import Plugins
 from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
 from stereogs_plugins.tools.experiments.planning.plan import Plan

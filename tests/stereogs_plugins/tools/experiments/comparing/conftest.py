@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from registry.pipeline.protocol_rules import AppliedProtocol
-from registry.pipeline.protocols import load_protocol
+from registry.pipeline.protocols import AppliedProtocol, load_protocol
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 from registry.system.files import write_json

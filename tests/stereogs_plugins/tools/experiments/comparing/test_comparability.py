@@ -9,8 +9,7 @@ import pytest
 
 from registry import RunError
 from registry.cli import main
-from registry.pipeline.protocol_rules import AppliedProtocol
-from registry.pipeline.protocols import load_protocol
+from registry.pipeline.protocols import AppliedProtocol, load_protocol
 from stereogs_plugins.tools.experiments.comparing.comparability import check_comparable
 from stereogs_plugins.tools.experiments.comparing.comparison import read_run
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import Capture, Make, runs
