@@ -285,8 +285,8 @@ def _kernels(device: Device) -> str:
 def _test(device: Device) -> tuple[bool, str]:
     """Return whether the device passed, and the verdict in words."""
     from core_rasterizer import ExplainedError
+    from core_rasterizer.self_test import self_test
 
-    from ..inspection.self_test import self_test
     from ..training.trainer import one_torch_thread
 
     try:

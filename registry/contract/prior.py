@@ -53,26 +53,46 @@ class Prior(Component[SettingsType], ABC):
             PluginError: no prior or several are of this class, or the named one does not exist or is of
                 another class.
         """
-        able = {key: prior for key, prior in priors.items() if isinstance(prior, cls)}
-        if name in able:
-            return able[name]
-        if name is None and len(able) == 1:
-            return next(iter(able.values()))
-        wanted = repr(cls.capability)
-        listed = ", ".join(f"{key} ({prior.capability})" for key, prior in priors.items()) or "none"
-        if name is None and able:
-            what = f"{len(able)} priors have the capability {wanted}"
-            fix = f"choose with `prior: NAME`, one of {', '.join(able)}"
-        elif name is None:
-            what = f"a prior with the capability {wanted} is needed, and the pipeline has none"
-            fix = (
-                f"add one under `priors:`; `stereogs plugins` lists them (the pipeline's: {listed})"
-            )
-        elif name in priors:
-            other = priors[name].capability
-            what = f"the prior {name!r} has the capability {other!r}; {wanted} is needed"
-            fix = f"name one that has it; the pipeline's priors are: {listed}"
-        else:
-            what = f"there is no prior named {name!r}; {wanted} is needed"
-            fix = f"name one that has it; the pipeline's priors are: {listed}"
-        raise PluginError(what, fix=fix)
+        known = {key: prior.capability for key, prior in priors.items()}
+        prior: Self = priors[chosen_prior(known, (cls.capability,), name)]  # type: ignore[assignment]
+        return prior
+
+
+def chosen_prior(
+    capabilities: Mapping[str, str | None], wanted: Sequence[str], name: str | None
+) -> str:
+    """Return the name of the prior that a component uses.
+
+    Args:
+        capabilities: of the pipeline's priors, by name.
+        wanted: capabilities that the component can use, best first.
+        name: which prior; None: the only one with the first capability that any prior has.
+
+    Raises:
+        PluginError: no prior or several can be used, or the named one does not exist or cannot.
+    """
+    needed = " or ".join(map(repr, wanted))
+    listed = ", ".join(f"{key} ({own})" for key, own in capabilities.items()) or "none"
+    if name is not None:
+        if capabilities.get(name) in wanted:
+            return name
+        what = f"there is no prior named {name!r}"
+        if name in capabilities:
+            what = f"the prior {name!r} has the capability {capabilities[name]!r}"
+        fix = f"name one that has it; the pipeline's priors are: {listed}"
+        raise PluginError(f"{what}; {needed} is needed", fix=fix)
+    able = usable_priors(capabilities, wanted)
+    if len(able) == 1:
+        return able[0]
+    if able:
+        what = f"{len(able)} priors have the capability {needed}"
+        raise PluginError(what, fix=f"choose with `prior: NAME`, one of {', '.join(able)}")
+    what = f"a prior with the capability {needed} is needed, and the pipeline has none"
+    fix = f"add one under `priors:`; `stereogs plugins` lists them (the pipeline's: {listed})"
+    raise PluginError(what, fix=fix)
+
+
+def usable_priors(capabilities: Mapping[str, str | None], wanted: Sequence[str]) -> list[str]:
+    """Return the priors with the first capability of `wanted` that any prior has."""
+    by_capability = ([key for key, own in capabilities.items() if own == one] for one in wanted)
+    return next((names for names in by_capability if names), [])

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .scene_facts import facts, warnings
+    from .scene_facts import image_sizes, points_in_view, warnings
     from .scene_source import find_loader, load
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
-__all__ = ["facts", "find_loader", "load", "warnings"]
+__all__ = ["find_loader", "image_sizes", "load", "points_in_view", "warnings"]

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from ..contract.component import Component
 from ..contract.hook_points import PIPELINE_POINTS, STAGES
+from ..contract.prior import chosen_prior, usable_priors
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean
 from ..pipeline.pipeline import Item, Pipeline
@@ -74,7 +75,7 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     notes.append(("reads", item.point.reads))
     notes += [("file", f"{path}, {_size(path)}") for path in _paths(dict(item.settings))]
     for wanted in needs(offer.component):
-        names = ", ".join(_usable(_capabilities(pipeline), wanted)) or "none in the pipeline"
+        names = ", ".join(usable_priors(_capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
     return Explained(item.qualified_name, notes)
 
@@ -126,10 +127,13 @@ def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
         if not _is_used(item, pipeline):
             continue
         for wanted in needs(item.offer.component):
-            found = _prior_fault(known, wanted, _names(getattr(item.settings, "prior", None)))
-            if found is not None:
-                what, fix = found
-                yield item, PluginError(what, where=f"{item.offer} at {item.place}", fix=fix)
+            names = _names(getattr(item.settings, "prior", None))
+            for name in names or (None,):
+                try:
+                    chosen_prior(known, wanted, name)
+                except PluginError as fault:
+                    fault.where = f"{item.offer} at {item.place}"
+                    yield item, fault
 
 
 def _capabilities(pipeline: Pipeline) -> dict[str, str | None]:
@@ -139,42 +143,12 @@ def _capabilities(pipeline: Pipeline) -> dict[str, str | None]:
     }
 
 
-def _usable(known: Mapping[str, str | None], wanted: tuple[str, ...]) -> list[str]:
-    """Return the priors with the first capability of `wanted` that any prior has."""
-    found = ([name for name, own in known.items() if own == capability] for capability in wanted)
-    return next((names for names in found if names), [])
-
-
 def _names(setting: Any) -> list[str]:
     """Return all names in a setting `prior`: a name, a sequence, or a mapping to names."""
     if isinstance(setting, str):
         return [setting]
     values = setting.values() if isinstance(setting, dict) else setting or ()
     return [name for value in values for name in _names(value)]
-
-
-def _prior_fault(
-    known: Mapping[str, str | None], wanted: tuple[str, ...], names: list[str]
-) -> tuple[str, str] | None:
-    """Return what is wrong and how to fix it, with the messages of `Prior.choose`."""
-    capability = " or ".join(map(repr, wanted))
-    listed = ", ".join(f"{name} ({own})" for name, own in known.items()) or "none"
-    for name in names:
-        if known.get(name) not in wanted:
-            what = f"there is no prior named {name!r}"
-            if name in known:
-                what = f"the prior {name!r} has the capability {known[name]!r}"
-            fix = f"name one that has it; the pipeline's priors are: {listed}"
-            return f"{what}; {capability} is needed", fix
-    usable = _usable(known, wanted)
-    if names or len(usable) == 1:
-        return None
-    if usable:
-        what = f"{len(usable)} priors have the capability {capability}"
-        return what, f"choose with `prior: NAME`, one of {', '.join(usable)}"
-    what = f"a prior with the capability {capability} is needed, and the pipeline has none"
-    fix = f"add one under `priors:`; `stereogs plugins` lists them (the pipeline's: {listed})"
-    return what, fix
 
 
 def component_help(name: str, plugins: Plugins) -> str:

@@ -1,17 +1,14 @@
-"""Facts about a loaded scene as text, and warnings about likely problems."""
+"""A loaded scene in one line, and warnings about likely problems."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import torch
 
-from core_rasterizer import Camera
-
 from ..contract.scene import Scene, View
-from ..messages.suggestions import listing
 
 FEW_POINTS = 100
 """Number of sparse points below which most of a scene is unknown."""
@@ -25,33 +22,11 @@ WIDE_ANGLE = 45.0
 def summary(scene: Scene) -> str:
     """Return the main facts in one line, for the start of a run."""
     points = f"{len(scene.points):,} points" if scene.points is not None else "no points"
+    near, far = scene.bounds
     return (
         f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views, "
-        f"{_sizes(scene.train)}, depth {_span(scene.bounds)}, {points}"
+        f"{image_sizes(scene.train)}, depth {near:.4g} .. {far:.4g}, {points}"
     )
-
-
-def facts(scene: Scene) -> list[tuple[str, str]]:
-    """Return the facts of a scene, each as label and text."""
-    views = (*scene.train, *scene.test)
-    masked = sum(view.mask is not None for view in views)
-    with_depth = sum(view.depth is not None for view in views)
-    offset_x = _range(views, lambda camera: camera.cx - camera.width / 2)
-    offset_y = _range(views, lambda camera: camera.cy - camera.height / 2)
-    return [
-        ("views", f"{len(views)}: {len(scene.train)} train, {len(scene.test)} test"),
-        ("train", listing(view.name for view in scene.train)),
-        ("test", listing(view.name for view in scene.test)),
-        ("size", _sizes(views)),
-        ("focal x", _range(views, lambda camera: camera.fx)),
-        ("focal y", _range(views, lambda camera: camera.fy)),
-        ("center off", f"x {offset_x}, y {offset_y}"),
-        ("depth", _span(scene.bounds)),
-        ("points", _points(scene)),
-        ("masks", f"{masked} of {len(views)} views" if masked else "none"),
-        ("true depth", f"{with_depth} of {len(views)} views" if with_depth else "none"),
-        ("background", " ".join(f"{channel:g}" for channel in scene.background)),
-    ]
 
 
 def warnings(scene: Scene) -> list[str]:
@@ -121,26 +96,10 @@ def typical_depth(scene: Scene) -> float:
     return float(before.median()) if len(before) else math.sqrt(near * far)
 
 
-def _sizes(views: Sequence[View]) -> str:
+def image_sizes(views: Sequence[View]) -> str:
+    """Return the sizes of the views' images as text."""
     sizes = [f"{view.camera.width}x{view.camera.height}" for view in views]
     distinct = list(dict.fromkeys(sizes))
     if len(distinct) == 1:
         return distinct[0]
     return ", ".join(f"{size} ({sizes.count(size)} views)" for size in distinct)
-
-
-def _range(views: Sequence[View], number: Callable[[Camera], float]) -> str:
-    values = [number(view.camera) for view in views]
-    low, high = min(values), max(values)
-    return f"{low:.1f} px" if high - low < 0.05 else f"{low:.1f} .. {high:.1f} px"
-
-
-def _span(bounds: tuple[float, float]) -> str:
-    return f"{bounds[0]:.4g} .. {bounds[1]:.4g}"
-
-
-def _points(scene: Scene) -> str:
-    if scene.points is None or not len(scene.points):
-        return "none"
-    counts = [points_in_view(scene, view) for view in scene.train]
-    return f"{len(scene.points):,}; {min(counts):,} to {max(counts):,} in each training view"

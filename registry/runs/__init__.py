@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from .folder import METRICS, RESULTS, RunFolder
     from .opening import replay as repeat_failure
     from .options import Fit, InitialState, RunOptions
-    from .progress import ShownBar
     from .results import RENDERS, read_results
     from .run import Picture, Run
     from .training_run import in_runs
@@ -29,7 +28,6 @@ __all__ = [
     "Run",
     "RunFolder",
     "RunOptions",
-    "ShownBar",
     "evaluate",
     "in_runs",
     "locked",

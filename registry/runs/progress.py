@@ -7,7 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Self
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -39,34 +39,23 @@ _SMOOTHING = 0.05
 _log = logging.getLogger(__name__)
 
 
-class ShownBar:
-    """Shows a bar within a `with` block if its console is a terminal."""
-
-    def __init__(self, bar: Progress) -> None:
-        self._bar = bar
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-
-class TrainingProgress(ShownBar):
+class TrainingProgress:
     """Shows loss, number of Gaussians, iterations per second and time left.
 
     Args:
         first: the last iteration before training.
         total: the last iteration.
         console: shows a bar on a terminal, else a line every ten seconds.
+
+    Attributes:
+        bar: is shown within its `with` block.
     """
 
     def __init__(self, first: int, total: int, console: Console) -> None:
         self._first, self._total, self._console = first, total, console
         self._begin = self._last_line = time.monotonic()
         self._loss: float | None = None
-        bar = Progress(
+        self.bar = Progress(
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -77,8 +66,7 @@ class TrainingProgress(ShownBar):
             console=console,
             disable=not console.is_terminal,
         )
-        super().__init__(bar)
-        self._task = bar.add_task(
+        self._task = self.bar.add_task(
             "training", total=total, completed=first, loss=0.0, gaussians=0, speed=0.0
         )
 
@@ -89,7 +77,7 @@ class TrainingProgress(ShownBar):
         now = time.monotonic()
         speed = (iteration - self._first) / max(now - self._begin, 1e-9)
         if self._console.is_terminal:
-            self._bar.update(
+            self.bar.update(
                 self._task, completed=iteration, loss=smooth, gaussians=gaussians, speed=speed
             )
         elif now - self._last_line >= _SECONDS_BETWEEN_LINES or iteration == self._total:

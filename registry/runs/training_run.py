@@ -181,10 +181,8 @@ def _train_to_end(
     with observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
-        with (
-            stop_on_interrupt() as stop,
-            TrainingProgress(trainer.iteration, settings.iterations, console) as progress,
-        ):
+        progress = TrainingProgress(trainer.iteration, settings.iterations, console)
+        with stop_on_interrupt() as stop, progress.bar:
             saved, saving_took = monotonic(), 0.0
             begin = monotonic()
             for done in _iterations(run, trainer):

@@ -73,7 +73,7 @@ UNKNOWN_PROCESSOR = """
 from io import FileIO
 from core_rasterizer import list_devices
 from core_rasterizer.device import unknown_cpu
-from registry.inspection.self_test import self_test
+from core_rasterizer.self_test import self_test
 
 device = list_devices()[0]
 flags = unknown_cpu._processor_flags()

@@ -63,11 +63,12 @@ class Check(Command):
             arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
         )
         from core_rasterizer import open_device
-        from registry.inspection import facts, load, warnings
+        from registry.inspection import load, warnings
         from registry.pipeline import build_part
         from registry.toolkit.drawing import save_png
         from registry.training import one_torch_thread
 
+        from .facts import facts
         from .scene_picture import scene_picture
 
         with one_torch_thread():

@@ -13,9 +13,10 @@ from PIL import Image
 from core_rasterizer import Camera
 from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main
-from registry.inspection.scene_facts import facts, points_in_view, summary, typical_depth, warnings
+from registry.inspection.scene_facts import points_in_view, summary, typical_depth, warnings
 from registry.plugins.discovery import Plugins, recognize
 from registry.testing import tiny_scene
+from stereogs_plugins.tools.check.facts import facts
 from stereogs_plugins.tools.check.scene_picture import (
     TEST_COLOR,
     TRAIN_COLOR,

@@ -18,7 +18,7 @@ from registry.errors import PipelineError
 from registry.pipeline import Node, Part, Place, build_part, component_item, expand
 from registry.plugins import Offer, Plugins
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs import ShownBar, stop_on_interrupt
+from registry.runs import stop_on_interrupt
 
 from ..planning.plan import PlannedRun
 from .folder import AblationFolder
@@ -96,8 +96,8 @@ def train_all(
     """
     active = _ActiveRuns(runner, folder, device)
     queue = deque(waiting)
-    outcome = Outcome()
-    with stop_on_interrupt() as stop, AblationProgress(len(waiting), console) as progress:
+    outcome, progress = Outcome(), AblationProgress(len(waiting), console)
+    with stop_on_interrupt() as stop, progress.bar:
         try:
             while queue or active.runs:
                 if stop.requested and not outcome.stopped:
@@ -181,12 +181,15 @@ class _ActiveRuns:
             self._runner.close()
 
 
-class AblationProgress(ShownBar):
-    """Shows finished and active runs and the time left: a bar on a terminal, otherwise a line per run."""
+class AblationProgress:
+    """Shows finished and active runs and the time left: a bar on a terminal, otherwise a line per run.
+
+    `bar` is shown within its `with` block.
+    """
 
     def __init__(self, total: int, console: Console) -> None:
         self._total, self._done, self._console = total, 0, console
-        bar = Progress(
+        self.bar = Progress(
             TextColumn("{task.fields[done]}/{task.total} runs"),
             BarColumn(),
             TextColumn("{task.fields[active]}", markup=False),
@@ -195,8 +198,7 @@ class AblationProgress(ShownBar):
             console=console,
             disable=not console.is_terminal,
         )
-        super().__init__(bar)
-        self._task = bar.add_task("ablation", total=total, done=0, active="")
+        self._task = self.bar.add_task("ablation", total=total, done=0, active="")
 
     def ended(self, name: str, failure: str) -> None:
         """Print a line for a run that has ended; `failure` is empty if it succeeded."""
@@ -207,7 +209,7 @@ class AblationProgress(ShownBar):
         """Update the bar with the finished share of each active run."""
         if not self._console.is_terminal:
             return
-        self._bar.update(
+        self.bar.update(
             self._task,
             completed=self._done + sum(parts),
             done=self._done,

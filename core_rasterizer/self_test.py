@@ -1,4 +1,4 @@
-"""Compare a device with the reference renderer, for `stereogs doctor`."""
+"""Compare a device with the reference renderer, as `stereogs doctor` does."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from dataclasses import dataclass
 
 import torch
 
-from core_rasterizer import Camera, Device, GaussianModel, Gaussians, reference
+from . import reference
+from .camera import Camera
+from .device import Device
+from .gaussians import Gaussians
+from .optimization.model import GaussianModel
 
 TOLERANCE = 1e-3
 """Largest difference of a colour in [0, 1] due to rounding; a visible difference is 1/255."""
