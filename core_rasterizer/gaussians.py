@@ -104,3 +104,14 @@ class Gaussians:
             opacity_logits=torch.logit(opacities.float().clamp(1e-6, 1 - 1e-6)),
             sh=sh,
         )
+
+
+def undefined_places(values: Tensor) -> Tensor:
+    """Return the indices `[K, values.ndim]` of NaNs and infinities, in order.
+
+    Usually one pass: values are only searched if their sum is not finite.
+    """
+    values = values.detach()
+    if math.isfinite(values.sum()):
+        return torch.empty(0, values.ndim, dtype=torch.int64)
+    return (~torch.isfinite(values)).nonzero()

@@ -186,3 +186,47 @@ def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_imports_have_no_cycle(package: str) -> None:
     assert cycles(module_graph(package)) == []
+
+
+MOST_MODULES = 12
+"""Modules in one folder, at most: more are hard to survey."""
+
+LAYERS = (
+    ("errors", "messages"),
+    ("system",),
+    ("contract",),
+    ("calls",),
+    ("toolkit", "plugins"),
+    ("priors", "pipeline"),
+    ("training", "inspection"),
+    ("runs",),
+    ("session", "testing"),
+    ("commands",),
+    ("cli",),
+    ("__main__",),
+)
+"""Packages of `registry`, lowest first: each imports from lower layers only."""
+WITHIN = {"events": "contract", "runners": "contract"}
+"""Modules of `registry` that belong to the layer of a package."""
+
+
+def test_every_package_of_the_host_has_a_layer() -> None:
+    packages = {name.split(".")[1] for name in module_graph("registry") if "." in name}
+    assert packages - WITHIN.keys() == {package for layer in LAYERS for package in layer}
+
+
+def test_imports_of_the_host_go_to_lower_layers() -> None:
+    layer_of = {package: number for number, layer in enumerate(LAYERS) for package in layer}
+    for name, others in module_graph("registry").items():
+        for other in others:
+            if "." in name and "." in other:
+                upper, lower = (WITHIN.get(m, m) for m in (name.split(".")[1], other.split(".")[1]))
+                allowed = upper == lower or layer_of[lower] < layer_of[upper]
+                assert allowed, f"{name} imports {other}"
+
+
+@pytest.mark.parametrize("package", ["core_rasterizer", "registry", "stereogs_plugins"])
+def test_no_folder_has_too_many_modules(package: str) -> None:
+    for folder in sorted({file.parent for file in (ROOT / package).rglob("*.py")}):
+        modules = [file for file in folder.glob("*.py") if file.name != "__init__.py"]
+        assert len(modules) <= MOST_MODULES, folder

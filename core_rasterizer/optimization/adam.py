@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..device import DeviceArray
 from ..errors import ExplainedError, GaussianError
-from ..finite import undefined_places
+from ..gaussians import undefined_places
 from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count
 from .storage import GaussianStorage
 

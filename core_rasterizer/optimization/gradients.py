@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..device import Device, DeviceArray
 from ..errors import GaussianError
-from ..finite import undefined_places
+from ..gaussians import undefined_places
 from ..layout import ROWS_BEFORE_SH
 
 _ALL_BANDS = 3

@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from ..device import Device, DeviceArray, Scratch, open_device
 from ..errors import ExplainedError
-from ..finite import undefined_places
+from ..gaussians import undefined_places
 from ..raster import Images, Outputs
 from ..rendering import Rendering
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..device import Device, DeviceArray
 from ..errors import GaussianError
-from ..finite import undefined_places
+from ..gaussians import undefined_places
 from ..layout import PARAMETER_GROUPS, PARAMETERS, row_count, rows_of
 from ..raster import Block, unpack
 from .gradients import Gradients

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
-from ..finite import undefined_places
+from ..gaussians import undefined_places
 from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometric_loss
-from core_rasterizer.finite import undefined_places
+from core_rasterizer.gaussians import undefined_places
 
 from ..calls.read_only_guard import ReadOnlyGuard
 from ..contract.checks.answers import check_loss

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Edit, GaussianError
-from core_rasterizer.finite import undefined_places
+from core_rasterizer.gaussians import undefined_places
 
 from ...errors import PluginError
 from ..components import OpacityUpdate, Unavailable

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from core_rasterizer.finite import undefined_places
+from core_rasterizer.gaussians import undefined_places
 
 
 def test_finds_every_place_in_order() -> None:

@@ -1,0 +1,46 @@
+"""Facts about a loaded scene, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from core_rasterizer import Camera
+from registry import Scene, View
+from registry.inspection import image_sizes, points_in_view
+from registry.messages import listing
+
+
+def facts(scene: Scene) -> list[tuple[str, str]]:
+    """Return the facts of a scene, each as label and text."""
+    views = (*scene.train, *scene.test)
+    masked = sum(view.mask is not None for view in views)
+    with_depth = sum(view.depth is not None for view in views)
+    offset_x = _range(views, lambda camera: camera.cx - camera.width / 2)
+    offset_y = _range(views, lambda camera: camera.cy - camera.height / 2)
+    return [
+        ("views", f"{len(views)}: {len(scene.train)} train, {len(scene.test)} test"),
+        ("train", listing(view.name for view in scene.train)),
+        ("test", listing(view.name for view in scene.test)),
+        ("size", image_sizes(views)),
+        ("focal x", _range(views, lambda camera: camera.fx)),
+        ("focal y", _range(views, lambda camera: camera.fy)),
+        ("center off", f"x {offset_x}, y {offset_y}"),
+        ("depth", f"{scene.bounds[0]:.4g} .. {scene.bounds[1]:.4g}"),
+        ("points", _points(scene)),
+        ("masks", f"{masked} of {len(views)} views" if masked else "none"),
+        ("true depth", f"{with_depth} of {len(views)} views" if with_depth else "none"),
+        ("background", " ".join(f"{channel:g}" for channel in scene.background)),
+    ]
+
+
+def _range(views: Sequence[View], number: Callable[[Camera], float]) -> str:
+    values = [number(view.camera) for view in views]
+    low, high = min(values), max(values)
+    return f"{low:.1f} px" if high - low < 0.05 else f"{low:.1f} .. {high:.1f} px"
+
+
+def _points(scene: Scene) -> str:
+    if scene.points is None or not len(scene.points):
+        return "none"
+    counts = [points_in_view(scene, view) for view in scene.train]
+    return f"{len(scene.points):,}; {min(counts):,} to {max(counts):,} in each training view"
