@@ -1,4 +1,4 @@
-"""Cache of estimates on disk, and the digest of the code that computes them.
+"""Cache of estimates on disk.
 
     STEREOGS_CACHE/<prior>/<key>/answer.safetensors   the tensors, bit for bit
                                  answer.json          the inputs, human-readable
@@ -10,11 +10,7 @@ packages that compute the estimate: any changed line of code invalidates the ent
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from importlib.metadata import Distribution, entry_points
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +18,13 @@ from ..contract.prior import Prior
 from ..contract.scene import TrainingView
 from ..plugins.discovery import GROUP
 from ..system.files import write_json
-from ..toolkit.cache import Cache, content_key
+from ..toolkit.cache import Cache, content_key, package_digest
 from ..toolkit.drawing.pictures import save_png
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _ANSWER = "answer.safetensors"
-_SOURCES = (".py", ".cl")
 
 
 def cached(
@@ -50,7 +45,7 @@ def cached(
     with prior.context.at_work():
         fingerprint = prior.fingerprint()
     key = content_key(
-        code_digest(type(prior)),
+        package_digest(type(prior), GROUP),
         prior.settings.model_dump_json(),
         fingerprint,
         *arguments,
@@ -102,43 +97,3 @@ def save_estimate(
             save_png(picture, folder / f"{name}.png")
 
     Cache(prior).save(key, write)
-
-
-def code_digest(component: type) -> str:
-    """Return a hash of the source of the component's package, the host and the engine."""
-    modules = {*_package_modules(component.__module__), "registry", "core_rasterizer"}
-    digests = map(source_digest, sorted(modules))
-    return content_key(component.__qualname__, component.__module__, *digests)
-
-
-def _package_modules(module: str) -> frozenset[str]:
-    """Return the top-level modules of the plugin package of a module; its own for other packages."""
-    top = module.partition(".")[0]
-    for package in {id(e.dist): e.dist for e in entry_points(group=GROUP)}.values():
-        names = _top_level(package) if package else frozenset[str]()
-        if top in names:
-            return names
-    return frozenset((top,))
-
-
-def _top_level(package: Distribution) -> frozenset[str]:
-    """Return the top-level modules of a package, from setuptools' list or from its list of files."""
-    listed = package.read_text("top_level.txt")
-    if listed is not None:
-        return frozenset(listed.split())
-    files = [file for file in package.files or () if file.suffix == ".py"]
-    return frozenset(file.parts[0].removesuffix(".py") for file in files)
-
-
-@cache
-def source_digest(name: str) -> str:
-    """Return a hash of a top-level module, or of all source files of a package."""
-    spec = find_spec(name) if name != "__main__" else None
-    folders = list(spec.submodule_search_locations or ()) if spec else []
-    if spec and not folders and spec.origin:
-        return hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
-    digest = hashlib.sha256(name.encode())
-    for folder in map(Path, folders):
-        for path in sorted(p for p in folder.rglob("*") if p.suffix in _SOURCES):
-            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()

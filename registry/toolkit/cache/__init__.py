@@ -13,6 +13,7 @@ An entry is a folder that is either complete or absent. All kinds share one fold
 least recently used entries are removed first. It is safe to delete any of them.
 """
 
-from .entries import FOLDER_VARIABLE, Cache, content_key, source_digest
+from .entries import FOLDER_VARIABLE, Cache
+from .keys import content_key, package_digest, source_digest
 
-__all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "source_digest"]
+__all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "package_digest", "source_digest"]

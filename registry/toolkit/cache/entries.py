@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import inspect
 import logging
 import os
 import re
@@ -21,14 +20,13 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from ...errors import RunError
 from ...system.files import new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import ModuleType
 
 FOLDER_VARIABLE = "STEREOGS_CACHE"
 """Environment variable with the cache's folder; empty disables the cache."""
@@ -219,34 +217,3 @@ def _size(folder: Path) -> int:
             with suppress(FileNotFoundError):
                 total += Path(place, name).stat().st_size
     return total
-
-
-def content_key(*parts: object) -> str:
-    """Return a hash of tensors (type, shape, bits), bytes, texts, numbers and None: 32 hexadecimal digits."""
-    from torch import Tensor
-
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, Tensor):
-            array = part.detach().cpu().contiguous().numpy()
-            digest.update(f"{array.dtype}{array.shape}".encode())
-            digest.update(array.tobytes())
-        elif isinstance(part, bytes):
-            digest.update(f"{len(part)} bytes\0".encode())
-            digest.update(part)
-        else:
-            digest.update(repr(part).encode())
-        digest.update(b"\0")
-    return digest.hexdigest()[:32]
-
-
-def source_digest(*definitions: Callable[..., Any] | ModuleType) -> str:
-    """Return a hash of the source files that define classes, functions or modules.
-
-    As part of a key, it invalidates entries when the code that computes them changes.
-
-    Raises:
-        TypeError: An argument is not defined in a file.
-    """
-    files = [inspect.getfile(definition) for definition in definitions]
-    return content_key(*(Path(file).read_bytes() for file in files))

@@ -12,8 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from registry.plugins.discovery import GROUP
-from registry.priors.prior_cache import code_digest, load_estimate, save_estimate, source_digest
+from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.testing import tiny_scene
 
 from .toy_priors import Brightness, Middle, built
@@ -99,40 +98,6 @@ def test_a_full_disk_gives_a_warning(cache: Path, caplog: pytest.LogCaptureFixtu
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert "could not be cached" in caplog.text
     assert load_estimate("full", "0" * 32) is None
-
-
-def test_the_key_contains_the_code_of_the_component() -> None:
-    assert code_digest(Middle) != code_digest(Brightness)
-    assert code_digest(Middle) == code_digest(Middle)
-
-
-@pytest.mark.parametrize("listed", ["top_level.txt", "RECORD"])
-def test_the_key_contains_the_code_of_the_whole_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: str
-) -> None:
-    """A package of two top-level modules; a third module belongs to another package."""
-    name = listed.partition(".")[0].lower()
-    modules = (f"flat_{name}", f"flat_{name}_helper")
-    for module in (*modules, f"other_{name}"):
-        (tmp_path / f"{module}.py").write_text("FACTOR = 1\n")
-    metadata = tmp_path / f"flat_{name}-1.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: flat-{name}\nVersion: 1\n")
-    (metadata / "entry_points.txt").write_text(f"[{GROUP}]\nflat = flat_{name}\n")
-    lines = modules if listed == "top_level.txt" else [f"{module}.py,," for module in modules]
-    (metadata / listed).write_text("\n".join(lines) + "\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    component = type("Flat", (), {"__module__": f"flat_{name}"})
-
-    def digest() -> str:
-        source_digest.cache_clear()
-        return code_digest(component)
-
-    before = digest()
-    (tmp_path / f"other_{name}.py").write_text("FACTOR = 2\n")
-    assert digest() == before
-    (tmp_path / f"flat_{name}_helper.py").write_text("FACTOR = 2\n")
-    assert digest() != before
 
 
 def test_estimates_for_images_are_not_cached(cache: Path) -> None:
