@@ -20,9 +20,8 @@ from .commands.arguments import add_verb
 from .commands.inspecting import with_verb
 from .commands.output import INTERRUPTED, console
 from .errors import PluginError
-from .messages.command_line import CommandParser, HelpFormatter
 from .messages.suggestions import did_you_mean, listing
-from .messages.terminal import PlainFormatter
+from .messages.terminal import CommandParser, HelpFormatter, PlainFormatter
 from .plugins.commands import verbs
 
 USAGE_ERROR = 2

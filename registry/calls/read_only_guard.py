@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import GaussianModel, Rendering
 
-    from ..contract.maps import DepthMap
-    from ..contract.scene import Scene, TrainingScene, TrainingView
+    from ..contract.scene import DepthMap, Scene, TrainingScene, TrainingView
 
 _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..contract.command import TrainOption, TrainRequest
-from ..messages.command_line import HelpFormatter
+from ..messages.terminal import HelpFormatter
 from ..plugins.commands import train_options
 
 if TYPE_CHECKING:

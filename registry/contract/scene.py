@@ -1,4 +1,4 @@
-"""Scenes: photographs, cameras and points, and the part of them that training may use."""
+"""Scenes, the part of them that training may use, and what priors estimate of their views."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
-from .maps import DepthMap
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -212,3 +211,61 @@ class Scene:
     def fact(self, name: str) -> FactValue:
         """Return the value of a fact; raise KeyError if there is none of that name."""
         return {fact.name: fact.value for fact in self.facts}[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Disparity:
+    """Disparity of a rectified pair on the pixels of one of its images.
+
+    Args:
+        values: `[H, W]` float32 pixels, > 0 where valid and 0 elsewhere. The left image's pixel
+            (u, v) shows what the right image shows at (u - values[v, u], v).
+        valid: `[H, W]` bool.
+    """
+
+    values: Tensor
+    valid: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """A view's depth.
+
+    Args:
+        depth: `[H, W]` float32 z-depth in world units, > 0 where valid and 0 elsewhere.
+        valid: `[H, W]` bool.
+        confidence: `[H, W]` float32 in [0, 1]; 0 where not valid.
+    """
+
+    depth: Tensor
+    valid: Tensor
+    confidence: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Optical flow from one image to another.
+
+    Args:
+        vectors: `[H, W, 2]` float32 pixels (along columns, along rows); 0 where not valid. Pixel (u, v)
+            of the first image corresponds to (u, v) + vectors[v, u] in the second.
+        valid: `[H, W]` bool.
+    """
+
+    vectors: Tensor
+    valid: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Corresponding points of two images.
+
+    Args:
+        first, second: `[M, 2]` float32 pixel positions (column, row) in the first and in the second
+            image; the centre of the first pixel is (0.5, 0.5).
+        scores: `[M]` float32 in [0, 1], confidence of each match.
+    """
+
+    first: Tensor
+    second: Tensor
+    scores: Tensor

@@ -13,9 +13,8 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera, GaussianReader, Rendering
 
-    from .maps import DepthMap
     from .prior import Prior
-    from .scene import TrainingScene, TrainingView
+    from .scene import DepthMap, TrainingScene, TrainingView
 
 
 @dataclass(frozen=True, eq=False)

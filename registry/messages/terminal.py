@@ -1,19 +1,25 @@
-"""Text on the terminal: wrapped to its width, without control characters."""
+"""Text on the terminal, wrapped to its width and without control characters, and the parser of commands."""
 
 from __future__ import annotations
 
+import argparse
 import logging
 import os
 import re
 import sys
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import groupby
 from shutil import get_terminal_size
 from textwrap import wrap
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+
+from core_rasterizer.errors import ExplainedError
+
+from .suggestions import did_you_mean
 
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of control and format characters, lone surrogates and other line breaks."""
@@ -92,3 +98,42 @@ class PlainFormatter(logging.Formatter):
         if sys.stderr.isatty() or WIDTH in os.environ:
             return fitting(text, get_terminal_size().columns)
         return text
+
+
+class CommandParser(argparse.ArgumentParser):
+    """An `ArgumentParser` that raises an `ExplainedError` instead of printing its usage and exiting."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise the error, with the command that prints the help."""
+        raise ExplainedError(
+            message, where=self.prog, fix=f"`{self.prog} --help` shows what it takes, and examples"
+        )
+
+    # Its stub is overloaded by the namespace's type, which does not matter here.
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> Any:
+        """Parse; the verb's own parser refuses unknown options, since it can suggest the nearest one."""
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            options = [name for action in self._actions for name in action.option_strings]
+            first = unknown[0].partition("=")[0]
+            self.error(f"{first!r} is not understood{did_you_mean(first, options)}")
+        return parsed, unknown
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Wraps descriptions and epilogs: prose by paragraphs, examples, which are indented, line by line."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines: list[str] = []
+        for is_prose, block in groupby(text.splitlines(), _is_prose):
+            if is_prose:
+                lines += wrapped(" ".join(block), width)
+            else:
+                lines += (part for line in block for part in wrapped(line, width) or [""])
+        return "\n".join(indent + line for line in lines)
+
+
+def _is_prose(line: str) -> bool:
+    return bool(line.strip()) and not line.startswith(" ")

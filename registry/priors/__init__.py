@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ..contract.maps import DepthMap, Disparity, Flow, Matches
+    from ..contract.scene import DepthMap, Disparity, Flow, Matches
     from .capabilities import (
         MatchingPrior,
         MonocularDepthPrior,

@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..contract.component import SettingsType
-from ..contract.maps import DepthMap, Disparity, Flow, Matches
 from ..contract.prior import Prior
-from ..contract.scene import TrainingView
+from ..contract.scene import DepthMap, Disparity, Flow, Matches, TrainingView
 from ..errors import PluginError
 from ..toolkit.drawing.pictures import nearness_picture
 from .prior_cache import cached, stem

@@ -11,8 +11,7 @@
 
 from __future__ import annotations
 
-from .commands import check_command
-from .conformance import Cost, check
+from .conformance import Cost, check, check_command
 from .scenes import step_of, tiny_scene
 
 __all__ = ["Cost", "check", "check_command", "step_of", "tiny_scene"]

@@ -15,9 +15,8 @@ from torch import Tensor
 from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
 
 from .. import priors as prior_bases
-from ..contract.maps import DepthMap
 from ..contract.prior import Prior
-from ..contract.scene import PointCloud, Scene
+from ..contract.scene import DepthMap, PointCloud, Scene
 from ..contract.step import OtherField, Step
 from ..pipeline.training_settings import TrainingSettings
 from ..system.memory import memory_added

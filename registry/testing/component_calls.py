@@ -48,7 +48,7 @@ from ..toolkit.cache import FOLDER_VARIABLE
 from ..training.initial_model import initial_gaussians
 from .assertions import require, require_files
 from .bench import Bench
-from .companions import pipeline_of
+from .scenes import pipeline_of
 
 _SHORT = TrainingSettings(iterations=3, sh_degree=1)
 _EVENTS = ("started", "iterated", "evaluated", "ended")

@@ -25,7 +25,7 @@ from ..training.initial_model import new_model
 from ..training.trainer import Trainer
 from .assertions import first_difference, no_side_effects, require
 from .bench import Bench
-from .companions import UNDER_TEST, RandomEdits, pipeline_item, pipeline_of
+from .scenes import UNDER_TEST, RandomEdits, pipeline_item, pipeline_of
 
 _TRAINING = TrainingSettings(iterations=12, sh_degree=1, sh_every=5)
 """Applies each kind of edit of `RandomEdits` once, none in the last iteration."""

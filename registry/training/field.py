@@ -37,8 +37,7 @@ from ..contract.checks.answers import (
     check_opacity_update,
     check_sample,
 )
-from ..contract.maps import DepthMap
-from ..contract.scene import TrainingScene, TrainingView
+from ..contract.scene import DepthMap, TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
 from ..errors import PluginError, RunError
 from ..events import IterationDone

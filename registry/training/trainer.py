@@ -18,8 +18,7 @@ from torch import Tensor
 
 from core_rasterizer import GaussianError, GaussianModel, Gaussians
 
-from ..contract.maps import DepthMap
-from ..contract.scene import Scene
+from ..contract.scene import DepthMap, Scene
 from ..errors import RunError
 from ..pipeline.parts import Parts, derived_seed
 from ..pipeline.training_settings import TrainingSettings

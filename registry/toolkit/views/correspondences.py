@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
-    from ...contract.maps import Matches
+    from ...contract.scene import Matches
 
 
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Tensor:

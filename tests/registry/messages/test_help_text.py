@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from registry.cli import main
-from registry.messages.command_line import HelpFormatter
+from registry.messages.terminal import HelpFormatter
 from registry.plugins.commands import verbs
 
 TEXT = """\
