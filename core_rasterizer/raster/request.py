@@ -92,7 +92,7 @@ class RenderRequest:
         return self.modifiers is not None or self.smoothing is not None
 
     def modifier_rows(self, capacity: int, dtype: torch.dtype) -> Tensor:
-        """Opacity factors in the first row, smoothing, if any, in a second."""
+        """The first row holds opacity factors; the second, if there is one, smoothing."""
         values = (self.modifiers,) if self.smoothing is None else (self.modifiers, self.smoothing)
         rows = torch.zeros(len(values), capacity, dtype=dtype)
         for row, value in zip(rows, values, strict=True):

@@ -26,8 +26,8 @@ fourteen. From twice as many on, two cores in parallel are faster despite the la
 def chunks_of(device: Device) -> int:
     """Number of chunks of Gaussians that are sorted and binned in parallel.
 
-    One per work-item of a CPU or work-group of a GPU: enough for every unit, few enough for the sums
-    over them. The number for a GPU is an estimate, not a measurement.
+    On a CPU one per work-item, on a GPU one per work-group: enough to use every compute unit, few enough
+    that summing over chunks is cheap. The number for a GPU is an estimate, not a measurement.
     """
     if device.variant == "cpu":
         return min(16, 2 * device.compute_units)
