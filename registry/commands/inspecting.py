@@ -24,16 +24,16 @@ FAULT = 1
 
 
 class Explain(Command):
-    """Say what a pipeline will do, and when."""
+    """Show what a pipeline does, and when."""
 
     epilog = """\
 examples:
   stereogs explain pipelines/3dgs.yaml
   stereogs explain pipelines/3dgs.yaml --set training.iterations=5000
 
-Stage by stage: what is at work and from which package, in which iterations, what it is given, which files
-and priors it needs, and what the Gaussians take in memory. Then the pipeline with every default written
-out. Nothing is loaded or trained. Exit status 1 if a file or a prior is missing, or something is never due.
+Lists the components of each stage: package, iterations, inputs, files and priors; then the memory of the
+Gaussians, and the pipeline with every default. Nothing is loaded or trained. The exit status is 1 if a file
+or a prior is missing, or if a component is never due.
 """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -75,12 +75,12 @@ class Plugins(Command):
 
     epilog = """\
 examples:
-  stereogs plugins                 a line for each: its name and what it does
-  stereogs plugins dropout         what one is for, and its settings
-  stereogs plugins --json          all of it for programs, with JSON schemas
-  stereogs plugins --check         1 if one cannot be loaded or two names clash
+  stereogs plugins                 name and purpose of each component
+  stereogs plugins dropout         purpose and settings of one
+  stereogs plugins --json          everything as JSON, with schemas of settings
+  stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
   stereogs plugins new solid --kind regularizer
-                                   a package to begin with, in stereogs-solid
+                                   write a new package to stereogs-solid
 
 STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
 """
@@ -91,7 +91,7 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
         parser.set_defaults(action=_list_components)
         actions = parser.add_subparsers(title="verbs", metavar="VERB")
         epilog = "examples:\n  stereogs plugins show dropout\n  stereogs plugins dropout\n"
-        show = add_verb(actions, "show", "say what a component is for and what can be set", epilog)
+        show = add_verb(actions, "show", "show purpose and settings of a component", epilog)
         show.add_argument("name", metavar="NAME", help="as a pipeline writes it")
         show.set_defaults(action=_show_component)
         new = add_verb(
@@ -218,8 +218,8 @@ class Schema(Command):
 examples:
   stereogs schema > pipeline.schema.json
 
-It holds the settings of every installed plugin, third parties' included. An editor that knows YAML (in
-VS Code the extension YAML of Red Hat) completes and checks a pipeline whose first line is
+The schema contains the settings of every installed plugin. An editor with YAML support (in VS Code the
+extension YAML by Red Hat) completes and checks a pipeline whose first line is
 
   # yaml-language-server: $schema=pipeline.schema.json
 """
