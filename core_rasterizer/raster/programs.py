@@ -35,6 +35,9 @@ OVERRIDES = frozenset(
     )
 )
 """Kernel macros that a `Renderer` may override."""
+_BLENDING_ONLY = ("EARLY_STOP", "EXP2_DEGREE", "RASTER_LANES")
+_PROJECTION_ONLY = ("EXACT_TILE_TEST",)
+"""Macros that the other kernels do not use: programs that differ in them only are built once."""
 
 
 class RasterPrograms:
@@ -79,7 +82,11 @@ class RasterPrograms:
         macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
         self._group = 16 if self._on_cpu else 64
-        self._projection_macros = {**macros, **footprint.macros, "PROJECT_GROUP": self._group}
+        self._projection_macros = {
+            **_without(macros, _BLENDING_ONLY),
+            **footprint.macros,
+            "PROJECT_GROUP": self._group,
+        }
         self.base = device.program(
             *_PROJECTION,
             _BACKWARD,
@@ -89,7 +96,10 @@ class RasterPrograms:
             **lists.macros,
         )
         lanes = macros["RASTER_LANES"] if self._on_cpu else 1
-        self._raster_macros: dict[str, Any] = {**macros, "LANES": lanes}
+        unused: tuple[str, ...] = (*_PROJECTION_ONLY, "RASTER_LANES")
+        if lanes == 1 or dtype == torch.float64:
+            unused += ("EXP2_DEGREE",)  # these kernels use the compiler's exponential
+        self._raster_macros: dict[str, Any] = {**_without(macros, unused), "LANES": lanes}
         self.raster()  # build now, so that the first render does not wait
 
     def projection(self, request: RenderRequest) -> Program:
@@ -132,3 +142,7 @@ class RasterPrograms:
         """Run a kernel over tiles (across, down): one work-item per tile on a CPU, else per pixel."""
         local = 1 if self._on_cpu else self.tile[0] * self.tile[1]
         program.run(kernel, (tiles[0] * tiles[1] * local,), (local,), *arguments)
+
+
+def _without(macros: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    return {name: value for name, value in macros.items() if name not in names}

@@ -50,11 +50,8 @@ or a prior is missing, or if a component is never due.
             arguments.pipeline, Plugins(), overrides=arguments.set, disabled=arguments.disable
         )
         output = console()
-        training = pipeline.training
-        each = pipeline.iterations_per_view
-        length = f"{training.iterations} iterations" + (
-            f", {each} per training view" if each else ""
-        )
+        training, each = pipeline.training, pipeline.iterations_per_view
+        length = f"{training.iterations} iterations" + f", {each} per training view" * bool(each)
         output.print(f"{pipeline.name}: {length}, seed {training.seed}")
         for stage, components in explained(pipeline):
             output.print(f"\n{stage}")

@@ -6,6 +6,7 @@ The value of an entry point in the group is the package that holds the files: `N
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +24,7 @@ def is_pipeline_file(path: Path) -> bool:
     return path.suffix.lower() in _SUFFIXES and not path.is_dir()
 
 
+@cache
 def packaged_files(group: str) -> dict[str, tuple[Path, ...]]:
     """Return the files of each name, sorted by name; several if several packages provide it."""
     found: dict[str, tuple[Path, ...]] = {}
@@ -37,7 +39,7 @@ def packaged_files(group: str) -> dict[str, tuple[Path, ...]]:
 
 
 def ready_pipelines() -> dict[str, tuple[Path, ...]]:
-    """Return the files of each ready pipeline, by name; see `packaged_files`."""
+    """Return the files of each ready pipeline, by name."""
     return packaged_files(PIPELINES)
 
 

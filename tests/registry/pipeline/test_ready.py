@@ -25,6 +25,7 @@ def bring(monkeypatch: pytest.MonkeyPatch, site: Path, *packages: str) -> None:
         entries.append(EntryPoint(package, package, ready.PIPELINES))
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(ready, "entry_points", lambda group: entries)
+    monkeypatch.setattr(ready, "packaged_files", ready.packaged_files.__wrapped__)  # not cached
 
 
 def test_the_projects_own_are_all_there() -> None:
