@@ -225,6 +225,17 @@ def test_imports_of_the_host_go_to_lower_layers() -> None:
                 assert allowed, f"{name} imports {other}"
 
 
+def test_calls_import_the_contract_for_its_types_alone() -> None:
+    modules = [
+        f"registry.calls.{file.stem}" for file in (ROOT / "registry/calls").glob("[a-z]*.py")
+    ]
+    code = f"import sys, {', '.join(modules)}; print('registry.contract' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
 @pytest.mark.parametrize("package", ["core_rasterizer", "registry", "stereogs_plugins"])
 def test_no_folder_has_too_many_modules(package: str) -> None:
     for folder in sorted({file.parent for file in (ROOT / package).rglob("*.py")}):

@@ -6,10 +6,12 @@ The value of an entry point in the group is the package that holds the files: `N
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 from ..messages.suggestions import did_you_mean, listing
 from .yaml_source import Place
@@ -25,8 +27,8 @@ def is_pipeline_file(path: Path) -> bool:
 
 
 @cache
-def packaged_files(group: str) -> dict[str, tuple[Path, ...]]:
-    """Return the files of each name, sorted by name; several if several packages provide it."""
+def packaged_files(group: str) -> Mapping[str, tuple[Path, ...]]:
+    """Return the files of each name, sorted by name; read once per process."""
     found: dict[str, tuple[Path, ...]] = {}
     for entry in entry_points(group=group):
         spec = find_spec(entry.value)
@@ -35,10 +37,10 @@ def packaged_files(group: str) -> dict[str, tuple[Path, ...]]:
                 name = file.relative_to(folder).with_suffix("").as_posix()
                 if file not in found.get(name, ()):
                     found[name] = (*found.get(name, ()), file)
-    return dict(sorted(found.items()))
+    return MappingProxyType(dict(sorted(found.items())))
 
 
-def ready_pipelines() -> dict[str, tuple[Path, ...]]:
+def ready_pipelines() -> Mapping[str, tuple[Path, ...]]:
     """Return the files of each ready pipeline, by name."""
     return packaged_files(PIPELINES)
 

@@ -79,8 +79,8 @@ def add_learned_matches(
         for k, keypoints in found.items():
             opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
         pairs = list(combinations(found, 2))
-        for number, (first, second) in enumerate(pairs, start=1):
-            _log.info("matching by networks: pair %d of %d", number, len(pairs))
+        _log.info("matching %d pairs by networks, about a second each", len(pairs))
+        for first, second in pairs:
             rows, _ = networks.match(found[first], found[second], MIN_SCORE)
             new = rows.numpy() + np.array([len(before[first]), len(before[second])])
             old = known.read_matches(there[first], there[second])

@@ -94,7 +94,9 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         )
         _warn_of_disconnected(names, disconnected)
         placed = _posed(model, found)
-        test_every = self._test_every(len(placed))
+        test_every = settings.test_every
+        if test_every is None:
+            test_every = default_test_every(len(placed))
         train, test = split(len(placed), test_every, settings.train_views, str(folder))
         photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
@@ -114,17 +116,6 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         )
         return loaded.scene("photos", folder, bounds, points, facts)
 
-    def _test_every(self, count: int) -> int:
-        if self.settings.test_every is not None:
-            return self.settings.test_every
-        if count < HELD_OUT_EVERY:
-            return 0
-        _log.info(
-            "%d photographs: every %dth is held out to measure quality; scene.test_every=0 trains on all",
-            *(count, HELD_OUT_EVERY),
-        )
-        return HELD_OUT_EVERY
-
     def _find_cameras(self, found: list[UnposedPhoto]) -> FoundCameras:
         from .found_cameras import remembered_cameras
         from .learned_matches import known_files
@@ -137,6 +128,17 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             f"{settings.matching_size} {settings.share_lens} {known_files() is not None}",
             lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
         )
+
+
+def default_test_every(count: int) -> int:
+    """Return the spacing of test views among `count` photographs; 0 gives no test views."""
+    if count < HELD_OUT_EVERY:
+        return 0
+    _log.info(
+        "%d photographs: every %dth is held out to measure quality; scene.test_every=0 trains on all",
+        *(count, HELD_OUT_EVERY),
+    )
+    return HELD_OUT_EVERY
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
