@@ -51,7 +51,7 @@ class Trust(NamedTuple):
 SIFT_TRUST = Trust(15, 15)
 LEARNED_TRUST = Trust(30, 200)
 """Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
-sides of symmetric objects (up to 150). Right pairs of three distant pictures may have as few, and are lost."""
+sides of symmetric objects (up to 150). Correct pairs of distant pictures with as few matches are lost."""
 
 
 class Piece(NamedTuple):
