@@ -101,6 +101,8 @@ class HookPoint:
     def host_settings(self) -> tuple[str, ...]:
         """Settings that the host reads; a component must not define them."""
         names: tuple[str, ...] = ("use", "name", "enabled")
+        if self.section == "priors":
+            names += ("fallbacks",)
         if self.weighted:
             names += ("weight", "step")
         if self.scheduled:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from ..contract.hook_points import PIPELINE_POINTS, STAGES
 from ..contract.prior import chosen_prior, usable_priors
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean
-from ..pipeline.pipeline import Item, Pipeline
+from ..pipeline.pipeline import Item, Pipeline, paths_in
 from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
@@ -43,7 +43,7 @@ def faults(pipeline: Pipeline) -> list[str]:
     """Return the problems that are known before anything is loaded."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
-        missing = [path for path in _paths(dict(item.settings)) if not path.exists()]
+        missing = [path for path in paths_in(dict(item.settings)) if not path.exists()]
         found += [(item, f"{path} does not exist") for path in missing]
         if not _is_used(item, pipeline):
             found.append((item, "is never due"))
@@ -70,10 +70,12 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     offer = item.offer
     origin = f"{offer.distribution} {offer.version}, {item.place}"
     notes = [("is", summary(offer)), ("from", origin)]
+    if item.fallback:
+        notes.append(("note", f"a fallback: {item.fallback}"))
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline.training.iterations)))
     notes.append(("reads", item.point.reads))
-    notes += [("file", f"{path}, {_size(path)}") for path in _paths(dict(item.settings))]
+    notes += [("file", f"{path}, {_size(path)}") for path in paths_in(dict(item.settings))]
     for wanted in needs(offer.component):
         names = ", ".join(usable_priors(_capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
@@ -92,15 +94,6 @@ def _when(item: Item, iterations: int) -> str:
     if len(due) <= 3:
         return f"iteration {', '.join(map(str, due))}"
     return f"iterations {due[0]}, {due[1]} to {due[-1]}, {len(due)} times"
-
-
-def _paths(value: Any) -> Iterator[Path]:
-    """Yield every path in a value, also in mappings and sequences."""
-    if isinstance(value, Path):
-        yield value
-    elif isinstance(value, Mapping | list | tuple):
-        for inner in value.values() if isinstance(value, Mapping) else value:
-            yield from _paths(inner)
 
 
 def _size(path: Path) -> str:

@@ -95,6 +95,8 @@ def _settings(point: HookPoint, offer: Offer, key: str, definitions: dict[str, S
     except PydanticInvalidForJsonSchema as error:
         return {"description": f"Its settings cannot be described: {error.message}"}
     described = _described(HostSettings, "host", definitions)["properties"]
+    others = {"type": "array", "items": {"$ref": f"#/$defs/{point.section}"}}
+    described["fallbacks"] = {**others, "description": "Used if a file is missing; best first."}
     properties = {name: described[name] for name in point.host_settings}
     properties["use"].pop("type")
     for name in properties.keys() & Schedule.model_fields.keys():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
-from ..errors import PluginError
+from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
@@ -31,6 +31,7 @@ class Item:
         settings: the component's own settings.
         host: the settings that the host reads.
         place: where the pipeline names it.
+        fallback: for a prior from `fallbacks`, which one and why, as a sentence; else empty.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Item:
     host: HostSettings
     offer: Offer = field(compare=False)
     place: Place = field(compare=False)
+    fallback: str = field(default="", compare=False)
 
     @property
     def point(self) -> HookPoint:
@@ -219,7 +221,7 @@ def _section(
     written = [] if node.content is None else [node]
     items: dict[str, Item] = {}
     for component in node.content if isinstance(node.content, list) else written:
-        item = component_item(point, component, plugins.find, training.iterations)
+        item = _first_complete(point, component, plugins.find, training.iterations)
         if item is None:
             continue
         if item.name in items:
@@ -236,6 +238,56 @@ def _section(
             fix=f"write {point.section}: {{use: ...}}; `stereogs plugins` lists all components",
         )
     return tuple(items.values())
+
+
+def _first_complete(
+    point: HookPoint, node: Node, find: Callable[[HookPoint, str], Offer], iterations: int
+) -> Item | None:
+    """`component_item`; of a prior with `fallbacks`, the first that has its files, or else the last.
+
+    A setting from the command line or an ablation selects the prior: a wrong path is then an error.
+    """
+    written = expand(node).get("fallbacks") if point.section == "priors" else None
+    if written is None:
+        return component_item(point, node, find, iterations)
+    others = written.content
+    if not isinstance(others, list) or not others:
+        fix = "write `fallbacks: [NAME, {use: NAME, ...}]`, best first"
+        raise written.place.error(f"fallbacks is a list of priors, not {written.kind}", fix=fix)
+    preferred = {key: child for key, child in expand(node).items() if key != "fallbacks"}
+    shared = {"name": preferred.get("name", preferred.get("use", node))}
+    if "enabled" in preferred:
+        shared["enabled"] = preferred["enabled"]
+    candidates = [Node(preferred, node.place)]
+    if all(child.place.source == node.place.source for child in preferred.values()):
+        candidates += [Node({**expand(other), **shared}, other.place) for other in others]
+    lacking: list[str] = []
+    for candidate in candidates:
+        try:
+            plain(candidate)
+        except PipelineError as unset_variable:
+            lacking.append(unset_variable.what)
+            continue
+        item = component_item(point, candidate, find, iterations)
+        paths = list(paths_in(dict(item.settings))) if item else []
+        absent = [path for path in paths if not path.expanduser().exists()]
+        if item is None or (not absent and not lacking):
+            return item
+        if not absent:
+            files = "".join(f" with {path.name}" for path in paths)
+            why = "; ".join(dict.fromkeys(lacking))
+            return replace(item, fallback=f"{item.name} is {item.host.use}{files}: {why}")
+        lacking.append(f"{absent[0]} does not exist")
+    return component_item(point, candidates[-1], find, iterations)
+
+
+def paths_in(value: Any) -> Iterator[Path]:
+    """Yield every path in a value, also in mappings and sequences."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from paths_in(inner)
 
 
 def component_item(
@@ -277,6 +329,6 @@ def component_item(
 
 def _written(item: Item) -> dict[str, Any]:
     host = item.host.model_dump(mode="json")
-    names = [name for name in item.point.host_settings if name != "enabled"]
+    names = [n for n in item.point.host_settings if n not in ("enabled", "fallbacks")]
     first = {name: host[name] for name in names if name != "name" or host[name] is not None}
     return {**first, **item.settings.model_dump(mode="json")}

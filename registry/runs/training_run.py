@@ -139,7 +139,8 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
     console.print(summary(scene))
-    for warning in warnings(scene):
+    fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
+    for warning in [*warnings(scene), *(f"fallback: the prior {text}" for text in fallbacks)]:
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()
@@ -157,6 +158,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
         "initializer": initializer.item.name,
         "points": len(points),
         "seconds": round(seconds.initialization, 3),
+        **({"fallbacks": fallbacks} if fallbacks else {}),
     }
     maps, kinds = points.maps, points.kinds
     trainer = Trainer(pipeline.training, initial.parts, scene, model, maps, kinds)

@@ -25,17 +25,26 @@ SMALLEST_DEPTH = 1e-3
 
 @dataclass(frozen=True)
 class MonoFamily:
-    """Input and output format of a family: pixel values, short side and its multiple in pixels, output."""
+    """Input and output format of a family: pixel values, short side and its multiple in pixels, output.
+
+    `published` names the network and the address of its weights.
+    """
 
     value_range: ValueRange
     short_side: int
     multiple: int
+    published: str
     answers: Answer = "inverse_depth"
 
 
 FAMILIES: dict[FamilyName, MonoFamily] = {
-    "dpt": MonoFamily("-1..1", 384, 32),
-    "depth_anything_v2": MonoFamily("imagenet", 518, 14),
+    "dpt": MonoFamily("-1..1", 384, 32, "DPT (https://github.com/isl-org/DPT)"),
+    "depth_anything_v2": MonoFamily(
+        "imagenet",
+        518,
+        14,
+        "Depth Anything V2 (https://github.com/DepthAnything/Depth-Anything-V2)",
+    ),
 }
 
 
@@ -66,7 +75,7 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
     def __init__(self, settings: OnnxMonoSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._family = _family(settings)
-        self._model = settings.open()
+        self._model = settings.open(self._family.published)
         self._input = self._model.input(settings.input)
         self._output = self._model.output(settings.output)
         if len(self._input.shape) != 4 or self._input.shape[1] not in (None, 3):
@@ -151,7 +160,7 @@ def _family(settings: OnnxMonoSettings) -> MonoFamily:
     overrides = {
         field.name: value
         for field in fields(MonoFamily)
-        if (value := getattr(settings, field.name)) is not None
+        if (value := getattr(settings, field.name, None)) is not None
     }
     return replace(FAMILIES[settings.family], **overrides)
 

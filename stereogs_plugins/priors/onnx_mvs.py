@@ -49,6 +49,7 @@ class MvsFamily:
         multiple: H and W must be a multiple of this if the graph's size is dynamic.
         cameras: function that returns the other inputs by name, from the graph, cameras of the images'
             size, (near, far) z-depth, and the factor from the images' intrinsics to the network's.
+        published: the network and the address of its weights.
     """
 
     images: str
@@ -57,6 +58,7 @@ class MvsFamily:
     camera_inputs: tuple[str, ...]
     multiple: int
     cameras: Callable[[OnnxModel, Cameras, Bounds, float], dict[str, Tensor]]
+    published: str
     value_range: ValueRange = "imagenet"
 
 
@@ -112,7 +114,15 @@ def _poses(cameras: Cameras) -> Tensor:
 
 
 FAMILIES: dict[FamilyName, MvsFamily] = {
-    "mvsanywhere": MvsFamily("images", "depth", "conf", ("K", "cam_T_world"), 32, _posed),
+    "mvsanywhere": MvsFamily(
+        "images",
+        "depth",
+        "conf",
+        ("K", "cam_T_world"),
+        32,
+        _posed,
+        "MVSAnywhere (https://github.com/nianticlabs/mvsanywhere)",
+    ),
     "mvsformer": MvsFamily(
         "imgs",
         "refined_depth",
@@ -120,6 +130,7 @@ FAMILIES: dict[FamilyName, MvsFamily] = {
         (*_MVSFORMER_STAGES, "depth_values"),
         64,
         _staged,
+        "MVSFormer (https://github.com/ewrfcas/MVSFormer)",
     ),
 }
 
@@ -161,7 +172,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
             multiple=settings.multiple or family.multiple,
             value_range=settings.value_range or family.value_range,
         )
-        self._model = settings.open()
+        self._model = settings.open(FAMILIES[settings.family].published)
         images = self._model.input(family.images)
         if len(images.shape) != 5:
             raise PluginError(

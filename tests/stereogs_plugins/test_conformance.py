@@ -89,6 +89,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "initializer.random": (lambda folder: {"count": 100},),
     "initializer.ply": (gaussians,),
     "initializer.consistency_dense": (needs_nothing, complete),
+    "priors.depth_cues": (needs_nothing,),
     "priors.patch_match": (needs_nothing,),
     "priors.plane_sweep": (few_planes,),
     "priors.sgm": (

@@ -244,9 +244,18 @@ class OnnxModelSettings(Settings):
         """Return the settings that select this model, for a pipeline."""
         return {"model": str(model.path), "sha256": model.sha256}
 
-    def open(self) -> OnnxModel:
-        """Load the model."""
-        return self.open_another(self.model, self.sha256)
+    def open(self, published: str = "") -> OnnxModel:
+        """Load the model.
+
+        Args:
+            published: which network a missing file should contain, and where its weights are published.
+        """
+        try:
+            return self.open_another(self.model, self.sha256)
+        except PluginError as error:
+            if published and not self.model.expanduser().exists():
+                error.fix += f"\nthis prior expects {published}, exported to ONNX"
+            raise
 
     def open_another(self, path: Path, sha256: str | None) -> OnnxModel:
         """Load a second model with the same provider and threads."""

@@ -41,6 +41,7 @@ class StereoFamily:
             by the right one; `left` and `right` are ignored.
         frozen: fixed size of all of its files, if any.
         confidences: names of outputs shaped like the disparity, in [0, 1], 1 = reliable.
+        published: the network and the address of its weights.
     """
 
     left: str | None = None
@@ -53,22 +54,50 @@ class StereoFamily:
     stacked: bool = False
     frozen: FrozenSize = (None, None)
     confidences: tuple[str, ...] = ()
+    published: str = ""
 
 
 FAMILIES: dict[FamilyName, StereoFamily] = {
-    "foundation_stereo": StereoFamily("left", "right", "disp", max_disparity=416),
-    "fast_foundation_stereo": StereoFamily("left", "right", "disp", max_disparity=192),
+    "foundation_stereo": StereoFamily(
+        "left",
+        "right",
+        "disp",
+        max_disparity=416,
+        published="FoundationStereo (https://github.com/NVlabs/FoundationStereo)",
+    ),
+    "fast_foundation_stereo": StereoFamily(
+        "left",
+        "right",
+        "disp",
+        max_disparity=192,
+        published="Fast-FoundationStereo (https://github.com/NVlabs/Fast-FoundationStereo)",
+    ),
     "s2m2": StereoFamily(
         "input_left",
         "input_right",
         "output_disp",
         confidences=("output_occ", "output_conf"),
+        published="S2M2 (https://github.com/junhong-3dv/s2m2)",
     ),
     "lite_any_stereo": StereoFamily(
-        "left", "right", "disparity", max_disparity=192, frozen=(384, 1248)
+        "left",
+        "right",
+        "disparity",
+        max_disparity=192,
+        frozen=(384, 1248),
+        published="Lite Any Stereo (https://github.com/TomTomTommi/LiteAnyStereo)",
     ),
-    "raft_stereo": StereoFamily(output="flow_up", negated=True),
-    "hitnet": StereoFamily(value_range="0..1", multiple=16, stacked=True),
+    "raft_stereo": StereoFamily(
+        output="flow_up",
+        negated=True,
+        published="RAFT-Stereo (https://github.com/princeton-vl/RAFT-Stereo)",
+    ),
+    "hitnet": StereoFamily(
+        value_range="0..1",
+        multiple=16,
+        stacked=True,
+        published="HITNet (https://github.com/google-research/google-research/tree/master/hitnet)",
+    ),
     "generic": StereoFamily(),
 }
 

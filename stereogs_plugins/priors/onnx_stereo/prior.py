@@ -166,7 +166,7 @@ def _network(settings: OnnxStereoSettings, family: StereoFamily) -> StereoNetwor
             where=str(settings.model),
             fix="set `second_model`" if pair else "remove `second_model`",
         )
-    model = settings.open()
+    model = settings.open(FAMILIES[settings.family].published)
     if settings.second_model is None:
         return StackedGraph(model, family) if family.stacked else OneGraph(model, family)
     second = settings.open_another(settings.second_model, settings.second_sha256)

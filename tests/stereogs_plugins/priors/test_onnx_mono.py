@@ -38,6 +38,11 @@ def test_registers_as_onnx_mono() -> None:
     assert offered(stereogs_register_priors) == {"onnx_mono": OnnxMono}
 
 
+def test_a_missing_file_is_refused_with_the_address_of_the_network(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"DPT \(https://github.com/isl-org/DPT\)"):
+        mono(tmp_path / "absent.onnx", family="dpt")
+
+
 @pytest.mark.parametrize(
     ("family", "size", "given"),
     [
