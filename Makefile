@@ -50,7 +50,7 @@ fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, a
 	$(BIN)/python -m tests.fuzzing 100000
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
-	NEW_PLUGINS=all $(BIN)/python -m pytest tests/registry/plugins/test_scaffolding.py
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs_plugins/tools/test_new_plugin.py
 
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'

@@ -76,8 +76,6 @@ examples:
   stereogs plugins dropout         purpose and settings of one
   stereogs plugins --json          everything as JSON, with schemas of settings
   stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
-  stereogs plugins new solid --kind regularizer
-                                   write a new package to stereogs-solid
 
 STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry names by commas.
 """
@@ -91,55 +89,20 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
         show = add_verb(actions, "show", "show purpose and settings of a component", epilog)
         show.add_argument("name", metavar="NAME", help="as a pipeline writes it")
         show.set_defaults(action=_show_component)
-        new = add_verb(
-            actions, "new", "write a plugin package that installs and trains", NEW_EPILOG
-        )
-        new.add_argument(
-            "name", metavar="NAME", help="of the component, as pipelines will write it"
-        )
-        new.add_argument("--kind", required=True, metavar="KIND", help="what it is; see below")
-        new.add_argument(
-            "--into",
-            type=Path,
-            default=Path(),
-            metavar="DIR",
-            help="the folder to write the package's folder into (default: this one)",
-        )
-        new.set_defaults(action=_write_package)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """List components, describe one, or write a new package."""
+        """List components, or describe one."""
         status: int = arguments.action(arguments)
         return status
-
-
-NEW_EPILOG = """\
-kinds:
-  scene, initializer, prior, sampler, appearance, regularizer, modifier, densification, opacity,
-  perturbation, metric, exporter, report, observer, command
-
-examples:
-  stereogs plugins new solid --kind regularizer
-  pip install -e stereogs-solid
-  stereogs train stereogs-solid/pipeline.yaml
-"""
 
 
 def with_verb(arguments: list[str]) -> list[str]:
     """Return the command line with `plugins NAME` replaced by `plugins show NAME`."""
     if arguments[0] != "plugins" or len(arguments) < 2:
         return arguments
-    if arguments[1].startswith("-") or arguments[1] in ("show", "new"):
+    if arguments[1].startswith("-") or arguments[1] == "show":
         return arguments
     return ["plugins", "show", *arguments[1:]]
-
-
-def _write_package(arguments: argparse.Namespace) -> int:
-    from ..plugins.scaffolding import new_plugin
-
-    folder = new_plugin(arguments.name, arguments.kind, arguments.into)
-    console().print(f"wrote {folder}; its README.md says what comes next")
-    return 0
 
 
 def _show_component(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`stereogs plugins new`: each kind's package installs, keeps the contract and has a pipeline that trains.
+"""`stereogs new-plugin`: each kind's package installs, keeps the contract and has a pipeline that trains.
 
 NEW_PLUGINS=all (`make new-plugins`) also installs each with pip alone, runs its own tests and trains it.
 """
@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 
 from registry.cli import main
-from registry.commands.inspecting import NEW_EPILOG
 from registry.errors import PluginError
 from registry.pipeline.pipeline import load_pipeline
 from registry.plugins.commands import verbs
 from registry.plugins.discovery import SELECTION, Plugins, installed_entries, offered_name
-from registry.plugins.scaffolding import COMMAND, COMPONENTS, KINDS, new_plugin
 from registry.testing import check, check_command
+from stereogs_plugins.tools.new_plugin.package_files import COMMAND, COMPONENTS, KINDS, new_plugin
+from stereogs_plugins.tools.new_plugin.verb import NewPlugin
 from tests.packages import ROOT, install, install_by_pip, run_python
 
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}
@@ -97,17 +97,17 @@ def test_what_is_written_is_well_formatted(written: Path) -> None:
 
 
 def test_the_help_names_every_kind() -> None:
-    assert all(kind in NEW_EPILOG.split("examples:")[0] for kind in KINDS)
+    assert all(kind in NewPlugin.epilog.split("examples:")[0] for kind in KINDS)
 
 
 def test_the_command_writes_beside_what_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["plugins", "new", "solid", "--kind", "regularizer"]) == 0
+    assert main(["new-plugin", "solid", "--kind", "regularizer"]) == 0
     assert "stereogs-solid" in capsys.readouterr().out
     assert (tmp_path / "stereogs-solid" / "stereogs_solid.py").is_file()
-    assert main(["plugins", "new", "solid", "--kind", "regularizer"]) == 2
+    assert main(["new-plugin", "solid", "--kind", "regularizer"]) == 2
     assert "folder exists and is not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["stereogs-solid"]
 

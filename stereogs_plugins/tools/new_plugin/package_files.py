@@ -1,4 +1,4 @@
-"""A new plugin package, written from the templates in data/new_plugin."""
+"""The files of a new plugin package, filled in from the templates beside this file."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-from ..contract.hook_points import API_VERSION, OTHER_HOOKS, PIPELINE_POINTS, HookPoint
-from ..errors import PluginError
-from ..messages.suggestions import did_you_mean, listing
-from ..system.files import new_folder
-from .commands import COMMANDS, verbs
-from .discovery import GROUP, installed_entries, offered_name
+from registry import API_VERSION, PluginError
+from registry.contract import HOOK_POINTS, HookPoint
+from registry.messages import did_you_mean, listing
+from registry.plugins import COMMANDS, GROUP, installed_entries, offered_name, verbs
+from registry.system import new_folder
 
 COMPONENTS: Mapping[str, HookPoint] = {
-    point.section.removesuffix("s"): point for point in PIPELINE_POINTS
+    point.section.removesuffix("s"): point for point in HOOK_POINTS if point.in_pipeline
 }
 """Kinds of component: the sections of a pipeline, in the singular."""
 COMMAND = "command"
 KINDS = (*COMPONENTS, COMMAND)
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]*")
-_TEMPLATES = resources.files("registry").joinpath("data", "new_plugin")
+_TEMPLATES = resources.files("stereogs_plugins.tools.new_plugin").joinpath("templates")
 
 
 def new_plugin(name: str, kind: str, parent: Path) -> Path:
@@ -93,7 +92,7 @@ def _words(name: str, kind: str) -> dict[str, str]:
     """Return the values of the templates' placeholders."""
     parts = [part for part in re.split(r"[-_]+", name) if part]
     if kind == COMMAND:
-        title, hook, group = "Command", OTHER_HOOKS[0], COMMANDS
+        title, hook, group = "Command", "stereogs_register_commands", COMMANDS
         summary = "Print the number of files in a folder."
     else:
         title, hook, group = COMPONENTS[kind].title.capitalize(), COMPONENTS[kind].hook, GROUP
