@@ -37,6 +37,21 @@ def one_by_one(waiting: Sequence[Planned]) -> list[tuple[Planned]]:
     return [(run,) for run in waiting]
 
 
+def _check_priors(waiting: Sequence[Planned]) -> None:
+    """Check that no training would use the fallback of a prior, which its row in a table does not name.
+
+    Raises:
+        RunError: the files of a preferred prior are missing.
+    """
+    for run in waiting:
+        for prior in run.pipeline.items["priors"]:
+            if prior.fallback:
+                fix = "set STEREOGS_MODELS to the folder of the model files"
+                raise RunError(
+                    f"a fallback replaces a prior: {prior.fallback}", where=run.name, fix=fix
+                )
+
+
 @dataclass(frozen=True)
 class Campaign(Generic[Planned]):
     """A plan of trainings and the tables made from it.
@@ -90,6 +105,7 @@ class Campaign(Generic[Planned]):
         runs, kept = self.plan(Plugins()), records.RECORDS / f"{self.name}.jsonl"
         done = {record.run.name for record in records.read(runs, kept)}
         waiting = [run for run in runs if run.name not in done]
+        _check_priors(waiting)
         console.print(f"{len(runs)} runs, {len(waiting)} to train")
         failures = train(
             self.group(waiting),

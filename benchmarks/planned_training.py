@@ -42,6 +42,13 @@ Planned = TypeVar("Planned", bound=PlannedTraining)
 
 
 def written_digest(tree: Node) -> str:
-    """Return ten hexadecimal digits that depend on all that is written in a pipeline."""
-    text = json.dumps(tree.as_written(), sort_keys=True)
+    """Return ten hexadecimal digits that depend on all that is written in a pipeline, except `fallbacks`.
+
+    A campaign does not train with a fallback (`benchmarks.campaign`).
+    """
+    written = tree.as_written()
+    for prior in written.get("priors") or []:
+        if isinstance(prior, dict):
+            prior.pop("fallbacks", None)
+    text = json.dumps(written, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
