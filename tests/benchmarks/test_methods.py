@@ -100,6 +100,13 @@ def test_objects_have_one_seed_and_precede_the_second() -> None:
         assert run.pipeline.protocol.written == run.case.protocol
 
 
+def test_every_first_seed_has_a_record_of_its_pipeline() -> None:
+    groups = [replace(group, seeds=group.seeds[:1]) for group in GROUPS]
+    runs = planned_runs(METHODS, groups, PLUGINS)
+    recorded = training_records.read(runs, training_records.RECORDS / "methods.jsonl")
+    assert [record.run.name for record in recorded] == [run.name for run in runs]
+
+
 def test_objects_use_the_settings_of_the_authors() -> None:
     written = yaml.safe_load(AUTHORS_SETTINGS.read_text(encoding="utf-8"))
     by_name = {method.file.stem: method for method in METHODS}
