@@ -10,6 +10,7 @@ from benchmarks import pages
 from benchmarks.cells import NONE, count, gain, scores_shown, spread
 from benchmarks.results_plan import Measurement, Method
 from benchmarks.training_records import Record as AnyRecord
+from benchmarks.view_angles import recorded
 
 Record = AnyRecord[Measurement]
 Records = Sequence[Record]
@@ -18,9 +19,11 @@ Cells = Callable[[Records, Method], str]
 """Makes the cell of a method from a row's records."""
 
 NOTES = """\
-Columns are defined in [results](../../docs/results.md#columns). *to plain* is the gain over *plain*. LPIPS
-and AVGE are of seed 0 only, as they take longer than a short training. A **mean** is over the data sets of
-one protocol.
+Columns are defined in [results](../../docs/results.md#columns). *to plain* is the gain over *plain*. A test
+view is *inside* if it looks from between training cameras: its direction from the subject is at most 2°
+outside the cone of theirs. *nearest* is the median angle from a test view to the nearest training view, as
+seen from the subject (`python -m benchmarks.view_angles`). LPIPS and AVGE are of seed 0 only, as they take
+longer than a short training. A **mean** is over the data sets of one protocol.
 
 `make results` also draws the first test view of each row, the photograph next to the renders, into
 `benchmarks/out/results/results.jpg`; the photographs belong to the data sets and are not published here.
@@ -31,6 +34,8 @@ Every row follows its [protocol](../../docs/protocols.md): training and test pho
 background and masks.
 
 """
+INSIDE = 2.0
+"""Largest angle in degrees to the cone of the training cameras of a view that counts as interpolated."""
 _COSTS = (("gaussians", ",.0f"), ("cpu_seconds", ",.0f"), ("peak_memory_mb", ",.0f"))
 
 
@@ -63,6 +68,8 @@ def tables(records: Records, planned: int) -> str:
                 [*shown.values(), "Gaussians", "CPU s", "MB"],
                 [*map(_mean_of, shown), *(_mean_of(*column) for column in _COSTS)],
             ),
+            "## Interpolation and extrapolation\n",
+            _by_angle(records),
             NOTES + "".join(f"- {fact}\n" for fact in facts),
         )
     )
@@ -86,6 +93,35 @@ def _table(records: Records, names: Sequence[str], columns: Sequence[Cells]) -> 
             cells = [f"**{cells(group, method)}**" for _, method, cells in shown]
             lines.append([f"**mean of {protocol}**", str(group[0].run.case.views), "", *cells])
     return pages.table(headings, lines)
+
+
+def _by_angle(records: Records) -> str:
+    """Return the PSNR of interpolated and of extrapolated test views, with the angles of each data set."""
+    known, methods = recorded(), _methods(records)
+    headings = ["data set", "views", "nearest", "inside", "outside"]
+    headings += [f"{kind} {method.title}" for kind in ("inside", "outside") for method in methods]
+    lines = []
+    for row in by_case(records):
+        case = row[0].run.case
+        angles = known.get(f"{case.data}-{case.views}")
+        if angles is None:  # not measured by `benchmarks.view_angles`
+            continue
+        groups = [
+            {view for view, angle in angles.items() if (angle.outside <= INSIDE) == inside}
+            for inside in (True, False)
+        ]
+        nearest = statistics.median(angle.nearest for angle in angles.values())
+        cells = [_psnr_of(row, method, views) for views in groups for method in methods]
+        counts = [str(len(views)) for views in groups]
+        lines.append([case.data, str(case.views), f"{nearest:.1f}°", *counts, *cells])
+    return pages.table(headings, lines)
+
+
+def _psnr_of(records: Records, method: Method, views: set[str]) -> str:
+    """The mean over records of the method of their mean PSNR over some views."""
+    own = [record for record in records if record.run.method is method]
+    means = [statistics.mean(r.measured["views"][v]["psnr"] for v in views) for r in own if views]
+    return format(statistics.mean(means), ".2f") if means else NONE
 
 
 def _psnr(records: Records, method: Method) -> str:

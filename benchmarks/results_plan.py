@@ -139,10 +139,14 @@ def _without_protocol(loader: str, data: str, views: int) -> Case:
 CASES = (
     *(
         _standard("llff", "llff", data, n)
-        for data in ("llff_fern", "llff_flower")
+        for data in ("llff_fern", "llff_flower", "llff_fortress", "llff_room")
         for n in (3, 6, 9)
     ),
-    *(_standard("dtu", "dtu", data, n) for data in ("dtu_scan24", "dtu_scan65") for n in (3, 6, 9)),
+    *(
+        _standard("dtu", "dtu", data, n)
+        for data in ("dtu_scan24", "dtu_scan65", "dtu_scan114")
+        for n in (3, 6, 9)
+    ),
     _standard("blender", "blender", "blender_lego", 8),
     _bonsai(12),
     _bonsai(24),

@@ -51,6 +51,7 @@ def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPat
     planned = make_measurements(CASES, METHODS, SEEDS, Plugins())
     assert [m.seed for m in planned] == sorted(m.seed for m in planned)
     views = {"llff_fern": (3, 6, 9), "llff_flower": (3, 6, 9), "blender_lego": (8,)}
+    views |= {"llff_fortress": (3, 6, 9), "llff_room": (3, 6, 9), "dtu_scan114": (3, 6, 9)}
     views |= {"dtu_scan24": (3, 6, 9), "dtu_scan65": (3, 6, 9), "mip360_bonsai": (12, 24)}
     views |= {"mview_temple": (9, 20), "colmap_lightfield9": (7,)}
     expected = {(data, count) for data, counts in views.items() for count in counts}

@@ -91,7 +91,7 @@ def test_fallbacks_must_be_a_list() -> None:
 
 
 PUBLISHED = ("d2gs", "dngaussian", "fsgs", "mvpgs", "sparsenerf", "d2gs-short", "fsgs-short")
-PIPELINES = [*(f"methods/{name}" for name in PUBLISHED), "stereogs", "stereogs_dropout_short"]
+PIPELINES = [*(f"methods/{name}" for name in PUBLISHED), "stereogs", "stereogs_dropout"]
 
 
 @pytest.mark.parametrize("name", PIPELINES)
