@@ -111,7 +111,7 @@ export class Motion {
     }
     this.drag(part);
     if (!this.held) this.spring(seconds);
-    return this.pose !== before;
+    return this.pose !== before || Object.values(this.pending).some((value) => value);
   }
 
   /** Move in small pieces, each smaller the farther the camera is beyond the limits. */
