@@ -137,7 +137,7 @@ class Run:
         return self._scores[1]
 
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
-        """Render and score all views; draw the test views, or else the training views, into a folder, if given."""
+        """Render and score all views; draw the test views, or if there are none the others, into a folder."""
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures

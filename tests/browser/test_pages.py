@@ -224,6 +224,18 @@ def test_a_drag_stays_near_the_photographs(
         assert not back.is_visible()
 
 
+def test_a_finger_turns_the_scene_or_scrolls_the_page(browser: Browser, run: Path) -> None:
+    with opened(browser, run / "report.html", 390, still=True) as page:
+        wait_for_scene(page, size=SMALL)
+        start = eye(page)
+        swipe(page, -150, 0)
+        until(page, lambda: distance(start, eye(page)) > 0.3)
+        assert angle_to_photographs(page) < 1.5 * setup(page)["limits"]["angle"]
+        assert page.evaluate("scrollY") == 0
+        swipe(page, 0, -150)
+        until(page, lambda: page.evaluate("scrollY") > 50)
+
+
 def test_the_wheel_scrolls_the_page_and_zooms_a_clicked_view(browser: Browser, run: Path) -> None:
     with opened(browser, run / "report.html", 1280, still=True) as page:
         wait_for_scene(page, size=SMALL)
@@ -276,7 +288,7 @@ def test_a_browser_without_webgl_says_so(browser: Browser, run: Path) -> None:
 
 
 def wait_for_scene(page: Page, size: tuple[int, int] | None = None) -> None:
-    """Wait until the 3D view is drawn; `size`: of the view in pixels, small to be fast without a graphics card."""
+    """Wait until the 3D view is drawn, `size` pixels large: small views are fast without a graphics card."""
     if size:
         width, height = (f"{pixels}px !important" for pixels in size)
         style = f".canvas {{width: {width}; height: {height}; min-height: 0 !important}}"
@@ -303,6 +315,19 @@ def drag(page: Page, dx: int, dy: int) -> None:
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + dx, y + dy, steps=5)
+
+
+def swipe(page: Page, dx: int, dy: int) -> None:
+    """Move a finger that starts in the middle of the view."""
+    box = page.locator(".canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    fingers = page.context.new_cdp_session(page)
+    points = [{"x": x + dx * k / 10, "y": y + dy * k / 10} for k in range(11)]
+    kinds = ["touchStart", *["touchMove"] * 10]
+    for kind, point in zip(kinds, points, strict=True):
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [point]})
+    fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
 def setup(page: Page) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The 3D view of Gaussians: a part of a page that holds the scene and the viewer, or loads them from beside it."""
+"""The 3D view of Gaussians, embedded in a page or in files next to it."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
 """How far the camera may be from the photographs: angle in degrees as seen from the subject, distance to
 the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
 _LEAST_SHOWN = 0.45
-"""Share of a photograph's width and height in view, so that a portrait fills a wide window. An object that was cut
-out is shown whole: there is nothing beside it."""
+"""Share of a photograph's width and height in view, at least, so that a portrait fills a wide window.
+Objects on a plain background are shown whole."""
 _HELP = (
     "Drag to turn, pinch or click and scroll to zoom, two fingers or Shift to move. The camera stays within "
     f"{_LIMITS['angle']:g}° of the photographs and {_LIMITS['nearest']:g} to {_LIMITS['farthest']:g} times "
@@ -96,7 +96,8 @@ def pack(
         "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _LEAST_SHOWN,
         "limits": _LIMITS,
         "views": [
-            _pose(view, center, factor) | {"reach": distance * factor, "train": k < len(scene.train)}
+            _pose(view, center, factor)
+            | {"reach": distance * factor, "train": k < len(scene.train)}
             for k, (view, distance) in enumerate(zip(views, distances, strict=True))
         ],
     }

@@ -27,11 +27,14 @@ def with_unit(metric: str) -> str:
 
 
 def summary(results: Mapping[str, Any]) -> str:
-    """Return tables of mean scores and costs, and the reasons for missing metrics; unknown values are omitted."""
+    """Return tables of mean scores and of known costs, and why metrics are missing."""
     missing: Mapping[str, str] = results.get("unavailable", {})
     metrics = [name for name in _metrics(results) if name not in missing]
     rows = [
-        [Cell(f"{kind} ({len(results['views'][split])})"), *_cells(results[split], metrics, missing)]
+        [
+            Cell(f"{kind} ({len(results['views'][split])})"),
+            *_cells(results[split], metrics, missing),
+        ]
         for split, kind in _KINDS.items()
         if results[split]
     ]

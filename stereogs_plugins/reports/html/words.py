@@ -87,7 +87,9 @@ def _focal_lengths(fact: Fact) -> str:
 
 
 def _lenses(fact: Fact) -> str:
-    return "All photographs have one lens." if fact.value == 1 else f"{fact.value} different lenses."
+    return (
+        "All photographs have one lens." if fact.value == 1 else f"{fact.value} different lenses."
+    )
 
 
 def _changed(fact: Fact) -> str:

@@ -35,7 +35,9 @@ class Guard:
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(16)
-        self._cookie = f"stereogs-{secrets.token_hex(4)}"  # several viewers share the cookies of a host
+        self._cookie = (
+            f"stereogs-{secrets.token_hex(4)}"  # several viewers share the cookies of a host
+        )
 
     @contextmanager
     def installed(self) -> Iterator[None]:

@@ -173,7 +173,7 @@ class StartPose:
 
 
 def start_pose(subject: Subject) -> StartPose:
-    """Return the pose of the most central training camera, upright; without cameras, one that sees everything."""
+    """Return the pose of the central training camera, upright; without cameras, one that sees everything."""
     means = subject.model.read("means").double()
     cameras = [one.camera for one in subject.viewpoints if not one.is_test]
     if not cameras:
