@@ -58,11 +58,11 @@ class HtmlReport(Report[HtmlReportSettings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
-        from . import words
         from .renders import renders
         from .scene_view import licenses, remove_beside
         from .scores import summary, views
         from .training_plots import training_plots
+        from .words import about_photographs, kind_of_scores, lead
 
         run = read_run(folder)
         remove_beside(folder)
@@ -70,13 +70,13 @@ class HtmlReport(Report[HtmlReportSettings]):
         scored = "Held-out photographs" if scene.test else "Training photographs"
         contents = [
             view.content,
-            note(words.lead(run.results, scene)),
+            note(lead(run.results, scene)),
             section(f"{scored} and renders", renders(run.results, scene, folder)),
-            section("Numbers", note(words.kind_of_scores(scene)) + summary(run.results)),
+            section("Numbers", note(kind_of_scores(scene)) + summary(run.results)),
             folded("scores of each photograph", views(run.results)),
             section("Training", training_plots(run.metrics, run.results)),
             section("First points", _initialization(run)),
-            section("Photographs", note(" ".join(words.about_photographs(scene)))),
+            section("Photographs", note(" ".join(about_photographs(scene)))),
             folded("Provenance", _provenance(run) + (licenses() if view.content else "")),
         ]
         write_text(folder / FILE, page(f"{scene.name}: {run.results['pipeline']}", contents))
