@@ -46,8 +46,8 @@ class GaussianModel(GaussianStorage):
     ) -> None:
         gaussians.check_finite()
         count, device = len(gaussians), device or open_device()
-        footprint = Footprint(dilation, compensate_dilation)
-        self.renderer = Renderer(device, dtype, footprint=footprint)
+        self.footprint = Footprint(dilation, compensate_dilation)
+        self.renderer = Renderer(device, dtype, footprint=self.footprint)
         self._anchor = torch.zeros((), requires_grad=True)
         rows = pack(gaussians, dtype, padded(count))
         super().__init__(device, dtype, gaussians.sh_degree, rows, count)
@@ -177,6 +177,16 @@ class ModelReader:
     def sh_degree(self) -> int:
         """Degree of the stored spherical harmonics, 0 to 3."""
         return self._model.sh_degree
+
+    @property
+    def dilation(self) -> float:
+        """Added to the variances of every ellipse on the image, square pixels."""
+        return self._model.footprint.dilation
+
+    @property
+    def compensate_dilation(self) -> bool:
+        """Whether the opacity falls as dilation widens the ellipse; see `GaussianModel`."""
+        return self._model.footprint.compensated
 
     def read(self, name: str) -> Tensor:
         """One parameter.

@@ -75,8 +75,7 @@ def conclude(run: Run, output: Console) -> int:
     )
     for file in results["exports"]:
         output.print(f"exported  {folder.path / file}")
-    if results["test"]:
-        output.print(f"pictures  {folder.path / RENDERS}")
+    output.print(f"pictures  {folder.path / RENDERS}")
     for file in results["reports"]:
         output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")

@@ -149,8 +149,7 @@ stopped is scored at its checkpoint.
 
         output, results = console(), run.renew()
         output.print(results_table(results), soft_wrap=False)
-        if run.scene.test:
-            output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
+        output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
         return print_failures(results["failures"], arguments.run_folder)
 
 

@@ -6,7 +6,7 @@ inputs.json       digests of the inputs, see origin.py
 initialization/   facts and pictures of the initializer
 metrics.jsonl     one line every 50 iterations
 checkpoint/       the two newest checkpoints, see training/checkpoint.py
-renders/          pictures of the test views
+renders/          pictures of the test views, or of the training views if there are none
 exports/          files of exporters
 observers/        files of observers
 failures/         failed iterations, see opening.py

@@ -137,13 +137,14 @@ class Run:
         return self._scores[1]
 
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
-        """Render and score all views; draw pictures of the test views into a folder, if given."""
+        """Render and score all views; draw the test views, or if there are none the others, into a folder."""
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
+        of_train = None if scene.test else pictures
         with one_torch_thread():
             scores = {
                 "test": evaluate(self.model, scene, scene.test, metrics, pictures),
-                "train": evaluate(self.model, scene, scene.train, quick(metrics)),
+                "train": evaluate(self.model, scene, scene.train, quick(metrics), of_train),
             }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
@@ -290,11 +291,11 @@ class Run:
         return files, failures
 
     def _scored(self, before: dict[str, Any]) -> Results:
-        """Score both splits, draw the test views into the folder, and return updated results."""
+        """Score both splits, draw pictures into the folder (`evaluate`), and return updated results."""
         folder = self.folder_or_refuse()
         results = Results.model_validate({**before, **self.describe().plain()})
         results.changed_inputs = folder.inputs()[1]
-        scores = self.evaluate(folder.folder(RENDERS) if self.scene.test else None)
+        scores = self.evaluate(folder.folder(RENDERS))
         add_scores(results, **scores)
         return results
 

@@ -1,9 +1,8 @@
-"""`sog` and `html`: converted from a PLY file by PlayCanvas's program splat-transform."""
+"""`sog`: converted from a PLY file by PlayCanvas's program splat-transform."""
 
 from __future__ import annotations
 
-from abc import ABC
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from registry import Exporter, PluginError, Register, Scene, Settings, hookimpl
 
@@ -14,12 +13,14 @@ if TYPE_CHECKING:
 
 PROGRAM = "splat-transform"
 PACKAGE = "@playcanvas/splat-transform"
+FILE = "scene.sog"
 
 
-class SplatTransform(Exporter[Settings], ABC):
-    """Writes one file with the program, which must be on the PATH."""
+class SogExporter(Exporter[Settings]):
+    """Writes scene.sog, PlayCanvas's compressed format for the web; and scene.ply, its source.
 
-    file_name: ClassVar[str]
+    The program must be on the PATH.
+    """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write scene.ply, convert it, and return the path of the converted file.
@@ -32,7 +33,7 @@ class SplatTransform(Exporter[Settings], ABC):
 
         from core_rasterizer import save_ply
 
-        ply, target = folder / "scene.ply", folder / self.file_name
+        ply, target = folder / "scene.ply", folder / FILE
         save_ply(model.gaussians(), ply)
         # Without "--gpu cpu" it requires a GPU with WebGPU.
         options = ["--quiet", "--overwrite", "--gpu", "cpu", str(ply), str(target)]
@@ -52,18 +53,6 @@ class SplatTransform(Exporter[Settings], ABC):
         return [target]
 
 
-class SogExporter(SplatTransform):
-    """Writes scene.sog, PlayCanvas's compressed format for the web; and scene.ply, its source."""
-
-    file_name = "scene.sog"
-
-
-class HtmlExporter(SplatTransform):
-    """Writes scene.html, the scene and a viewer in one file; and scene.ply, its source."""
-
-    file_name = "scene.html"
-
-
 def _command(words: list[str]) -> str:
     import shlex
 
@@ -71,6 +60,5 @@ def _command(words: list[str]) -> str:
 
 
 @hookimpl
-def stereogs_register_exporters(register: Register[SogExporter | HtmlExporter]) -> None:
+def stereogs_register_exporters(register: Register[SogExporter]) -> None:
     register("sog", SogExporter)
-    register("html", HtmlExporter)

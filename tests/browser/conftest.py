@@ -40,13 +40,23 @@ def browser() -> Iterator[Browser]:
 
 @contextmanager
 def opened(
-    browser: Browser, file: Path, width: int, *, without_webgl: bool = False
+    browser: Browser,
+    file: Path,
+    width: int,
+    *,
+    without_webgl: bool = False,
+    still: bool = False,
 ) -> Iterator[Page]:
     """A page in a window of that width; on leaving, nothing may have gone wrong on it.
 
     It may load files of its own folder and what it made itself, and no error may be in its console.
+    `still`: the browser tells pages that its user prefers no motion.
     """
-    page = browser.new_page(viewport={"width": width, "height": 800}, has_touch=width < 800)
+    page = browser.new_page(
+        viewport={"width": width, "height": 800},
+        has_touch=width < 800,
+        reduced_motion="reduce" if still else "no-preference",
+    )
     page.set_default_timeout(1000 * MOST_SECONDS)
     wrong: list[str] = []
     inside = ("data:", "blob:", file.parent.absolute().as_uri())

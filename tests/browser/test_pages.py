@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import math
+import time
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,12 +18,16 @@ from PIL import Image
 import stereogs
 from registry.cli import main
 
-from .conftest import WIDTHS, keep, opened, overflow
+from .conftest import MOST_SECONDS, WIDTHS, keep, opened, overflow
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
     from playwright.sync_api import Browser, Page
 
+SMALL = (320, 240)
+"""Pixels: a view that moves smoothly without a graphics card."""
 PIPELINE = """\
 name: tiny
 scene: {use: procedural, width: 160, height: 120, test_views: 2, points: 3000}
@@ -114,7 +120,7 @@ def test_the_border_between_photograph_and_render_moves(browser: Browser, run: P
         render, photograph = (pixels(base64.b64decode(s.split(",")[1])) for s in pictures[:2])
         for place, expected, other in (("0", render, photograph), ("100", photograph, render)):
             inside = shown[place][40 : -40 - 40]  # without corners and handle
-            assert distance(inside, expected) < distance(inside, other)
+            assert unlike(inside, expected) < unlike(inside, other)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -143,12 +149,11 @@ def test_a_bench_draws_curves_and_wipes_the_chosen_render(
 
 
 def test_the_scene_is_drawn_as_the_engine_renders_it(browser: Browser, run: Path) -> None:
-    with opened(browser, run / "report.html", 1280) as page:
-        page.add_style_tag(content=".canvas {width: 160px !important}")
-        wait_for_scene(page)
+    with opened(browser, run / "report.html", 1280, still=True) as page:
+        wait_for_scene(page, size=(160, 120))
         scene = stereogs.load_scene(PIPELINE)
-        for index, view in enumerate(scene.test):
-            page.locator(".scene-view select").select_option(index=index)
+        for view in scene.test:
+            page.locator(".buttons select").select_option(label=view.name)
             page.wait_for_timeout(3000)
             drawn = canvas(page)
             assert drawn.shape == (120, 160, 3)
@@ -158,18 +163,109 @@ def test_the_scene_is_drawn_as_the_engine_renders_it(browser: Browser, run: Path
             assert psnr > 32, view.name
 
 
-def test_the_scene_turns_with_the_mouse(browser: Browser, run: Path) -> None:
-    with opened(browser, run / "report.html", 390) as page:
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_scene_comes_first_and_fills_the_width(browser: Browser, run: Path, width: int) -> None:
+    with opened(browser, run / "report.html", width) as page:
         wait_for_scene(page)
+        kinds = ".scene-view, h2, table, .wipe"
+        order = page.locator(kinds).evaluate_all("all => all.map(part => part.className)")
+        assert order[0] == "scene-view"
         box = page.locator(".canvas").bounding_box()
         assert box is not None
-        before = canvas(page)
-        page.mouse.move(box["x"] + 50, box["y"] + 50)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 120, box["y"] + 60, steps=4)
+        assert box["width"] > 0.9 * width
+        assert 300 < box["height"] < 700, "and leaves room to scroll"
+        assert page.locator("details:has-text('SHA-256')").get_attribute("open") is None
+
+
+def test_the_camera_sweeps_until_the_view_is_touched(browser: Browser, run: Path) -> None:
+    with opened(browser, run / "report.html", 390) as page:
+        wait_for_scene(page, size=SMALL)
+        before, picture = eye(page), canvas(page)
+        until(page, lambda: distance(before, eye(page)) > 0.1)
+        assert np.abs(canvas(page) - picture).mean() > 0.002
+        page.locator(".canvas").tap()
+        page.get_by_role("button", name="Play").wait_for()
+        before = eye(page)
+        page.wait_for_timeout(1500)
+        assert distance(before, eye(page)) < 1e-3, "it stands still"
+        page.get_by_role("button", name="Play").click()
+        until(page, lambda: distance(before, eye(page)) > 0.1)
+
+
+def test_who_prefers_no_motion_sees_none(browser: Browser, run: Path) -> None:
+    with opened(browser, run / "report.html", 390, still=True) as page:
+        wait_for_scene(page, size=SMALL)
+        before = eye(page)
+        page.wait_for_timeout(1500)
+        assert distance(before, eye(page)) == 0
+        page.locator(".buttons select").select_option(index=2)
+        assert distance(before, eye(page)) > 0.1, "at once"
+
+
+@pytest.mark.parametrize("direction", [(150, 0), (-150, 0), (0, 150), (0, -150), (900, 300)])
+def test_a_drag_stays_near_the_photographs(
+    browser: Browser, run: Path, direction: tuple[int, int]
+) -> None:
+    with opened(browser, run / "report.html", 1280, still=True) as page:
+        wait_for_scene(page, size=SMALL)
+        limit = setup(page)["limits"]["angle"]
+        start = eye(page)
+        back = page.get_by_role("button", name="Back to the photographs")
+        assert not back.is_visible()
+        drag(page, *direction)
+        until(page, lambda: distance(start, eye(page)) > 0.3)
+        for _ in range(10):
+            assert angle_to_photographs(page) < 1.5 * limit, "held"
+            page.wait_for_timeout(100)
         page.mouse.up()
-        page.wait_for_timeout(3000)
-        assert np.abs(canvas(page) - before).mean() > 0.02
+        until(page, lambda: angle_to_photographs(page) < 1.05 * limit)
+        back.click()
+        until(page, lambda: nearest_photograph(page) < 1e-3)
+        assert not back.is_visible()
+
+
+def test_a_finger_turns_the_scene_or_scrolls_the_page(browser: Browser, run: Path) -> None:
+    with opened(browser, run / "report.html", 390, still=True) as page:
+        wait_for_scene(page, size=SMALL)
+        start = eye(page)
+        swipe(page, -150, 0)
+        until(page, lambda: distance(start, eye(page)) > 0.3)
+        assert angle_to_photographs(page) < 1.5 * setup(page)["limits"]["angle"]
+        assert page.evaluate("scrollY") == 0
+        swipe(page, 0, -150)
+        until(page, lambda: page.evaluate("scrollY") > 50)
+
+
+def test_the_wheel_scrolls_the_page_and_zooms_a_clicked_view(browser: Browser, run: Path) -> None:
+    with opened(browser, run / "report.html", 1280, still=True) as page:
+        wait_for_scene(page, size=SMALL)
+        place = page.locator(".canvas")
+        place.hover()
+        page.mouse.wheel(0, 50)
+        until(page, lambda: page.evaluate("scrollY") > 0)
+        place.click()
+        before, scrolled = reach(page), page.evaluate("scrollY")
+        page.mouse.wheel(0, -3000)
+        nearest = setup(page)["limits"]["nearest"]
+        until(page, lambda: reach(page) / before < 0.9)
+        for _ in range(10):
+            assert reach(page) / before > 0.7 * nearest
+            page.wait_for_timeout(100)
+        assert page.evaluate("scrollY") == scrolled
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_an_exported_page_opens_from_disk(browser: Browser, run: Path, width: int) -> None:
+    assert main(["export", str(run), "--format", "html"]) == 0
+    with opened(browser, run / "exports" / "scene.html", width) as page:
+        wait_for_scene(page)
+        keep(page, f"scene-{width}")
+        assert overflow(page) <= 0
+        box = page.locator(".canvas").bounding_box()
+        assert box == {"x": 0, "y": 0, "width": width, "height": 800}
+        before = eye(page)
+        assert canvas(page).std() > 0.05
+        until(page, lambda: distance(before, eye(page)) > 0.1)
 
 
 def test_what_lies_beside_a_page_is_found(browser: Browser, run: Path) -> None:
@@ -188,14 +284,102 @@ def test_what_lies_beside_a_page_is_found(browser: Browser, run: Path) -> None:
 
 def test_a_browser_without_webgl_says_so(browser: Browser, run: Path) -> None:
     with opened(browser, run / "report.html", 390, without_webgl=True) as page:
-        page.get_by_text("needs WebGL 2").wait_for()
+        page.get_by_text("requires WebGL 2").wait_for()
 
 
-def wait_for_scene(page: Page) -> None:
+def wait_for_scene(page: Page, size: tuple[int, int] | None = None) -> None:
+    """Wait until the 3D view is drawn, `size` pixels large: small views are fast without a graphics card."""
+    if size:
+        width, height = (f"{pixels}px !important" for pixels in size)
+        style = f".canvas {{width: {width}; height: {height}; min-height: 0 !important}}"
+        page.add_style_tag(content=style)
     view = page.locator(".scene-view[data-state]")
     view.wait_for()
     assert view.get_attribute("data-state") == "shown", view.inner_text()
     page.wait_for_timeout(3000)  # the first sorted picture
+
+
+def until(page: Page, reached: Callable[[], bool]) -> None:
+    """Wait for something that the page does in its own time."""
+    end = time.monotonic() + MOST_SECONDS
+    while not reached():
+        assert time.monotonic() < end, "it did not happen"
+        page.wait_for_timeout(50)
+
+
+def drag(page: Page, dx: int, dy: int) -> None:
+    """Press in the middle of the view and move, without letting go."""
+    box = page.locator(".canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + dx, y + dy, steps=5)
+
+
+def swipe(page: Page, dx: int, dy: int) -> None:
+    """Move a finger that starts in the middle of the view."""
+    box = page.locator(".canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    fingers = page.context.new_cdp_session(page)
+    points = [{"x": x + dx * k / 10, "y": y + dy * k / 10} for k in range(11)]
+    kinds = ["touchStart", *["touchMove"] * 10]
+    for kind, point in zip(kinds, points, strict=True):
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [point]})
+    fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
+def setup(page: Page) -> dict[str, Any]:
+    """What the page tells the viewer."""
+    text = page.locator("#scene-setup").text_content()
+    assert text is not None
+    return dict(json.loads(text))
+
+
+def seen(page: Page, name: str) -> NDArray[np.float64]:
+    return np.array(page.evaluate(f"document.querySelector('.scene-view').shown.{name}()"))
+
+
+def eye(page: Page) -> NDArray[np.float64]:
+    """Where the camera is, in the viewer's units: the scene is about 10 wide."""
+    return seen(page, "eye")
+
+
+def reach(page: Page) -> float:
+    """How far the camera is from the point that it turns around."""
+    return distance(eye(page), seen(page, "target"))
+
+
+def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(a - b))
+
+
+def photographs(page: Page) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Position and subject of each training camera."""
+    views = [view for view in setup(page)["views"] if view["train"]]
+    poses = [np.reshape(view["pose"], (4, 4)) for view in views]
+    return [
+        (pose[:3, 3], pose[:3, 3] - view["reach"] * pose[:3, 2])
+        for pose, view in zip(poses, views, strict=True)
+    ]
+
+
+def nearest_photograph(page: Page) -> float:
+    return min(distance(eye(page), place) for place, _ in photographs(page))
+
+
+def angle_to_photographs(page: Page) -> float:
+    """Degrees between the camera and the nearest point of the arcs between two training cameras."""
+    here, found = eye(page), []
+    views = photographs(page)
+    for one, subject in views:
+        for other, _ in views:
+            for share in np.linspace(0, 1, 9):
+                a, b = here - subject, (1 - share) * one + share * other - subject
+                cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+                found.append(math.degrees(math.acos(min(1.0, cosine))))
+    return min(found)
 
 
 def canvas(page: Page) -> NDArray[np.float64]:
@@ -208,8 +392,8 @@ def pixels(file: bytes) -> NDArray[np.float64]:
     return np.asarray(Image.open(io.BytesIO(file)).convert("RGB")) / 255
 
 
-def distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Between the mean colours along a picture's width, whatever the sizes."""
+def unlike(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Difference between the mean colours along a picture's width, whatever the sizes."""
     columns = [
         np.asarray(Image.fromarray(np.uint8(255 * image)).resize((32, 24))) / 255.0
         for image in (one, other)

@@ -16,6 +16,8 @@ _INSET = 14
 _NAME_HEIGHT = 16
 _DECADES = 2.0
 """Powers of ten; positive values with a larger range get a logarithmic axis."""
+_NEAR_LOWEST = 0.6
+"""Share of the largest value; smaller values start the axis at its lowest."""
 _MOST_MARKED = 12
 """Largest number of points that are drawn individually."""
 
@@ -131,7 +133,12 @@ class _Up:
 
 
 def _range(low: float, high: float, lowest: float) -> tuple[float, float]:
-    """Add a margin to the range, but do not cross `lowest` unless the data do."""
+    """Add a margin to the range, but do not cross `lowest` unless the data do.
+
+    If the data span a large part of the way from `lowest`, the range starts there, so that heights compare.
+    """
+    if lowest <= low < _NEAR_LOWEST * (high - lowest) + lowest:
+        return lowest, high + 0.05 * (high - lowest)
     margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return (low - margin if low < lowest else max(low - margin, lowest)), high + margin
 

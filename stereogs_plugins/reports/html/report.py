@@ -1,4 +1,4 @@
-"""`html`: a run as one page, report.html: the scene in 3D, scores, pictures and training curves.
+"""`html`: a run as one page, report.html: the scene in 3D, renders beside photographs, numbers.
 
 The page embeds its pictures and, unless `beside` is set, the Gaussians and the viewer, so that it can be
 mailed or moved. It does not access the network.
@@ -58,76 +58,72 @@ class HtmlReport(Report[HtmlReportSettings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
-        from .scene_view import remove_beside
-        from .scores import scores
+        from .renders import renders
+        from .scene_view import licenses, remove_beside
+        from .scores import summary, views
         from .training_plots import training_plots
-        from .unseen_views import unseen_views
+        from .words import about_photographs, kind_of_scores, lead
 
         run = read_run(folder)
-        title = f"{scene.name}: {run.results['pipeline']}"
         remove_beside(folder)
         view = self._scene_view(folder, scene, run)
+        scored = "Held-out photographs" if scene.test else "Training photographs"
         contents = [
-            _summary(run),
-            section("The scene in 3D", view.content),
-            section("Test views", unseen_views(run.results, scene, folder)),
-            section("Scores", scores(run.results)),
+            view.content,
+            note(lead(run.results, scene)),
+            section(f"{scored} and renders", renders(run.results, scene, folder)),
+            section("Numbers", note(kind_of_scores(scene)) + summary(run.results)),
+            folded("scores of each photograph", views(run.results)),
             section("Training", training_plots(run.metrics, run.results)),
-            section("Initialization", _initialization(run)),
-            section("Pipeline", folded("every setting", verbatim(run.pipeline))),
-            section("Scene", facts_table(run.results["scene"])),
-            section("Provenance", folded("every version", facts_table(run.provenance))),
+            section("First points", _initialization(run)),
+            section("Photographs", note(" ".join(about_photographs(scene)))),
+            folded("Provenance", _provenance(run) + (licenses() if view.content else "")),
         ]
-        write_text(folder / FILE, page(title, contents))
+        write_text(folder / FILE, page(f"{scene.name}: {run.results['pipeline']}", contents))
         return [folder / FILE, *view.files]
 
     def _scene_view(self, folder: Path, scene: Scene, run: RunFiles) -> SceneView:
         from registry.runs import trained_gaussians
 
-        from .scene_view import SceneView, scene_view
+        from .scene_view import SceneView, pack, view_beside, view_inside
 
         if not (folder / CHECKPOINT).is_dir():
             return SceneView("")
-        return scene_view(
-            trained_gaussians(folder),
-            scene,
-            run.training,
-            folder,
-            beside=self.settings.beside,
-            largest_mb=self.settings.largest_mb,
-        )
+        dilation = run.training.get("dilation", 0.3)
+        compensate = run.training.get("compensate_dilation", False)
+        packed = pack(trained_gaussians(folder), scene, dilation, compensate)
+        if self.settings.beside:
+            return view_beside(packed, folder)
+        megabytes = len(packed.splats) / 1e6
+        if megabytes > self.settings.largest_mb:
+            return SceneView(note(_too_large(folder, megabytes, self.settings.largest_mb)))
+        return view_inside(packed)
 
 
-def _summary(run: RunFiles) -> str:
-    """Return a table of scores, cost, device and command; unknown values are omitted."""
-    from .scores import score, with_unit
+def _too_large(folder: Path, megabytes: float, largest: float) -> str:
+    return (
+        f"The Gaussians take {megabytes:.0f} MB; at most {largest:g} MB are embedded. "
+        f"`stereogs report {folder.name} --beside` writes them to files next to the page."
+    )
 
-    results, origin = run.results, run.provenance
-    missing = results.get("unavailable", {})
-    means = {
-        f"test {with_unit(metric)}": score(results["test"], metric, missing)
-        for metric in results["test"]
-        if metric not in missing
-    }
-    labels = {
-        "gaussians": "Gaussians",
-        "iterations": "iterations",
-        "seconds": "training time, s",
-        "iterations_per_second": "iterations per second",
-        "peak_memory_mb": "peak memory, MB",
-    }
+
+def _provenance(run: RunFiles) -> str:
+    """Return what is needed to repeat the run: command, settings, versions, hash."""
+    origin = run.provenance
     source = origin.get("source") or {}
     changed = " with changes" if source.get("dirty") else ""
     facts = {
         "date": str(origin.get("started", "")).replace("T", " ").replace("+00:00", " UTC") or None,
-        "device": origin.get("device", {}).get("name"),
         "command": _command(origin.get("command", [])) or None,
         "commit": f"{source['commit']}{changed}" if "commit" in source else None,
-        "SHA-256 of the Gaussians": results.get("hash"),
+        "SHA-256 of the Gaussians": run.results.get("hash"),
     }
     known = {label: text for label, text in facts.items() if text is not None}
-    return facts_table(
-        means | {label: results[key] for key, label in labels.items() if key in results} | known
+    return (
+        facts_table(known)
+        + subsection("Pipeline", verbatim(run.pipeline))
+        + subsection("Scene", facts_table(run.results["scene"]))
+        + subsection("Versions", facts_table(origin))
     )
 
 
@@ -137,18 +133,22 @@ def _command(command: list[str]) -> str:
 
 
 def _initialization(run: RunFiles) -> str:
-    """Return points by kind, the initializer's pictures, and its other facts."""
+    """Return the initializer's pictures, points by kind, and other facts."""
+    from .words import label
+
     separate = (_BY_KIND, _COLUMNS, _BY_VIEW)
-    facts = {name: value for name, value in run.initialization.items() if name not in separate}
+    facts = {
+        label(name): value for name, value in run.initialization.items() if name not in separate
+    }
     columns = headings(run.initialization.get(_COLUMNS, ()))
     paths = run.initial_pictures
     figures = in_parallel(lambda path: figure(path.stem, columns + image(path, path.stem)), paths)
     pictures = {path.stem: its for path, its in zip(paths, figures, strict=True)}
     by_kind: Mapping[str, int] = run.initialization.get(_BY_KIND, {})
     return (
-        subsection("Initial points by kind", _kinds(by_kind))
-        + subsection("Pictures", choice("picture", pictures) + note(_COLORS) if pictures else "")
-        + subsection("Facts", facts_table(facts))
+        (choice("picture", pictures) + note(_COLORS) if pictures else "")
+        + _kinds(by_kind)
+        + folded("more about the first points", facts_table(facts))
         + folded("facts of each view", facts_table(run.initialization.get(_BY_VIEW, {})))
     )
 
@@ -164,7 +164,7 @@ def _kinds(by_kind: Mapping[str, int]) -> str:
         for kind, count in by_kind.items()
         if total
     ]
-    return score_table(["kind", "points", "share"], rows) if rows else ""
+    return score_table(["kind of point", "points", "share"], rows) if rows else ""
 
 
 @hookimpl

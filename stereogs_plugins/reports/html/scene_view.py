@@ -1,4 +1,4 @@
-"""The 3D view of the run's Gaussians, embedded in the page or in files next to it."""
+"""The 3D view of Gaussians, embedded in a page or in files next to it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ import numpy as np
 
 from registry.system import write_text
 from registry.toolkit import web_page
+from registry.toolkit.drawing import upwards
 
+from .reach import reaches
 from .spz import spz
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -34,12 +35,22 @@ _VIEWER = files(__package__) / "viewer"
 _NEAR_ALL = 90.0
 """Per cent of the Gaussians within the viewer's cube of width 10, along each axis."""
 _RADIUS = 5.0
-_LICENSES = "Licences of the 3D viewer (Spark, three.js, fflate)"
+_LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
+"""How far the camera may be from the photographs: angle in degrees as seen from the subject, distance to
+the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
+_LEAST_SHOWN = 0.45
+"""Share of a photograph's width and height in view, at least, so that a portrait fills a wide window.
+Objects on a plain background are shown whole."""
+_HELP = (
+    "Drag to turn, pinch or click and scroll to zoom, two fingers or Shift to move. The camera stays within "
+    f"{_LIMITS['angle']:g}° of the photographs and {_LIMITS['nearest']:g} to {_LIMITS['farthest']:g} times "
+    "their distance to the subject."
+)
 
 
 @dataclass(frozen=True)
 class SceneView:
-    """The 3D part of the page.
+    """The 3D part of a page.
 
     Args:
         content: HTML.
@@ -50,55 +61,124 @@ class SceneView:
     files: tuple[Path, ...] = ()
 
 
-def scene_view(
-    gaussians: Gaussians,
-    scene: Scene,
-    training: dict[str, Any],
-    folder: Path,
-    *,
-    beside: bool,
-    largest_mb: float,
-) -> SceneView:
-    """Return an interactive 3D view that starts at the first test view.
+@dataclass(frozen=True)
+class PackedScene:
+    """A scene as the viewer reads it.
+
+    Args:
+        splats: the Gaussians, SPZ.
+        setup: the argument `setup` of `showScene` in viewer/scene_view.js.
+        views: the views in the order of `setup["views"]`.
+    """
+
+    splats: bytes
+    setup: dict[str, Any]
+    views: tuple[View, ...]
+
+
+def pack(
+    gaussians: Gaussians, scene: Scene, dilation: float, compensate_dilation: bool
+) -> PackedScene:
+    """Return a scene for the viewer; its views are the training views, then the test views.
 
     Args:
         gaussians: at least one.
-        training: the pipeline's training settings: `dilation` and `compensate_dilation` are used.
-        folder: the run folder, for files next to the page.
-        beside: write the viewer and the Gaussians to files next to the page instead of embedding them.
-        largest_mb: largest embedded scene; a larger one is replaced by a note.
+        dilation, compensate_dilation: as the Gaussians were trained, see `GaussianModel`.
     """
     center, factor = _frame(gaussians)
-    packed = spz(_framed(gaussians, center, factor))
-    megabytes = len(packed) / 1e6
-    if not beside and megabytes > largest_mb:
-        text = (
-            f"The Gaussians take {megabytes:.0f} MB; at most {largest_mb:g} MB are embedded. "
-            f"`stereogs report {folder.name} --beside` writes them to files next to the page."
-        )
-        return SceneView(web_page.note(text))
-    setup = _setup(scene, training, center, factor)
-    written: tuple[Path, ...] = ()
-    if beside:
-        written = _write_beside(folder / BESIDE, packed)
-        data = "".join(f'<script src="{BESIDE}/{file.name}"></script>' for file in written)
-    else:
-        data = _embedded("viewer-data", gzip.compress(_read("viewer.js").encode(), 4, mtime=0))
-        data += _embedded("scene-data", packed)
-    names = [f"{kind} {view.name}" for kind, view in _views(scene)]
-    shape = f"{scene.train[0].camera.width} / {scene.train[0].camera.height}"
-    return SceneView(
-        '<div class="scene-view">'
-        f'<div class="canvas" style="aspect-ratio:{shape};width:calc(80vh * {shape})">'
-        "The 3D view needs JavaScript.</div>"
-        f"<label>as seen by <select disabled>{''.join(map(_option, names))}</select></label> "
-        + web_page.note("Drag to rotate, scroll or pinch to zoom, drag with two fingers to pan.")
-        + "</div>"
-        + f'<script type="application/json" id="scene-setup">{_json(setup)}</script>'
-        + f"{data}<script>{_read('start.js')}</script>"
-        + web_page.folded(_LICENSES, web_page.verbatim(_read("LICENSES.txt"))),
-        written,
+    views = (*scene.train, *scene.test)
+    distances = reaches(gaussians, [view.camera for view in views])
+    setup = {
+        "up": upwards([view.camera for view in scene.train]).tolist(),
+        "background": list(scene.background),
+        "dilation": dilation,
+        "compensate": compensate_dilation,
+        "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _LEAST_SHOWN,
+        "limits": _LIMITS,
+        "views": [
+            _pose(view, center, factor)
+            | {"reach": distance * factor, "train": k < len(scene.train)}
+            for k, (view, distance) in enumerate(zip(views, distances, strict=True))
+        ],
+    }
+    return PackedScene(spz(_framed(gaussians, center, factor)), setup, views)
+
+
+def view_inside(packed: PackedScene) -> SceneView:
+    """Return a view with everything that it needs."""
+    viewer = gzip.compress(_read("viewer.js").encode(), 4, mtime=0)
+    data = _embedded("viewer-data", viewer) + _embedded("scene-data", packed.splats)
+    return SceneView(_view(packed, data))
+
+
+def view_beside(packed: PackedScene, folder: Path) -> SceneView:
+    """Return a view for a page in `folder`, with the viewer and the Gaussians in files next to it."""
+    place = folder / BESIDE
+    place.mkdir(exist_ok=True)
+    viewer, data = place / _VIEWER_FILE, place / _DATA_FILE
+    # A local page may load scripts, but no other files.
+    write_text(viewer, _read("viewer.js"))
+    write_text(data, f'globalThis["scene-data"]="{_base64(packed.splats)}";\n')
+    scripts = "".join(f'<script src="{BESIDE}/{file.name}"></script>' for file in (viewer, data))
+    return SceneView(_view(packed, scripts), (viewer, data))
+
+
+def licenses() -> str:
+    """Return the licences of the viewer, folded."""
+    return web_page.folded("Licences of the 3D viewer", web_page.verbatim(_read("LICENSES.txt")))
+
+
+def style() -> str:
+    """Return the style of the view, which a page holds once."""
+    return f"<style>\n{_read('view.css')}</style>"
+
+
+def remove_beside(folder: Path) -> None:
+    """Remove the files that an earlier report wrote next to its page, and no others.
+
+    Args:
+        folder: the run folder.
+    """
+    beside = folder / BESIDE
+    for name in (_VIEWER_FILE, _DATA_FILE):
+        (beside / name).unlink(missing_ok=True)
+    if beside.is_dir() and not any(beside.iterdir()):
+        beside.rmdir()
+
+
+def _view(packed: PackedScene, data: str) -> str:
+    camera = packed.views[0].camera
+    setup = json.dumps(packed.setup).replace("<", "\\u003c")
+    return (
+        f'{style()}<div class="scene-view"><div class="frame">'
+        f'<div class="canvas" style="aspect-ratio:{camera.width}/{camera.height}">'
+        "<p>The 3D view needs JavaScript.</p></div>"
+        f'<div class="buttons" hidden>{_BUTTONS}<select aria-label="Seen by">{_options(packed)}'
+        f"</select></div></div>{web_page.note(_HELP)}</div>"
+        f'<script type="application/json" id="scene-setup">{setup}</script>'
+        f"{data}<script>{_read('start.js')}</script>"
     )
+
+
+_BUTTONS = (
+    '<button class="back" hidden>Back to the photographs</button>'
+    '<button class="play">Pause</button><button class="whole">Full screen</button>'
+)
+
+
+def _options(packed: PackedScene) -> str:
+    """Return menu items: one for no view, then all views, by kind."""
+    trained = [one["train"] for one in packed.setup["views"]]
+    groups = {"Trained on": True, "Held out": False}
+    items = '<option value="">Seen by …</option>'
+    for title, kind in groups.items():
+        own = "".join(
+            f'<option value="{index}">{escape(view.name)}</option>'
+            for index, view in enumerate(packed.views)
+            if trained[index] is kind
+        )
+        items += f'<optgroup label="{title}">{own}</optgroup>' if own else ""
+    return items
 
 
 def _frame(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
@@ -119,66 +199,17 @@ def _framed(gaussians: Gaussians, center: NDArray[np.float64], factor: float) ->
     )
 
 
-def _setup(
-    scene: Scene, training: dict[str, Any], center: NDArray[np.float64], factor: float
-) -> dict[str, Any]:
-    """Return the argument `setup` of `showScene` in viewer/scene_view.js."""
-    rotations = [view.camera.world_to_camera.numpy()[:3, :3] for view in scene.train]
-    return {
-        "up": [-float(value) for value in np.mean(rotations, axis=0)[1]],
-        "target": [0.0, 0.0, 0.0],
-        "background": list(scene.background),
-        "dilation": training.get("dilation", 0.3),
-        "compensate": training.get("compensate_dilation", False),
-        "views": [_pose(view, center, factor) for _, view in _views(scene)],
-    }
-
-
-def _views(scene: Scene) -> Sequence[tuple[str, View]]:
-    return [("test", view) for view in scene.test] + [("train", view) for view in scene.train]
-
-
 def _pose(view: View, center: NDArray[np.float64], factor: float) -> dict[str, Any]:
     camera = view.camera
     # OpenGL cameras look along -z with y up, OpenCV cameras along z with y down.
     pose = camera.camera_to_world.numpy() @ np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = (pose[:3, 3] - center) * factor
     fov = math.degrees(2 * math.atan(camera.height / (2 * camera.fy)))
-    return {"pose": pose.flatten().tolist(), "fov": fov}
-
-
-def remove_beside(folder: Path) -> None:
-    """Remove the files that an earlier report wrote next to its page, and no others.
-
-    Args:
-        folder: the run folder.
-    """
-    beside = folder / BESIDE
-    for name in (_VIEWER_FILE, _DATA_FILE):
-        (beside / name).unlink(missing_ok=True)
-    if beside.is_dir() and not any(beside.iterdir()):
-        beside.rmdir()
-
-
-def _write_beside(folder: Path, packed: bytes) -> tuple[Path, ...]:
-    """Write scripts, the only files that a local page may load."""
-    folder.mkdir(exist_ok=True)
-    viewer, data = folder / _VIEWER_FILE, folder / _DATA_FILE
-    write_text(viewer, _read("viewer.js"))
-    write_text(data, f'globalThis["scene-data"]="{_base64(packed)}";\n')
-    return viewer, data
+    return {"pose": pose.flatten().tolist(), "fov": fov, "aspect": camera.width / camera.height}
 
 
 def _embedded(name: str, data: bytes) -> str:
     return f'<script type="text/plain" id="{name}">{_base64(data)}</script>'
-
-
-def _option(name: str) -> str:
-    return f"<option>{escape(name)}</option>"
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value).replace("<", "\\u003c")
 
 
 def _base64(data: bytes) -> str:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.web_page import Cell, note, score_table
+from registry.toolkit.web_page import Cell, facts_table, note, score_table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 _ABSENT, _INFINITE = "\u2013", "\u221e"
 _UNITS = {"psnr": "dB"}
+_KINDS = {"test": "held-out photographs", "train": "training photographs"}
+_COSTS = {
+    "gaussians": "Gaussians",
+    "iterations": "iterations",
+    "seconds": "training time, s",
+    "iterations_per_second": "iterations per second",
+    "peak_memory_mb": "peak memory, MB",
+}
 
 
 def with_unit(metric: str) -> str:
@@ -18,20 +26,44 @@ def with_unit(metric: str) -> str:
     return f"{metric}, {_UNITS[metric]}" if metric in _UNITS else metric
 
 
-def scores(results: Mapping[str, Any]) -> str:
-    """Return a table of all views with the means, and the reasons for missing metrics."""
+def summary(results: Mapping[str, Any]) -> str:
+    """Return tables of mean scores and of known costs, and why metrics are missing."""
     missing: Mapping[str, str] = results.get("unavailable", {})
-    metrics = list(dict.fromkeys([*results["test"], *results["train"]]))
-    rows = []
-    for split in ("test", "train"):
-        for view, row in results["views"][split].items():
-            texts = (score(row, metric, missing) for metric in metrics)
-            rows.append([Cell(f"{split} {view}"), *(Cell(text) for text in texts)])
-        if results[split]:
-            means = (score(results[split], metric, missing) for metric in metrics)
-            rows.append([Cell(text, strong=True) for text in (f"{split} mean", *means)])
+    metrics = [name for name in _metrics(results) if name not in missing]
+    rows = [
+        [
+            Cell(f"{kind} ({len(results['views'][split])})"),
+            *_cells(results[split], metrics, missing),
+        ]
+        for split, kind in _KINDS.items()
+        if results[split]
+    ]
+    means = score_table(["mean of", *map(with_unit, metrics)], rows) if rows and metrics else ""
+    costs = {label: results[key] for key, label in _COSTS.items() if key in results}
     notes = "".join(note(f"{name} is not available: {reason}") for name, reason in missing.items())
-    return score_table(["view", *map(with_unit, metrics)], rows) + notes if rows else ""
+    return means + notes + facts_table(costs)
+
+
+def views(results: Mapping[str, Any]) -> str:
+    """Return a table of the scores of all photographs."""
+    missing: Mapping[str, str] = results.get("unavailable", {})
+    metrics = _metrics(results)
+    rows = [
+        [Cell(view), Cell(kind), *_cells(row, metrics, missing)]
+        for split, kind in _KINDS.items()
+        for view, row in results["views"][split].items()
+    ]
+    return score_table(["view", "kind", *map(with_unit, metrics)], rows, names=2) if rows else ""
+
+
+def _metrics(results: Mapping[str, Any]) -> list[str]:
+    return list(dict.fromkeys([*results["test"], *results["train"]]))
+
+
+def _cells(
+    row: Mapping[str, float | None], metrics: Sequence[str], missing: Mapping[str, str]
+) -> list[Cell]:
+    return [Cell(score(row, metric, missing)) for metric in metrics]
 
 
 def score(row: Mapping[str, float | None], metric: str, missing: Mapping[str, str]) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _GROUPS = (
     ("Loss", re.compile(r"loss|photometric")),
-    ("Test: {}", re.compile(r"test (.+)")),
+    ("Held-out photographs: {}", re.compile(r"test (.+)")),
     ("Gaussians", re.compile(r"gaussians")),
     ("Loss terms of regularizers", re.compile(r"regularizers\.(.+)")),
     ("Gradient of opacities: quantiles, %", re.compile(r"opacity_gradient_q(\d+)")),
@@ -24,11 +24,15 @@ _GROUPS = (
     ("Stereo: number of calls", re.compile(r".+_(?:inferences|reused|skipped)")),
 )
 """Title of a plot, and its values by name; a title with {} makes one plot per name."""
+_MAIN = 4
+"""Number of groups that are not folded."""
 _NO_PLOT = ("iteration", "seconds")
+_FEWEST = 3
+"""Points of a curve, at least."""
 
 
 def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, Any]) -> str:
-    """Plot all values of metrics.jsonl; unknown names get one folded plot each.
+    """Plot the values of metrics.jsonl that change, the less common ones folded.
 
     Args:
         metrics: lines of metrics.jsonl.
@@ -37,14 +41,14 @@ def training_plots(metrics: Sequence[Mapping[str, Any]], results: Mapping[str, A
     end = {"iteration": results.get("iterations", 0), "test": results["test"]}
     lines = [*metrics, end] if metrics else []
     plots: dict[tuple[int, str], list[Line]] = {}
-    for name, points in _by_name(lines).items():
+    for name, points in _curves(lines).items():
         place, label = _place(name)
         plots.setdefault(place, []).append(Line(label, points))
     ordered = sorted(plots.items(), key=lambda plot: plot[0])
     axis = _axis(lines)
-    known = [line_plot(title, own, axis) for (order, title), own in ordered if order < len(_GROUPS)]
-    others = [line_plot(title, own, axis) for (order, title), own in ordered[len(known) :]]
-    return grid(known) + folded("other logged values", grid(others))
+    main = [line_plot(title, own, axis) for (order, title), own in ordered if order < _MAIN]
+    others = [line_plot(title, own, axis) for (order, title), own in ordered[len(main) :]]
+    return grid(main) + folded("other logged values", grid(others))
 
 
 def _axis(lines: Sequence[Mapping[str, Any]]) -> Axis:
@@ -60,6 +64,16 @@ def _axis(lines: Sequence[Mapping[str, Any]]) -> Axis:
         for place in places
     ]
     return Axis(ticks, "iterations (seconds of training)")
+
+
+def _curves(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Point]]:
+    """Return the values that are worth a curve: enough points, not constant, not the same as another."""
+    found: dict[str, list[Point]] = {}
+    for name, points in _by_name(metrics).items():
+        changes = len({point.value for point in points}) > 1
+        if len(points) >= _FEWEST and changes and points not in found.values():
+            found[name] = points
+    return found
 
 
 def _by_name(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Point]]:

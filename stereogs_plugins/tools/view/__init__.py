@@ -21,6 +21,7 @@ def import_viser() -> Any:
     except ImportError as error:
         raise RunError(
             "viewing a scene in the browser needs the package viser",
-            fix="pip install 'stereogs-plugins[viewer]'",
+            fix="pip install 'stereogs-plugins[viewer]'; or, without it, open the page that "
+            "`stereogs export RUN --format html` writes",
         ) from error
     return viser

@@ -61,7 +61,7 @@ class LiveView(TrainOption):
             for page in pages:
                 if page.run.finished:
                     output.print(
-                        f"{page.run.scene.name} is still at {page.url}; press Ctrl-C to stop"
+                        f"{page.run.scene.name} is still at {page.url} (press Ctrl-C to stop)"
                     )
                     with one_torch_thread():
                         page.serve_finished_run()

@@ -23,14 +23,12 @@ from registry.training import new_model
 
 _DEFAULT_UP = (0.0, -1.0, 0.0)
 """In most scenes of COLMAP and 3DGS the y axis points down."""
-_BEHIND, _ABOVE = 0.5, 0.25
-"""Offset from the first camera in units of the cameras' extent, so that its photograph hides nothing."""
 _DISTANCE = 2.5
 """Distance from the center of Gaussians without cameras, in units of their spread."""
 _EXTENT_OF_ONE = 0.1
-"""Extent of cameras at one position, in units of the depth that the first one sees."""
+"""Extent of cameras at one position, in units of the depth that one sees."""
 _DEFAULT_DEPTH = 5.0
-"""Distance of the orbit point if the first camera sees nothing, in units of the extent."""
+"""Distance of the orbit point if the camera sees nothing, in units of the extent."""
 
 _log = logging.getLogger(__name__)
 
@@ -175,7 +173,7 @@ class StartPose:
 
 
 def start_pose(subject: Subject) -> StartPose:
-    """Return a pose behind and above the first training camera; without cameras, one that sees everything."""
+    """Return the pose of the central training camera, upright; without cameras, one that sees everything."""
     means = subject.model.read("means").double()
     cameras = [one.camera for one in subject.viewpoints if not one.is_test]
     if not cameras:
@@ -184,19 +182,25 @@ def start_pose(subject: Subject) -> StartPose:
         offset = torch.tensor([0.0, 0.0, -_DISTANCE * spread], dtype=torch.float64)
         up = np.asarray(_DEFAULT_UP)
         return StartPose((center + offset).numpy(), center.numpy(), up, np.pi / 3, spread)
-    first = cameras[0]
-    depth, extent = _depth_and_extent(cameras, means)
-    origin, forward = first.center.numpy(), first.world_to_camera[2, :3].numpy()
-    up = upwards(cameras)
-    position = origin + extent * (_ABOVE * up - _BEHIND * forward)
-    field_of_view = float(2 * np.arctan(0.5 * first.height / first.fy))
-    return StartPose(position, origin + depth * forward, up, field_of_view, extent)
+    camera = _central(cameras)
+    depth, extent = _depth_and_extent(camera, cameras, means)
+    origin, forward = camera.center.numpy(), camera.world_to_camera[2, :3].numpy()
+    field_of_view = float(2 * np.arctan(0.5 * camera.height / camera.fy))
+    return StartPose(origin, origin + depth * forward, upwards(cameras), field_of_view, extent)
 
 
-def _depth_and_extent(cameras: Sequence[Camera], means: Tensor) -> tuple[float, float]:
-    """Return the median z-depth in the first camera and the cameras' extent, world units, > 0."""
-    first, extent = cameras[0], camera_extent(cameras)
-    u, v, z = first.project(means)
-    seen = z[first.contains(u, v, z)]
+def _central(cameras: Sequence[Camera]) -> Camera:
+    """Return the camera nearest to the middle of all."""
+    centers = torch.stack([camera.center for camera in cameras])
+    return cameras[int((centers - centers.mean(dim=0)).norm(dim=1).argmin())]
+
+
+def _depth_and_extent(
+    camera: Camera, cameras: Sequence[Camera], means: Tensor
+) -> tuple[float, float]:
+    """Return the median z-depth in a camera and the extent of all cameras, world units, > 0."""
+    extent = camera_extent(cameras)
+    u, v, z = camera.project(means)
+    seen = z[camera.contains(u, v, z)]
     depth = float(seen.median()) if len(seen) else _DEFAULT_DEPTH * max(extent, 1e-6)
     return depth, extent if extent > 1e-6 * depth else _EXTENT_OF_ONE * depth

@@ -51,7 +51,7 @@ class View(Command):
             from .viewer import Viewer
 
             viewer = Viewer(subject, arguments.port)
-            console().print(f"{subject.name} is at {viewer.url}; press Ctrl-C to stop")
+            console().print(f"{subject.name} is at {viewer.url} (press Ctrl-C to stop)")
             try:
                 viewer.serve_until_interrupted()
             finally:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from . import import_viser
 from .decoration import add_box, add_cameras, add_ellipsoids
+from .guard import Guard
 from .picture import (
     CHANNELS,
     QUICK_SECONDS,
@@ -62,7 +63,8 @@ class Viewer:
         self._blurred: dict[int, Any] = {}
         self._mask = visible(subject, Look())
         self._masked: tuple[Subject, Look] = (subject, Look())
-        self._server = _server(port, subject.name)
+        self._guard = Guard()
+        self._server = _server(port, subject.name, self._guard)
         self._ellipsoids: Any = None
         self._box: Any = None
         self._decorated: tuple[Subject, Look, bool] = (subject, Look(), False)
@@ -80,12 +82,13 @@ class Viewer:
         )
         self._controls.status.content = f"{subject.model.count:,} Gaussians"
         self._set_start(start)
+        self._show_cameras(False)  # the start pose is behind the photograph of one of them
         self._server.on_client_connect(self._connect)
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        """Address of the page, with the token without which the server answers nothing."""
+        return f"http://{HOST}:{self._server.get_port()}/?token={self._guard.token}"
 
     @property
     def has_clients(self) -> bool:
@@ -230,7 +233,7 @@ class _Controls:
         gui = server.gui
         self.status = gui.add_markdown("")
         self._channel = gui.add_dropdown("Show", CHANNELS, initial_value=CHANNELS[0])
-        cameras = gui.add_checkbox("Cameras", True)
+        cameras = gui.add_checkbox("Cameras", False)
         cameras.on_update(lambda _: on_cameras(cameras.value))
         self._ellipsoids = gui.add_checkbox("Ellipsoids", False)
         self._kinds = {}
@@ -275,9 +278,9 @@ def _bounds(subject: Subject) -> Bounds:
     return (x, y, z), (u, v, w)
 
 
-def _server(port: int, title: str) -> Any:
+def _server(port: int, title: str, guard: Guard) -> Any:
     viser = import_viser()
-    with redirect_stdout(io.StringIO()):  # viser prints a box with addresses
+    with redirect_stdout(io.StringIO()), guard.installed():  # viser prints a box with addresses
         server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
     # The share button would publish the page through a server on the internet.
     server.gui.configure_theme(show_share_button=False)

@@ -11,7 +11,6 @@ from core_rasterizer import GaussianModel, load_ply, open_device
 from registry import PluginError
 from stereogs_plugins.exporters.splat_transform import (
     PROGRAM,
-    HtmlExporter,
     SogExporter,
     stereogs_register_exporters,
 )
@@ -19,8 +18,8 @@ from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.exporters.looking import SCENE, colorful, likeness
 
 
-def test_are_offered_by_name() -> None:
-    assert offered(stereogs_register_exporters) == {"sog": SogExporter, "html": HtmlExporter}
+def test_is_offered_by_name() -> None:
+    assert offered(stereogs_register_exporters) == {"sog": SogExporter}
 
 
 def test_without_the_program_the_command_is_told(
@@ -46,7 +45,7 @@ def test_what_the_program_says_is_passed_on(
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     model = GaussianModel(colorful(5), open_device())
     with pytest.raises(PluginError, match="exit status 3: no room left"):
-        build(HtmlExporter).export(model.reader(), SCENE, tmp_path)
+        build(SogExporter).export(model.reader(), SCENE, tmp_path)
 
 
 @pytest.mark.skipif(shutil.which(PROGRAM) is None, reason=f"{PROGRAM} is not on the PATH")
@@ -57,13 +56,3 @@ def test_the_program_reads_back_what_it_wrote(tmp_path: Path) -> None:
     (file,) = build(SogExporter).export(model.reader(), SCENE, tmp_path)
     subprocess.run([PROGRAM, "--quiet", file, tmp_path / "again.ply"], check=True)
     assert likeness(gaussians, load_ply(tmp_path / "again.ply")) > 22
-
-
-@pytest.mark.skipif(shutil.which(PROGRAM) is None, reason=f"{PROGRAM} is not on the PATH")
-def test_the_page_holds_the_scene(tmp_path: Path) -> None:
-    model = GaussianModel(colorful(), open_device())
-    (page,) = build(HtmlExporter).export(model.reader(), SCENE, tmp_path)
-    text = page.read_text("utf-8")
-    assert "<canvas" in text
-    # A zip archive in base64 begins so; a scene in SOG is one.
-    assert "base64,UEsDB" in text

@@ -4,6 +4,7 @@ import gzip
 import json
 import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from PIL import Image
 
 from core_rasterizer import Gaussians, Rendering
-from registry import RunError
+from registry import Fact, RunError
 from registry.runs.folder import RunFolder
 from registry.system.files import write_json
 from registry.testing import tiny_scene
@@ -115,26 +116,23 @@ def test_the_page_holds_everything_and_loads_nothing(run: RunFolder) -> None:
     assert len(tags.loads) == 5, "photograph, render, error, depth, initial depth"
     assert all(source.startswith("data:image/jpeg;base64,") for source in tags.loads)
     assert texts(page, "h2") == [
-        "The scene in 3D",
-        "Test views",
-        "Scores",
+        "Held-out photographs and renders",
+        "Numbers",
         "Training",
-        "Initialization",
-        "Pipeline",
-        "Scene",
-        "Provenance",
+        "First points",
+        "Photographs",
     ]
-    for text in ("12,345", "7.5", "view1, psnr 20.00, lpips \u2013", "depth of", "a processor"):
+    assert page.index('class="scene-view"') < page.index("<h2>"), "the scene comes first"
+    for text in ("12,345 Gaussians", "7.5", "view1, psnr 20.00, lpips \u2013", "depth of"):
         assert text in page
     for text in (
         "2026-05-04 03:02:01 UTC",
         "c0ffee with changes",
         "<td>stereogs train &#x27;a b&#x27;",
     ):
-        assert text in page
-    top = page[: page.index("<h2>")]
-    assert "<th>test psnr, dB</th><td>20.00</td>" in top
-    assert "lpips" not in top, "which there is none of"
+        assert text in page[page.index("<summary>Provenance") :]
+    assert '<td class="name">held-out photographs (1)</td><td>20.00</td>' in page
+    assert "Scores are of 1 photograph held out from training" in page
 
 
 def test_pictures_of_a_view_are_its_photograph_render_error_and_depth(run: RunFolder) -> None:
@@ -154,42 +152,83 @@ def test_pictures_of_a_view_are_its_photograph_render_error_and_depth(run: RunFo
 
 def test_initial_points_are_told_by_kind(run: RunFolder) -> None:
     page = written(run)
-    assert "Initial points by kind" in texts(page, "h3")
     assert '<td class="name">back layer</td><td>15</td><td>25.0%</td>' in page
     columns = '<div class="headings"><span>photograph</span><span>depth &lt;1&gt;</span></div><img'
     assert columns in page
     assert "picture_columns" not in page
 
 
+def test_without_held_out_photographs_the_page_shows_and_says_what_it_scores(
+    run: RunFolder,
+) -> None:
+    scene = tiny_scene()
+    everything = replace(scene, train=(*scene.train, *scene.test), test=())
+    scores = {"train": {"psnr": 30.0}, "test": {}}
+    rows = {"train": {"view1": {"psnr": 30.0}}, "test": {}}
+    names = {"scene": {"name": "tiny", "train": ["view1"]}}
+    write_json(run.path / "results.json", RESULTS | scores | names | {"views": rows})
+    page = build(HtmlReport).write(run.path, everything)[0].read_text("utf-8")
+    assert texts(page, "h2")[:2] == ["Training photographs and renders", "Numbers"]
+    assert "view1, psnr 30.00" in page
+    assert "they do not measure how well other views are rendered" in page
+    assert "held-out photographs (" not in page
+
+
+def test_facts_are_sentences(run: RunFolder) -> None:
+    facts = (
+        Fact("turned_upright", 2),
+        Fact("lenses", 1),
+        Fact("focal_lengths_by_exif", 0),
+        Fact("other_files", 1, "left out: notes.txt, which is not a picture"),
+        Fact("changed", "nothing"),
+    )
+    page = build(HtmlReport).write(run.path, replace(tiny_scene(), facts=facts))[0].read_text()
+    words = page[page.index("<h2>Photographs") : page.index("<summary>Provenance")]
+    for sentence in (
+        "2 photographs turned upright by EXIF.",
+        "All photographs have one lens.",
+        "No photograph states its focal length; it was estimated.",
+        "Other files: left out: notes.txt, which is not a picture.",
+    ):
+        assert sentence in words
+    assert "_" not in words
+    assert "nothing" not in words
+
+
 def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
     page = written(run)
-    table = page[page.index("<thead>") : page.index("</tbody>")]
+    table = page[page.index("<summary>scores of each photograph") :]
+    table = table[table.index("<thead>") : table.index("</tbody>")]
     cells = [
         re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in re.findall(r"<tr.*?</tr>", table)
     ]
     assert cells == [
-        ["view", "psnr, dB", "lpips"],
-        ["test view1", "20.00", "\u2013"],
-        ["test mean", "20.00", "\u2013"],
-        ["train view0", "\u221e", "\u2013"],
-        ["train mean", "\u221e", "\u2013"],
+        ["view", "kind", "psnr, dB", "lpips"],
+        ["view1", "held-out photographs", "20.00", "\u2013"],
+        ["view0", "training photographs", "\u221e", "\u2013"],
     ]
     assert "lpips is not available: there is no model &amp; no file" in page
 
 
 def test_what_training_logged_is_plotted(run: RunFolder) -> None:
-    run.append_metrics({"iteration": 100, "opacity_beta_q05": 0.1, "opacity_beta_q95": 2.0})
-    run.append_metrics({"iteration": 100, "s_valid": 0.5, "s_occluded": 0.4, "own": 3, "n": None})
+    for k in range(3):
+        values = {"opacity_beta_q05": k / 10, "s_valid": k / 4, "own": k, "flat": 3, "n": None}
+        run.append_metrics({"iteration": 102 + k, **values, "same": k})
+        loss = {"loss": k / 9, "photometric": k / 9} if k else {}
+        run.append_metrics({"iteration": 105 + k, **loss})
+    run.append_metrics({"iteration": 110, "twice": 1})
+    run.append_metrics({"iteration": 120, "twice": 2})
     page = written(run)
     plots = re.findall(r'<figure class="plot"><figcaption>(.*?)</figcaption>', page)
     assert plots == [
         "Loss",
-        "Test: psnr, dB",
+        "Held-out photographs: psnr, dB",
         "Gradient of opacities over its mean: quantiles, %",
         "Stereo: share of pixels",
         "own",
-    ]
-    scores = page[page.index('aria-label="Test: psnr, dB"') :].split("</svg>")[0]
+    ], "neither constants, nor two points, nor the same curve twice"
+    assert page.index("<summary>other logged values") < page.index("Stereo: share")
+    scores = page[page.index('aria-label="Held-out photographs: psnr, dB"') :].split("</svg>")[0]
     assert scores.count("<circle") == 3, "two evaluations, and the end"
     assert ">50 (1 s)<" in scores
 
@@ -210,7 +249,7 @@ def test_a_large_picture_is_reduced(run: RunFolder) -> None:
 def test_a_scored_run_without_anything_else_has_a_page(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(RESULTS), "utf-8")
     page = written(RunFolder(tmp_path))
-    assert texts(page, "h2") == ["Scores", "Scene"]
+    assert texts(page, "h2") == ["Numbers", "Photographs"]
 
 
 def test_the_gaussians_lie_in_the_page_or_beside_it_or_are_too_large(run: RunFolder) -> None:

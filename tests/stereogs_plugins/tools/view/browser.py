@@ -12,15 +12,23 @@ import zstandard
 from numpy.typing import NDArray
 from PIL import Image
 from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 WINDOW = (96, 72)
 
 
-def visit(url: str) -> ClientConnection:
-    """Open the page's connection."""
+def visit(
+    url: str, origin: Origin | None = None, headers: dict[str, str] | None = None
+) -> ClientConnection:
+    """Open the page's connection, as a page of that origin."""
     protocol = Subprotocol(f"viser-v{viser.__version__}")
-    return connect(url.replace("http", "ws"), subprotocols=[protocol], compression=None)
+    return connect(
+        url.replace("http", "ws"),
+        origin=origin,
+        subprotocols=[protocol],
+        compression=None,
+        additional_headers=headers,
+    )
 
 
 def move(

@@ -18,20 +18,20 @@ def model(device: Device, z: float) -> GaussianModel:
     )
 
 
-def test_the_start_pose_is_behind_and_above_the_first_camera(device: Device) -> None:
+def test_the_start_pose_is_a_training_camera_upright(device: Device) -> None:
     scene = tiny_scene()
     pose = start_pose(Subject("x", model(device, 3.0), viewpoints_of(scene)))
-    first = scene.train[0].camera
-    behind = first.world_to_camera.numpy() @ [*pose.position, 1]
+    centers = torch.stack([view.camera.center for view in scene.train])
+    index = int((centers - centers.mean(dim=0)).norm(dim=1).argmin())
+    central = scene.train[index].camera
+    np.testing.assert_allclose(pose.position, central.center.numpy())
     assert pose.extent == scene.extent
-    assert behind[2] == pytest.approx(-0.5 * scene.extent)
-    assert behind[1] == pytest.approx(-0.25 * scene.extent)  # y points down
-    u, v, z = first.project(torch.from_numpy(pose.look_at))
-    assert (float(u), float(v)) == pytest.approx((first.cx, first.cy))
+    u, v, z = central.project(torch.from_numpy(pose.look_at))
+    assert (float(u), float(v)) == pytest.approx((central.cx, central.cy))
     assert float(z) == pytest.approx(3.0, abs=0.1)
-    assert pose.distance == pytest.approx(np.hypot(float(z) - behind[2], behind[1]))
+    assert pose.distance == pytest.approx(float(z))
     np.testing.assert_allclose(pose.up, [0, -1, 0], atol=1e-12)
-    assert np.tan(pose.field_of_view / 2) == pytest.approx(0.5 * first.height / first.fy)
+    assert np.tan(pose.field_of_view / 2) == pytest.approx(0.5 * central.height / central.fy)
 
 
 def test_an_empty_view_still_has_an_orbit_point(device: Device) -> None:

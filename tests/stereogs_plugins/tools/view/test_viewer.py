@@ -6,6 +6,8 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPResponse
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -13,8 +15,13 @@ import torch
 
 pytest.importorskip("viser")
 
+from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin
+
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians
+from registry import RunError
 from registry.testing import tiny_scene
+from stereogs_plugins.tools.view.guard import Guard
 from stereogs_plugins.tools.view.subject import Subject, viewpoints_of
 from stereogs_plugins.tools.view.viewer import Viewer
 from tests.stereogs_plugins.tools.view.browser import WINDOW, Received, change, move, visit
@@ -113,7 +120,7 @@ def test_the_browser_shows_the_scene_and_follows_the_controls(
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
 def test_the_server_listens_on_localhost_only(viewer: Viewer) -> None:
     """A server that listens on all addresses would answer on this one too."""
-    port = int(viewer.url.rpartition(":")[2])
+    port = urlsplit(viewer.url).port
     with socket.create_connection(("127.0.0.1", port), timeout=5):
         pass
     with pytest.raises(ConnectionRefusedError):
@@ -129,3 +136,60 @@ def test_new_gaussians_are_shown(viewer: Viewer, subject: Subject, device: Devic
         later = GaussianModel(Gaussians(**kept), device)
         viewer.show(Subject("walls", later, viewpoints_of(SCENE)), 7)
         serve_until(viewer, received, lambda: green(received.picture) < 20)
+
+
+def answer(viewer: Viewer, path: str = "", **headers: str) -> HTTPResponse:
+    """What the server answers to a request for a path, by default the printed address's."""
+    address = urlsplit(viewer.url)
+    connection = HTTPConnection("127.0.0.1", address.port or 0, timeout=10)
+    connection.request("GET", path or f"/?{address.query}", headers=headers)
+    return connection.getresponse()
+
+
+def test_the_printed_address_opens_the_page_and_its_files(viewer: Viewer) -> None:
+    page = answer(viewer)
+    assert page.status == 200
+    cookie = page.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    assert answer(viewer, "/", Cookie=cookie.partition(";")[0]).status == 200
+    own = f"http://localhost:{urlsplit(viewer.url).port}"
+    assert answer(viewer, Host=own.removeprefix("http://"), Origin=own).status == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("", {"Host": "evil.example"}),
+        ("", {"Host": "127.0.0.1.evil.example"}),
+        ("", {"Host": "[broken"}),
+        ("", {"Origin": "http://evil.example"}),
+        ("", {"Origin": "http://localhost:1"}),
+        ("", {"Origin": "null"}),
+        ("/", {}),
+        ("/index.html", {}),
+        ("/?token=guessed", {}),
+        ("/", {"Cookie": "stereogs-1=guessed; a"}),
+    ],
+)
+def test_nobody_else_gets_the_page(viewer: Viewer, path: str, headers: dict[str, str]) -> None:
+    refused = answer(viewer, path, **headers)
+    assert refused.status == 403
+    assert refused.headers["Set-Cookie"] is None
+    assert len(refused.read()) < 100
+
+
+@pytest.mark.parametrize("case", ["foreign origin", "foreign host", "no token"])
+def test_another_web_page_cannot_read_the_scene(viewer: Viewer, case: str) -> None:
+    """A page in the same browser may open a WebSocket to any address; the browser states its origin."""
+    url = viewer.url.partition("?")[0] if case == "no token" else viewer.url
+    headers = {"Host": "evil.example"} if case == "foreign host" else {}
+    origin = Origin("http://evil.example") if case == "foreign origin" else None
+    with pytest.raises(InvalidStatus) as caught, visit(url, origin, headers):
+        pass
+    assert caught.value.response.status_code == 403
+
+
+def test_a_server_that_would_not_be_guarded_is_an_error() -> None:
+    with pytest.raises(RunError, match="cannot be protected"), Guard().installed():
+        pass

@@ -1,4 +1,4 @@
-"""Test views: a wipe between photograph and render, the error, and the rendered depth."""
+"""Photographs and renders: a wipe between the two, the error, and the rendered depth."""
 
 from __future__ import annotations
 
@@ -30,15 +30,21 @@ _LARGEST_ERROR = 0.3
 _LONGEST_SIDE = 1000
 
 
-def unseen_views(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
-    """Return a part per test view with a render, one shown at a time."""
-    files = {view: ViewPictures.of(view.name, folder / RENDERS) for view in _some(scene.test)}
+def renders(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
+    """Return a part per view with a render, one shown at a time.
+
+    The views are the test views, or the training views if there are none.
+    """
+    split, views = ("test", scene.test) if scene.test else ("train", scene.train)
+    files = {view: ViewPictures.of(view.name, folder / RENDERS) for view in _some(views)}
     shown = [view for view, its in files.items() if its.render.is_file() and its.depth.is_file()]
-    made = in_parallel(lambda view: _part(view, files[view], results), shown)
+    rows = results["views"][split]
+    missing = results.get("unavailable", {})
+    made = in_parallel(lambda view: _part(view, files[view], rows, missing), shown)
     parts = {view.name: part for view, part in zip(shown, made, strict=True)}
-    text = f"{len(parts)} of {len(scene.test)} test views; the others are in the folder {RENDERS}."
-    remark = note(text) if 0 < len(parts) < len(scene.test) else ""
-    return choice("view", parts) + remark
+    text = f"{len(parts)} of {len(views)} photographs; the others are in the folder {RENDERS}."
+    remark = note(text) if 0 < len(parts) < len(views) else ""
+    return choice("photograph", parts) + remark
 
 
 def _some(views: tuple[View, ...]) -> list[View]:
@@ -47,14 +53,16 @@ def _some(views: tuple[View, ...]) -> list[View]:
     return [views[index * len(views) // count] for index in range(count)]
 
 
-def _part(view: View, files: ViewPictures, results: Mapping[str, Any]) -> str:
-    row = results["views"]["test"].get(view.name, {})
-    missing = results.get("unavailable", {})
+def _part(
+    view: View, files: ViewPictures, rows: Mapping[str, Any], missing: Mapping[str, str]
+) -> str:
+    row = rows.get(view.name, {})
     caption = ", ".join([view.name, *(f"{name} {score(row, name, missing)}" for name in row)])
     photograph = image(_picture(view.image), "photograph", _LONGEST_SIDE)
     render = image(files.render, "render", _LONGEST_SIDE)
     compared = wipe(photograph, render, ("photograph", "render"))
-    return figure(caption, compared) + grid([_error(view, files), _depth(files)])
+    others = grid([_error(view, files), _depth(files)])
+    return f'<div class="sides">{figure(caption, compared)}{others}</div>'
 
 
 def _error(view: View, files: ViewPictures) -> str:
