@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..messages.terminal import PlainConsole
+from ..messages.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,11 +19,6 @@ FAILED = 1
 INTERRUPTED = 130
 ABSENT = "\u2013"
 """Shown in tables if a score is not available: a dash."""
-
-
-def console(*, stderr: bool = False) -> PlainConsole:
-    """Return a console for the current standard output or standard error."""
-    return PlainConsole(stderr=stderr, markup=False, highlight=False, soft_wrap=True)
 
 
 def results_table(results: dict[str, Any]) -> Table:

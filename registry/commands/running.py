@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 from ..contract.command import Command, TrainOption, TrainRequest
 from ..errors import RunError
+from ..messages.stages import showing
+from ..messages.terminal import console
 from ..plugins.commands import train_options
 from .arguments import (
     add_changes,
@@ -22,7 +24,7 @@ from .arguments import (
     open_given,
     run_options,
 )
-from .output import conclude, console, print_failures, results_table
+from .output import conclude, print_failures, results_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -73,13 +75,15 @@ from it to the same result.
         """Train; return 0, or 1 if something failed after training, or 130 after Ctrl-C."""
         begin = monotonic()
         from ..calls.watchdog import WATCHDOG
-        from ..plugins.discovery import Plugins
-        from ..session import train
 
-        output, extra = console(), train_options("train")
-        for option in extra:
-            option.check(arguments)
-        with WATCHDOG.ending(arguments.hang_after):
+        output = console()
+        with WATCHDOG.ending(arguments.hang_after), showing(output):
+            from ..plugins.discovery import Plugins
+            from ..session import train
+
+            extra = train_options("train")
+            for option in extra:
+                option.check(arguments)
             load = _loader(arguments, Plugins())
             is_folder = arguments.pipeline.is_dir()
             pipeline = load(_folder_pipeline(extra) if is_folder else arguments.pipeline.as_posix())
@@ -115,15 +119,16 @@ a kill, a crash or a full disk. A finished run is scored and exported again.
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Train to the end; return the exit status as `train` does."""
-        request = TrainRequest(arguments, monotonic())
+        request, output = TrainRequest(arguments, monotonic()), console()
         from ..calls.watchdog import WATCHDOG
-        from ..session import resume
 
-        output = console()
         with (
             WATCHDOG.ending(arguments.hang_after),
+            showing(output),
             run_options(request, train_options("resume"), output) as options,
         ):
+            from ..session import resume
+
             return conclude(resume(arguments.run_folder, options), output)
 
 
@@ -144,10 +149,12 @@ stopped is scored at its checkpoint.
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Evaluate and print."""
-        run = open_given(arguments)
+        output = console()
+        with showing(output):
+            run = open_given(arguments)
+            results = run.renew()
         from ..runs.results import RENDERS
 
-        output, results = console(), run.renew()
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
             output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")

@@ -10,7 +10,6 @@ import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from shutil import get_terminal_size
 from textwrap import wrap
 from typing import Any, NoReturn
 
@@ -19,6 +18,7 @@ from rich.segment import Segment
 
 from core_rasterizer.errors import ExplainedError
 
+from .stages import console_of_bar
 from .suggestions import did_you_mean
 
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -89,15 +89,23 @@ class PlainConsole(Console):
             yield Segment(visible(segment.text), segment.style) if is_text else segment
 
 
-class PlainFormatter(logging.Formatter):
-    """Formats log lines as `PlainConsole` prints text."""
+def console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """Return a console for the current standard output or standard error.
 
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
-        text = visible(super().format(record))
-        if sys.stderr.isatty() or WIDTH in os.environ:
-            return fitting(text, get_terminal_size().columns)
-        return text
+    On a terminal that shows a bar it is the bar's, which prints above it.
+    """
+    shown = console_of_bar()
+    if shown is not None and not quiet and (not stderr or sys.stderr.isatty()):
+        return shown
+    return PlainConsole(stderr=stderr, quiet=quiet, markup=False, highlight=False, soft_wrap=True)
+
+
+class LogLines(logging.Handler):
+    """Prints log lines on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print the line."""
+        console(stderr=True).print(f"stereogs: {self.format(record)}")
 
 
 class CommandParser(argparse.ArgumentParser):

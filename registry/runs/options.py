@@ -85,13 +85,11 @@ class RunOptions:
 
     def console(self) -> Console:
         """Return the console for progress, silent if `progress` is False."""
-        from rich.console import Console
+        from ..messages.terminal import console
 
-        from ..messages.terminal import PlainConsole
-
-        if isinstance(self.progress, Console):
-            return self.progress
-        return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not self.progress)
+        if isinstance(self.progress, bool):
+            return console(quiet=not self.progress)
+        return self.progress
 
 
 def find_device(device: Device | str | None) -> Device:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, sa
 from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
 from ..contract.scene import Scene
 from ..errors import RunError
+from ..messages.stages import progress, tracked
 from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Pipeline
 from ..system.files import jsonable
@@ -141,9 +143,11 @@ class Run:
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         with one_torch_thread():
+            views = tracked([*scene.test, *scene.train], "scoring")
+            test = islice(views, len(scene.test))
             scores = {
-                "test": evaluate(self.model, scene, scene.test, metrics, pictures),
-                "train": evaluate(self.model, scene, scene.train, quick(metrics)),
+                "test": evaluate(self.model, scene, test, metrics, pictures),
+                "train": evaluate(self.model, scene, views, quick(metrics)),
             }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
@@ -310,6 +314,7 @@ class Run:
         folder.write_results(results)
         exporters = self.parts["exporters"]
         place = folder.folder(EXPORTS) if exporters else folder.path
+        progress("files")
         results.exports, failures = self._outputs(
             exporters,
             of_scene(self.scene) + ReadOnlyGuard(models=(self.model,)),
@@ -323,6 +328,7 @@ class Run:
 
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
         path, scene = self.folder_or_refuse().path, self.scene
+        progress("page")
         return self._outputs(reports, of_scene(scene), lambda report: report.write(path, scene))
 
     def _outputs(

@@ -19,6 +19,7 @@ from ..contract.scene import Scene
 from ..inspection.explanation import refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
+from ..messages.stages import STAGES, progress, showing
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
 from ..pipeline.training_settings import TrainingSettings
@@ -72,14 +73,14 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
         RunFolder.check_vacant(out)
     refuse_missing_priors(pipeline)
     console = options.console()
-    with _guarded(options):
+    with _guarded(options, console):
         run, trainer = _initialized(pipeline, options, console)
         if out is not None:
             run.keep_in(out if isinstance(out, Path) else out(run.pipeline, run.scene))
         writing = f"; writing {run.folder.path}" if run.folder else ""
         console.print(f"{run.initialization['points']:,} points; {run.model.device.name}{writing}")
         with run.folder.locked() if run.folder else nullcontext():
-            _train_to_end(run, trainer, options, console, resumed=False)
+            _train_to_end(run, trainer, options, resumed=False)
     return run
 
 
@@ -91,7 +92,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             failure.
     """
     folder, console = RunFolder.existing(path), options.console()
-    with _guarded(options), folder.locked():
+    with _guarded(options, console), folder.locked():
         device = find_device(options.device)
         run = open_run(
             path,
@@ -114,15 +115,16 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             f"continuing after iteration {checkpoint.iteration} of "
             f"{run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, options, console, resumed=True)
+        _train_to_end(run, trainer, options, resumed=True)
     return run
 
 
 @contextmanager
-def _guarded(options: RunOptions) -> Iterator[None]:
-    """One torch thread, and the checks of plugins that the options select."""
+def _guarded(options: RunOptions, console: Console) -> Iterator[None]:
+    """One torch thread, progress on the console, and the checks of plugins that the options select."""
     with (
         one_torch_thread(),
+        showing(console),
         checked_plugins(options.check_plugins),
         WATCHDOG.ending(options.hang_after),
     ):
@@ -143,6 +145,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()
+    progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
@@ -173,22 +176,20 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     return run, trainer
 
 
-def _train_to_end(
-    run: Run, trainer: Trainer, options: RunOptions, console: Console, *, resumed: bool
-) -> None:
+def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool) -> None:
     """Train, report progress, and write the results if the last iteration is complete."""
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
     with observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
-        progress = TrainingProgress(trainer.iteration, settings.iterations, console)
-        with stop_on_interrupt() as stop, progress.bar:
+        shown = TrainingProgress(trainer.iteration, settings.iterations)
+        with stop_on_interrupt() as stop, STAGES.fixed(shown.stage):
             saved, saving_took = monotonic(), 0.0
             begin = monotonic()
             for done in _iterations(run, trainer):
                 run.seconds.training += monotonic() - begin
                 run.iteration = done.number
-                progress.update(done.number, done.loss, done.gaussians)
+                shown.update(done)
                 metrics.add(done, run.seconds.training, last=done.number == settings.iterations)
                 observers.iterated(done)
                 # A finished run is always scored, with pictures.

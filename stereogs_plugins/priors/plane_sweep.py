@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
 from registry import Context, PluginError, Register, Settings, TrainingView, hookimpl
+from registry.messages import tracked
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
 from registry.toolkit.networks import OnnxModel, Sha256
@@ -124,7 +125,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         sweep = self._sweep(views, greys, inverse_depths)
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []
-        for index, camera in enumerate(cameras):
+        for index, camera in enumerate(tracked(cameras, "depth")):
             costs = sweep.costs(index, sources[index])
             sums = aggregate(self.context.device, costs, greys[index], penalties)
             plane, confidence = pick(self.context.device, sums, planes)

@@ -95,7 +95,7 @@ class LoadedPhotos:
         Raises:
             SceneError: An image or mask cannot be read, or does not match its camera.
         """
-        views = in_parallel(lambda photo: _load_view(photo, decoder), photos)
+        views = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
         return cls(photos, views, decoder, train, test)
 
     @property
