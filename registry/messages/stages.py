@@ -92,12 +92,11 @@ class Stage:
         left = self.seconds_left(now) if running else None
         parts = [f"{self.done}/{self.total}"] if self.total else []
         if left is not None:
-            parts.append(f"{int(left) // 60}:{int(left) % 60:02d} left")
-        elif not running or self.total is None:
-            took = now - self.began
-            parts.append(
-                f"{took:.1f} s" if took < 60 else f"{int(took) // 60}:{int(took) % 60:02d}"
-            )
+            parts.append(f"{_minutes(left)} left")
+        elif not running:
+            parts.append(f"{now - self.began:.1f} s")
+        elif not self.total:
+            parts.append(_minutes(now - self.began))
         return "  ".join(filter(None, (*parts, self.detail())))
 
 
@@ -151,7 +150,7 @@ class Stages:
             self._fixed = False
 
     def begin(self, stage: Stage | None) -> None:
-        """End the current stage, if any, and begin another one, if given."""
+        """Begin a stage, or None; the current one ends."""
         with self._lock:
             ended, self.current = self.current, stage
             for display in self.displays[-1:]:
@@ -266,3 +265,7 @@ def showing(console: Console) -> Iterator[None]:
 def console_of_bar() -> Console | None:
     """Return the console of the bar on the terminal, if one is shown."""
     return next((shown.console for shown in STAGES.displays if shown.has_bar), None)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

@@ -89,13 +89,13 @@ class PlainConsole(Console):
             yield Segment(visible(segment.text), segment.style) if is_text else segment
 
 
-def console(*, stderr: bool = False, quiet: bool = False) -> Console:
+def console(*, stderr: bool = False, quiet: bool = False) -> PlainConsole:
     """Return a console for the current standard output or standard error.
 
     On a terminal that shows a bar it is the bar's, which prints above it.
     """
     shown = console_of_bar()
-    if shown is not None and not quiet and (not stderr or sys.stderr.isatty()):
+    if isinstance(shown, PlainConsole) and not quiet and (not stderr or sys.stderr.isatty()):
         return shown
     return PlainConsole(stderr=stderr, quiet=quiet, markup=False, highlight=False, soft_wrap=True)
 

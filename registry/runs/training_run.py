@@ -77,6 +77,7 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
         run, trainer = _initialized(pipeline, options, console)
         if out is not None:
             run.keep_in(out if isinstance(out, Path) else out(run.pipeline, run.scene))
+        STAGES.begin(None)
         writing = f"; writing {run.folder.path}" if run.folder else ""
         console.print(f"{run.initialization['points']:,} points; {run.model.device.name}{writing}")
         with run.folder.locked() if run.folder else nullcontext():
@@ -140,6 +141,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     scene = load(parts.one("scene")) if options.scene is None else validate(options.scene)
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
+    STAGES.begin(None)
     console.print(summary(scene))
     for warning in warnings(scene):
         console.print(f"warning: {warning}")
