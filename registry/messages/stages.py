@@ -186,8 +186,8 @@ class StageDisplay:
         self.console = console
         self.has_bar = console.is_terminal and not console.quiet
         self._printed = 0.0
-        self._bar = Live(
-            get_renderable=self._line,
+        self._live = Live(
+            get_renderable=self.bar,
             console=console,
             transient=True,
             refresh_per_second=_DRAWN_PER_SECOND,
@@ -196,10 +196,10 @@ class StageDisplay:
 
     def __enter__(self) -> None:
         if self.has_bar:
-            self._bar.start()
+            self._live.start()
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        self._live.stop()
 
     def begun(self, stage: Stage) -> None:
         """Print a line if there is no bar."""
@@ -220,7 +220,7 @@ class StageDisplay:
         self._printed = STAGES.clock()
         self.console.print(f"{stage.name:<{_NAME}} {text}".rstrip())
 
-    def _line(self) -> Text:
+    def bar(self) -> Text:
         """Return the bar, at most as wide as the terminal."""
         from rich.text import Text
 

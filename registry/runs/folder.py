@@ -113,11 +113,12 @@ class RunFolder:
                 write_json(folder / INPUTS, {"digests": inputs, "changed": []})
                 fill(RunFolder(folder))
             remove_leftovers(self.path.parent, of=self.path.name)
-        except OSError as error:
+        except (OSError, RunError) as error:
+            reason = error.what if isinstance(error, RunError) else error.strerror or error
             raise RunError(
-                f"the run folder cannot be created: {error.strerror or error}",
+                f"the run folder cannot be created: {reason}",
                 where=str(self.path),
-                fix="choose another --out",
+                fix="free some disk space, or choose another --out",
             ) from error
 
     @contextmanager

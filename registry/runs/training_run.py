@@ -16,6 +16,7 @@ from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import Scene
+from ..errors import RunError
 from ..inspection.explanation import refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
@@ -181,7 +182,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
 def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool) -> None:
     """Train, report progress, and write the results if the last iteration is complete."""
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
-    with observed(run, trainer, resumed=resumed) as observers:
+    with _told_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
         shown = TrainingProgress(trainer.iteration, settings.iterations)
@@ -211,6 +212,29 @@ def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: b
         if run.finished and run.folder is not None:
             run.finish()
             observers.evaluated(run.scores)
+
+
+@contextmanager
+def _told_how_to_continue(run: Run) -> Iterator[None]:
+    """Add the command that continues the run to Ctrl-C, and to errors of its disk."""
+    if run.folder is None:
+        yield
+        return
+    path = run.folder.path
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        kept, rest = "last checkpoint", "continues from it"
+        if run.finished:
+            kept, rest = "trained scene", "scores it and writes its page"
+        stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
+        raise
+    except OSError as error:
+        raise RunError(
+            f"a file of the run cannot be written: {error.strerror or error}",
+            where=str(path),
+            fix=f"free some disk space, or check the permissions; then `stereogs resume {path}`",
+        ) from error
 
 
 def _score_test_views(run: Run, metrics: MetricsLog, observers: Observers) -> None:
