@@ -18,10 +18,10 @@ from core_rasterizer.errors import ExplainedError
 
 from .commands.arguments import add_verb
 from .commands.inspecting import with_verb
-from .commands.output import INTERRUPTED
+from .commands.output import INTERRUPTED, LogLines, console
 from .errors import PluginError
 from .messages.suggestions import did_you_mean, listing
-from .messages.terminal import CommandParser, HelpFormatter, LogLines, console
+from .messages.terminal import CommandParser, HelpFormatter
 from .plugins.commands import verbs
 
 USAGE_ERROR = 2

@@ -6,6 +6,7 @@ A daemon thread checks all calls once a second. A call costs one list entry and 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
@@ -18,7 +19,6 @@ from types import FrameType
 from typing import Any
 
 from ..errors import PluginError
-from ..messages.stages import STAGES, Stage, Stages
 
 PATIENCE = 10.0
 """Multiple of the expected time that a call may stay silent before a warning."""
@@ -85,7 +85,6 @@ class Watchdog:
     Args:
         look_every: seconds between two checks; None: only when `look` is called.
         grace: see `GRACE`.
-        stages: the stages that components report.
         clock: returns seconds.
     """
 
@@ -93,13 +92,12 @@ class Watchdog:
         self,
         look_every: float | None = 1.0,
         grace: float = GRACE,
-        stages: Stages = STAGES,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._look_every, self._grace, self._stages, self._clock = look_every, grace, stages, clock
+        self._look_every, self._grace, self._clock = look_every, grace, clock
         self._calls: dict[int, list[Call]] = {}  # by thread, the innermost last
         self._longest: dict[object, float] = {}
-        self._warned: Stage | bool | None = False
+        self._latest, self._longest_step, self._warned = -math.inf, 0.0, False
         self._limit: float | None = None
         self._thread: threading.Thread | None = None
 
@@ -128,6 +126,16 @@ class Watchdog:
             if took > self._longest.get(who, 0.0):
                 self._longest[who] = took
 
+    def progressed(self, *, began: bool) -> None:
+        """Note that a component reported progress: the work is not stuck.
+
+        Args:
+            began: a stage of the work begins, in which a warning may come.
+        """
+        now = self._clock()
+        self._longest_step = 0.0 if began else max(self._longest_step, now - self._latest)
+        self._latest, self._warned = now, self._warned and not began
+
     @contextmanager
     def ending(self, seconds: float | None) -> Iterator[None]:
         """Within the block, raise `Hang` in calls of the main thread that take longer.
@@ -155,31 +163,24 @@ class Watchdog:
             self.look()
 
     def look(self) -> None:
-        """Warn, once in each stage, if a call is silent for too long; interrupt it if it has a time limit."""
-        stage = self._stages.current
-        if stage is not self._warned:
-            for calls in list(self._calls.values()):
-                silent = next(filter(self._is_silent, reversed(calls.copy())), None)
-                if silent is not None:
-                    self._warned = stage
-                    end = f"Ctrl-C, twice; {_RESUME}" if silent.iteration else "Ctrl-C"
-                    seconds = self._clock() - silent.began
-                    _log.warning(
-                        "%s has been running for %.0f s, much longer than expected. If it hangs, end it "
-                        "with %s",
-                        *(silent, seconds, end),
-                    )
-                    break
+        """Warn, once in each stage, of a call that is silent for too long; interrupt one over the limit."""
+        for calls in [] if self._warned else list(self._calls.values()):
+            silent = next(filter(self._is_silent, reversed(calls.copy())), None)
+            if silent is not None:
+                self._warned = True
+                end = f"Ctrl-C, twice; {_RESUME}" if silent.iteration else "Ctrl-C"
+                _log.warning(
+                    "%s has been running for %.0f s, much longer than expected. If it hangs, end it "
+                    "with %s",
+                    *(silent, self._clock() - silent.began, end),
+                )
+                break
         self._interrupt()
 
     def _is_silent(self, call: Call) -> bool:
         expected = EXPECTED if call.iteration is None else EXPECTED_IN_LOOP
-        since, stage = call.began, self._stages.current
-        if stage is not None:
-            since = max(since, stage.latest)
-            expected = max(expected, stage.longest_step)
-        expected = max(expected, self._longest.get(call.who, 0.0))
-        return self._clock() - since >= PATIENCE * expected
+        expected = max(expected, self._longest_step, self._longest.get(call.who, 0.0))
+        return self._clock() - max(call.began, self._latest) >= PATIENCE * expected
 
     def _interrupt(self) -> None:
         hung, now = self._hung(), self._clock()

@@ -6,7 +6,6 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from ..contract.command import TrainRequest
-    from ..messages.terminal import console
     from .arguments import (
         add_accept_changed_inputs,
         add_device,
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
         open_given,
         positive_seconds,
     )
-    from .output import ABSENT, conclude, print_failures
+    from .output import ABSENT, conclude, console, print_failures
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..contract.command import Command
-from ..messages.terminal import console
 from .arguments import add_changes, add_device, add_verb
+from .output import console
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 
 from ..contract.command import Command, TrainOption, TrainRequest
 from ..errors import RunError
-from ..messages.stages import showing
-from ..messages.terminal import console
 from ..plugins.commands import train_options
+from ..toolkit.progress import showing
 from .arguments import (
     add_changes,
     add_device,
@@ -24,7 +23,7 @@ from .arguments import (
     open_given,
     run_options,
 )
-from .output import conclude, print_failures, results_table
+from .output import conclude, console, print_failures, results_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

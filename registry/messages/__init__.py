@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .stages import progress, showing, tracked
     from .suggestions import did_you_mean, listing
     from .terminal import PlainConsole
 else:
@@ -15,7 +14,4 @@ __all__ = [
     "PlainConsole",
     "did_you_mean",
     "listing",
-    "progress",
-    "showing",
-    "tracked",
 ]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import re
-import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 from itertools import groupby
@@ -18,7 +16,6 @@ from rich.segment import Segment
 
 from core_rasterizer.errors import ExplainedError
 
-from .stages import console_of_bar
 from .suggestions import did_you_mean
 
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -87,25 +84,6 @@ class PlainConsole(Console):
         for segment in super().render(renderable, options):
             is_text = segment.control is None
             yield Segment(visible(segment.text), segment.style) if is_text else segment
-
-
-def console(*, stderr: bool = False, quiet: bool = False) -> PlainConsole:
-    """Return a console for the current standard output or standard error.
-
-    On a terminal that shows a bar it is the bar's, which prints above it.
-    """
-    shown = console_of_bar()
-    if isinstance(shown, PlainConsole) and not quiet and (not stderr or sys.stderr.isatty()):
-        return shown
-    return PlainConsole(stderr=stderr, quiet=quiet, markup=False, highlight=False, soft_wrap=True)
-
-
-class LogLines(logging.Handler):
-    """Prints log lines on standard error."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print the line."""
-        console(stderr=True).print(f"stereogs: {self.format(record)}")
 
 
 class CommandParser(argparse.ArgumentParser):

@@ -179,8 +179,8 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without suffix.
         """
-        from ..system.parallel import in_parallel
         from ..toolkit.drawing.pictures import save_png
+        from ..toolkit.progress.parallel import in_parallel
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)

@@ -85,11 +85,11 @@ class RunOptions:
 
     def console(self) -> Console:
         """Return the console for progress, silent if `progress` is False."""
-        from ..messages.terminal import console
+        from ..messages.terminal import PlainConsole
 
-        if isinstance(self.progress, bool):
-            return console(quiet=not self.progress)
-        return self.progress
+        if not isinstance(self.progress, bool):
+            return self.progress
+        return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not self.progress)
 
 
 def find_device(device: Device | str | None) -> Device:

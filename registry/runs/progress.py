@@ -13,9 +13,9 @@ from core_rasterizer import ExplainedError
 
 from ..calls.read_only_guard import of_scene
 from ..events import RunEnded, RunStarted, ViewsScored
-from ..messages.stages import STAGES, Stage, progress
 from ..pipeline.parts import Part
 from ..system.files import jsonable
+from ..toolkit.progress.stages import STAGES, Stage, progress
 from ..training.trainer import Iteration, Trainer
 from .evaluation import Scores
 from .run import Run

@@ -23,11 +23,11 @@ from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, sa
 from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..messages.stages import progress, tracked
 from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Pipeline
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
+from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick

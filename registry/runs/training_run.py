@@ -20,12 +20,13 @@ from ..errors import RunError
 from ..inspection.explanation import refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
-from ..messages.stages import STAGES, progress, showing
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
+from ..toolkit.progress.display import showing
+from ..toolkit.progress.stages import STAGES, progress
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, one_torch_thread, resumed

@@ -26,8 +26,8 @@ from registry import (
     TrainingScene,
     hookimpl,
 )
-from registry.messages import tracked
 from registry.priors import DepthMap, MatchingPrior, OpticalFlowPrior
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

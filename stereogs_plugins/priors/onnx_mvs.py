@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from pydantic import Field
 
 from registry import Context, PluginError, Register, TrainingView, hookimpl
-from registry.messages import tracked
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.networks import OnnxModel, OnnxModelSettings
 from registry.toolkit.networks.image_fitting import ValueRange
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

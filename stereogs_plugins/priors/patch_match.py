@@ -12,9 +12,9 @@ from pydantic import Field
 
 from core_rasterizer.matching import MOST_PATCH_SOURCES
 from registry import PluginError, Register, Settings, TrainingView, hookimpl
-from registry.messages import progress
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
+from registry.toolkit.progress import progress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

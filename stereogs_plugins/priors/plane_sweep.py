@@ -14,10 +14,10 @@ from pydantic import Field, model_validator
 
 from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
 from registry import Context, PluginError, Register, Settings, TrainingView, hookimpl
-from registry.messages import tracked
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
 from registry.toolkit.networks import OnnxModel, Sha256
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from registry import Command, Register, hookimpl
 from registry.commands import add_device, conclude, console
-from registry.messages import showing
+from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
     from registry.plugins import Plugins

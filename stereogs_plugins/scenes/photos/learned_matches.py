@@ -12,8 +12,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from registry.messages import tracked
 from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
+from registry.toolkit.progress import tracked
 
 from .unposed_photos import image_index, image_name
 

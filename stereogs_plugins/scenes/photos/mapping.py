@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from registry.messages import progress
+from registry.toolkit.progress import progress
 
 from .unposed_photos import image_index
 

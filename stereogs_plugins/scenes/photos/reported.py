@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from registry.messages import progress
+from registry.toolkit.progress import progress
 
 SECONDS = 0.5
 """Between two looks at the database."""
@@ -20,7 +20,7 @@ def rows_reported(database: Path, table: str, stage: str, total: int) -> Iterato
 
     Args:
         database: existing COLMAP database.
-        stage, total: as for `registry.messages.progress`.
+        stage, total: as for `registry.toolkit.progress`.
     """
     finished = threading.Event()
 

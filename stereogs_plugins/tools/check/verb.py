@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_device, console
-from registry.messages import showing
+from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

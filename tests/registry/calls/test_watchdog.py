@@ -11,7 +11,7 @@ import pytest
 
 from registry import PluginError
 from registry.calls.watchdog import EXPECTED, EXPECTED_IN_LOOP, PATIENCE, Hang, Watchdog
-from registry.messages.stages import Stages
+from registry.toolkit.progress.stages import Stages
 
 
 class Clock:
@@ -41,8 +41,8 @@ class Bench:
 @pytest.fixture
 def bench() -> Bench:
     clock = Clock()
-    stages = Stages(clock)
-    return Bench(clock, stages, Watchdog(look_every=None, stages=stages, clock=clock))
+    dog = Watchdog(look_every=None, clock=clock)
+    return Bench(clock, Stages(clock, dog), dog)
 
 
 def quick() -> Watchdog:

@@ -10,7 +10,8 @@ import pytest
 from rich.table import Table
 
 from registry.cli import main
-from registry.messages.terminal import LogLines, PlainConsole, visible
+from registry.commands.output import LogLines
+from registry.messages.terminal import PlainConsole, visible
 from registry.runs.options import RunOptions
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"

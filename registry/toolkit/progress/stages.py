@@ -1,22 +1,15 @@
-"""Stages of long work: what components report, how much time is left, and how a console shows it.
-
-A component calls `progress("depth", done, total)` while it works. The command line shows a bar on a terminal,
-else a line per stage and one every ten seconds. The watchdog sees that the call is not stuck.
-"""
+"""Stages of long work: what components report, and how much time is left."""
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeVar
+from typing import Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.text import Text
+from ...calls.watchdog import WATCHDOG, Watchdog
 
 Item = TypeVar("Item")
 
@@ -26,10 +19,6 @@ _SAMPLE_SECONDS, _MOST_SAMPLES = 0.5, 2000
 _TREND_STEPS, _TREND_LIMIT = 10, 1.5
 """Least number of steps for a trend, and the largest factor by which it lengthens the rest. The last
 iterations of a training take two to six times as long as the first."""
-_SECONDS_BETWEEN_LINES = 10.0
-_BAR, _NAME = 20, 9
-"""Width of the bar, and of the name before it."""
-_DRAWN_PER_SECOND = 4
 
 
 class Stage:
@@ -42,14 +31,12 @@ class Stage:
 
     Attributes:
         began, latest: times of the first and the latest report.
-        longest_step: most seconds between two reports.
         detail: returns more text about the state, or "".
     """
 
     def __init__(self, name: str, done: int, total: int | None, now: float) -> None:
         self.name, self.done, self.total = name, done, total
         self.began = self.latest = now
-        self.longest_step = 0.0
         self.detail: Callable[[], str] = str
         self._samples = [(done, now)]
 
@@ -60,7 +47,6 @@ class Stage:
 
     def reached(self, done: int, now: float) -> None:
         """Record a report."""
-        self.longest_step = max(self.longest_step, now - self.latest)
         self.latest = now
         if done > self.done:
             self.done = done
@@ -100,17 +86,32 @@ class Stage:
         return "  ".join(filter(None, (*parts, self.detail())))
 
 
+class Display(Protocol):
+    """Shows stages."""
+
+    def begun(self, stage: Stage) -> None:
+        """Called when a stage begins."""
+
+    def reached(self, stage: Stage) -> None:
+        """Called after each report of a stage."""
+
+    def ended(self, stage: Stage) -> None:
+        """Called when a stage has ended."""
+
+
 class Stages:
     """The stage that the process is in, and what shows it.
 
     Args:
-        clock: returns seconds; replaced by tests.
+        clock, watchdog: replaced by tests.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.clock = clock
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, watchdog: Watchdog = WATCHDOG
+    ) -> None:
+        self.clock, self._watchdog = clock, watchdog
         self.current: Stage | None = None
-        self.displays: list[StageDisplay] = []
+        self.displays: list[Display] = []
         """The last one shows the stages."""
         self._fixed = False
         self._lock = threading.RLock()
@@ -130,10 +131,11 @@ class Stages:
         with self._lock:
             current = self.current
             if current is not None and self._fixed and stage != current.name:
-                current.reached(current.done, now)
+                self._watchdog.progressed(began=False)
             elif current is None or not current.includes(stage, done, total):
                 self.begin(Stage(stage, done, total, now))
             else:
+                self._watchdog.progressed(began=False)
                 current.total = total
                 current.reached(done, now)
                 for display in self.displays[-1:]:
@@ -152,6 +154,7 @@ class Stages:
     def begin(self, stage: Stage | None) -> None:
         """Begin a stage, or None; the current one ends."""
         with self._lock:
+            self._watchdog.progressed(began=True)
             ended, self.current = self.current, stage
             for display in self.displays[-1:]:
                 if ended is not None:
@@ -171,100 +174,6 @@ def tracked(items: Sequence[Item], stage: str) -> Iterator[Item]:
         progress(stage, done, len(items))
         yield item
     progress(stage, len(items), len(items))
-
-
-class StageDisplay:
-    """Shows stages on a console: a bar in the last line of a terminal, else lines.
-
-    Attributes:
-        has_bar: whether there is a terminal; other text must then be printed on `console`.
-    """
-
-    def __init__(self, console: Console) -> None:
-        from rich.live import Live
-
-        self.console = console
-        self.has_bar = console.is_terminal and not console.quiet
-        self._printed = 0.0
-        self._live = Live(
-            get_renderable=self.bar,
-            console=console,
-            transient=True,
-            refresh_per_second=_DRAWN_PER_SECOND,
-            redirect_stderr=sys.stderr.isatty(),
-        )
-
-    def __enter__(self) -> None:
-        if self.has_bar:
-            self._live.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def begun(self, stage: Stage) -> None:
-        """Print a line if there is no bar."""
-        if not self.has_bar:
-            self._print(stage, f"{stage.done}/{stage.total}" if stage.total else "")
-
-    def reached(self, stage: Stage) -> None:
-        """Print a line every ten seconds if there is no bar."""
-        if not self.has_bar and stage.latest - self._printed >= _SECONDS_BETWEEN_LINES:
-            self._print(stage, stage.text(stage.latest, running=True))
-
-    def ended(self, stage: Stage) -> None:
-        """Print how long it took in place of the bar; without a bar only where there is a detail."""
-        if self.has_bar or stage.detail():
-            self._print(stage, stage.text(STAGES.clock(), running=False))
-
-    def _print(self, stage: Stage, text: str) -> None:
-        self._printed = STAGES.clock()
-        self.console.print(f"{stage.name:<{_NAME}} {text}".rstrip())
-
-    def bar(self) -> Text:
-        """Return the bar, at most as wide as the terminal."""
-        from rich.text import Text
-
-        stage = STAGES.current
-        if stage is None:
-            return Text("")
-        line = Text(f"{stage.name:<{_NAME}} ", no_wrap=True, overflow="crop")
-        if stage.total:
-            full, empty = "#-" if self.console.options.ascii_only else "━─"
-            filled = _BAR * min(stage.done, stage.total) // stage.total
-            line.append(full * filled, "green").append(
-                empty * (_BAR - filled) + " ", "bright_black"
-            )
-        line.append(stage.text(STAGES.clock(), running=True))
-        line.truncate(self.console.width - 1)
-        return line
-
-
-@contextmanager
-def showing(console: Console) -> Iterator[None]:
-    """Show the stages within the block on a console, the first of them "reading"; end the last after it.
-
-    Within another such block for the same console only end the stage.
-    """
-    if any(display.console is console for display in STAGES.displays):
-        yield
-        STAGES.begin(None)
-        return
-    outer, STAGES.current = STAGES.current, None
-    display = StageDisplay(console)
-    with display:
-        STAGES.displays.append(display)
-        try:
-            progress("reading")
-            yield
-            STAGES.begin(None)
-        finally:
-            STAGES.displays.remove(display)
-            STAGES.current = outer
-
-
-def console_of_bar() -> Console | None:
-    """Return the console of the bar on the terminal, if one is shown."""
-    return next((shown.console for shown in STAGES.displays if shown.has_bar), None)
 
 
 def _minutes(seconds: float) -> str:

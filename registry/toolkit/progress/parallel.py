@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from typing import TYPE_CHECKING, TypeVar
 
-from ..messages.stages import progress
+from .stages import progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ def in_parallel(
     Pillow and numpy release the interpreter's lock while they work.
 
     Args:
-        stage: reported with the number of finished items (`registry.messages.progress`).
+        stage: reported with the number of finished items (`progress`).
     """
     threads, finished = min(len(items), os.cpu_count() or 1), count(1)
 
