@@ -87,7 +87,7 @@ class StageDisplay:
 
 @contextmanager
 def showing(console: Console) -> Iterator[None]:
-    """Show the stages within the block on a console, the first of them "reading"; end the last after it.
+    """Show the stages within the block on a console; a bar at once, for "reading". End the last after it.
 
     Within another such block for the same console only end the stage.
     """
@@ -100,7 +100,8 @@ def showing(console: Console) -> Iterator[None]:
     with display:
         STAGES.displays.append(display)
         try:
-            progress("reading")
+            if display.has_bar:
+                progress("reading")
             yield
             STAGES.begin(None)
         finally:

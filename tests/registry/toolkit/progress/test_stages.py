@@ -25,6 +25,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The clock of `STAGES`."""
     made = Clock()
     monkeypatch.setattr(module.STAGES, "clock", made)
+    monkeypatch.setattr(module.STAGES, "current", None)
     return made
 
 
@@ -115,9 +116,9 @@ def test_lines_without_a_terminal(clock: Clock) -> None:
         assert in_parallel(abs, [-1, 2, -3], stage="depth") == [1, 2, 3]
         assert (module.STAGES.current.name, module.STAGES.current.done) == ("depth", 3)
     lines = file.getvalue().splitlines()
-    assert lines[:3] == ["reading", "matching  0/66", "matching  10/66  0:56 left"]
+    assert lines[:2] == ["matching  0/66", "matching  10/66  0:56 left"]
     assert lines[-2:] == ["matching  60/66  0:06 left", "depth     0/3"]
-    assert len(lines) == 2 + 6 + 1
+    assert len(lines) == 1 + 6 + 1
     assert module.STAGES.current is None
 
 
@@ -128,7 +129,7 @@ def test_nothing_is_printed_on_a_quiet_console(clock: Clock) -> None:
             module.progress("depth", 1, 3)
         module.progress("points")
     assert quiet.getvalue() == ""
-    assert loud.getvalue() == "reading\npoints\n"
+    assert loud.getvalue() == "points\n"
 
 
 @pytest.mark.parametrize("width", [20, 60, 100])
