@@ -31,6 +31,7 @@ HUNG = 2
 """Exit status of a process that is ended, as after all errors."""
 _SIGNAL: Any = getattr(signal, "SIGVTALRM", None)
 """Interrupts a call; None on Windows. LLVM, which OpenCL drivers load, uses SIGUSR1 and SIGUSR2."""
+_SHOW_CURSOR = "\x1b[?25h"  # a bar hides it
 _RESUME = "`stereogs resume RUN` continues from the run's last checkpoint"
 
 _log = logging.getLogger("stereogs")
@@ -127,11 +128,7 @@ class Watchdog:
                 self._longest[who] = took
 
     def progressed(self, *, began: bool) -> None:
-        """Note that a component reported progress: the work is not stuck.
-
-        Args:
-            began: a stage of the work begins, in which a warning may come.
-        """
+        """Note a report of progress; `began`: of a new stage, in which there may be a warning again."""
         now = self._clock()
         self._longest_step = 0.0 if began else max(self._longest_step, now - self._latest)
         self._latest, self._warned = now, self._warned and not began
@@ -192,7 +189,8 @@ class Watchdog:
             error = hung.error(
                 f"no answer came within {now - hung.began:.0f} s, and the call could not be interrupted"
             )
-            print(f"stereogs: {error}", file=sys.stderr, flush=True)
+            end = _SHOW_CURSOR if sys.stderr.isatty() else ""
+            print(f"stereogs: {error}{end}", file=sys.__stderr__, flush=True)
             os._exit(HUNG)
         signal.pthread_kill(_main_thread(), _SIGNAL)
 

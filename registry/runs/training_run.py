@@ -225,9 +225,8 @@ def _told_how_to_continue(run: Run) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as stop:
-        kept, rest = "last checkpoint", "continues from it"
-        if run.finished:
-            kept, rest = "trained scene", "scores it and writes its page"
+        kept = "trained scene" if run.finished else "last checkpoint"
+        rest = "scores it and writes its page" if run.finished else "continues from it"
         stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
         raise
     except OSError as error:
