@@ -34,7 +34,7 @@ PIPELINE_ARGUMENTS = ("pipeline", "file", "data")
 """Arguments that take the name of a ready pipeline, for completion."""
 
 PROGRESS = "stereogs"
-"""Logger whose INFO lines are shown; slow components report their progress there."""
+"""Logger whose INFO lines are shown."""
 
 _EPILOG = """\
 examples:
