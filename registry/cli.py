@@ -18,10 +18,10 @@ from core_rasterizer.errors import ExplainedError
 
 from .commands.arguments import add_verb
 from .commands.inspecting import with_verb
-from .commands.output import INTERRUPTED, console
+from .commands.output import INTERRUPTED, LogLines, console
 from .errors import PluginError
 from .messages.suggestions import did_you_mean, listing
-from .messages.terminal import CommandParser, HelpFormatter, PlainFormatter
+from .messages.terminal import CommandParser, HelpFormatter
 from .plugins.commands import verbs
 
 USAGE_ERROR = 2
@@ -34,7 +34,7 @@ PIPELINE_ARGUMENTS = ("pipeline", "file", "data")
 """Arguments that take the name of a ready pipeline, for completion."""
 
 PROGRESS = "stereogs"
-"""Logger whose INFO lines are shown; slow components report their progress there."""
+"""Logger whose INFO lines are shown."""
 
 _EPILOG = """\
 examples:
@@ -62,9 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done; 1 a check found a fault; 2 an error was explained; 130 after Ctrl-C or SIGTERM.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    handler = logging.StreamHandler()
-    handler.setFormatter(PlainFormatter("stereogs: %(message)s"))
-    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING, handlers=[LogLines()], format="%(message)s")
     logging.getLogger(PROGRESS).setLevel(logging.INFO)
     try:
         if COMPLETING in os.environ:

@@ -78,6 +78,7 @@ FACES = {
         "registry.toolkit.drawing",
         "registry.toolkit.networks",
         "registry.toolkit.photos",
+        "registry.toolkit.progress",
         "registry.toolkit.views",
         "registry.toolkit.web_page",
     )

@@ -9,7 +9,7 @@ depths that disagree between views.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -37,6 +37,11 @@ class Round:
     shrink: int
     steps: int
     agreement: float
+
+    @property
+    def work(self) -> float:
+        """Steps of a view at full size that take as long."""
+        return self.steps / self.shrink**2
 
 
 SCHEDULE = (
@@ -104,7 +109,7 @@ class PatchMatch:
         ]
         if self._schedule[0].agreement:  # no depths are known yet
             self._schedule.insert(0, Round(self._schedule[0].shrink, SCHEDULE[0].steps, 0.0))
-        self._levels = {}
+        self._device, self._levels = device, {}
         for shrink in {r.shrink: None for r in self._schedule}:
             smaller = [_shrunk(camera, shrink) for camera in cameras]
             self._levels[shrink] = PatchLevel(
@@ -116,11 +121,16 @@ class PatchMatch:
                 seed=seed,
             )
 
-    def maps(self, sources: Sequence[Sequence[int]]) -> list[PlaneMap]:
+    def maps(
+        self,
+        sources: Sequence[Sequence[int]],
+        done: Callable[[float], None] = lambda share: None,
+    ) -> list[PlaneMap]:
         """Estimate a plane for every pixel of every view.
 
         Args:
             sources: for each view the indices of its source views, 1 to `MOST_PATCH_SOURCES`.
+            done: called with the finished share of the work, in [0, 1], several times per view.
 
         Raises:
             ValueError: a view has too few or too many sources.
@@ -130,7 +140,8 @@ class PatchMatch:
                 raise ValueError(
                     f"view {index} has {len(others)} source views; 1 to {MOST_PATCH_SOURCES} are allowed"
                 )
-        level = self._start(sources)
+        level, finished = self._start(sources), 0.0
+        work = len(sources) * sum(r.work for r in self._schedule)
         for stage in self._schedule:
             if level is not self._levels[stage.shrink]:
                 level = self._refined(level, self._levels[stage.shrink])
@@ -143,6 +154,9 @@ class PatchMatch:
                         good_cost=0.8 * math.exp(-(step**2) / 90),
                         agreement=stage.agreement,
                     )
+                self._device.finish()
+                finished += stage.work
+                done(finished / work)
         return [_plane_map(p.read(), c) for p, c in zip(level.planes, level.cameras, strict=True)]
 
     def _start(self, sources: Sequence[Sequence[int]]) -> PatchLevel:

@@ -1,17 +1,18 @@
-"""Warn about calls into plugins that take long, and end them if requested.
+"""Warn about calls into plugins that seem stuck, and end them if requested.
 
-A daemon thread checks the duration of all calls once a second. A call costs one list entry.
+A daemon thread checks all calls once a second. A call costs one list entry and one look at its duration.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -19,14 +20,18 @@ from typing import Any
 
 from ..errors import PluginError
 
-WARN_AFTER = 60.0
-"""Seconds until the first warning about a call; the next follow whenever the time has doubled."""
+PATIENCE = 10.0
+"""Multiple of the expected time that a call may stay silent before a warning."""
+EXPECTED, EXPECTED_IN_LOOP = 60.0, 6.0
+"""Seconds that a call is expected to take outside of the training loop and in it. More is expected if an
+earlier call of the component, or a step of the stage, took longer."""
 GRACE = 10.0
 """Seconds that a call has to end after it was interrupted, before the process is ended."""
 HUNG = 2
 """Exit status of a process that is ended, as after all errors."""
 _SIGNAL: Any = getattr(signal, "SIGVTALRM", None)
 """Interrupts a call; None on Windows. LLVM, which OpenCL drivers load, uses SIGUSR1 and SIGUSR2."""
+_SHOW_CURSOR = "\x1b[?25h"  # a bar hides it
 _RESUME = "`stereogs resume RUN` continues from the run's last checkpoint"
 
 _log = logging.getLogger("stereogs")
@@ -39,15 +44,13 @@ class Call:
     Args:
         who: its text names the plugin.
         iteration: of training; None outside the loop.
-        began: time of the monotonic clock.
-        warnings: number of warnings about this call.
+        began: seconds of the watchdog's clock.
         interrupted: time of the first interrupt, or None.
     """
 
     who: object
     iteration: int | None
     began: float
-    warnings: int = 0
     interrupted: float | None = None
 
     def __str__(self) -> str:
@@ -81,15 +84,21 @@ class Watchdog:
     """Records the calls of all threads.
 
     Args:
-        warn_after, grace: see `WARN_AFTER` and `GRACE`.
-        look_every: seconds between two checks.
+        look_every: seconds between two checks; None: only when `look` is called.
+        grace: see `GRACE`.
+        clock: returns seconds.
     """
 
     def __init__(
-        self, warn_after: float = WARN_AFTER, look_every: float = 1.0, grace: float = GRACE
+        self,
+        look_every: float | None = 1.0,
+        grace: float = GRACE,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._warn_after, self._look_every, self._grace = warn_after, look_every, grace
+        self._look_every, self._grace, self._clock = look_every, grace, clock
         self._calls: dict[int, list[Call]] = {}  # by thread, the innermost last
+        self._longest: dict[object, float] = {}
+        self._latest, self._longest_step, self._warned = -math.inf, 0.0, False
         self._limit: float | None = None
         self._thread: threading.Thread | None = None
 
@@ -101,18 +110,28 @@ class Watchdog:
             who: its text names the plugin.
             iteration: of training; None outside the loop.
         """
-        if self._thread is None:
+        if self._thread is None and self._look_every is not None:
             self._thread = threading.Thread(
                 target=self._watch, name="stereogs watchdog", daemon=True
             )
             self._thread.start()
         calls = self._calls.setdefault(threading.get_ident(), [])
         depth = len(calls)
-        calls.append(Call(who, iteration, time.monotonic()))
+        began = self._clock()
+        calls.append(Call(who, iteration, began))
         try:
             yield
         finally:
             del calls[depth:]  # a `Hang` may have skipped the end of an inner block
+            took = self._clock() - began
+            if took > self._longest.get(who, 0.0):
+                self._longest[who] = took
+
+    def progressed(self, *, began: bool) -> None:
+        """Note a report of progress; `began`: of a new stage, in which there may be a warning again."""
+        now = self._clock()
+        self._longest_step = 0.0 if began else max(self._longest_step, now - self._latest)
+        self._latest, self._warned = now, self._warned and not began
 
     @contextmanager
     def ending(self, seconds: float | None) -> Iterator[None]:
@@ -137,27 +156,31 @@ class Watchdog:
 
     def _watch(self) -> None:
         while True:
-            time.sleep(self._look_every)
-            for calls in list(self._calls.values()):
-                self._warn(calls)
-            self._interrupt()
+            time.sleep(self._look_every or 0)
+            self.look()
 
-    def _warn(self, calls: list[Call]) -> None:
-        call = _innermost(calls, self._warn_after)
-        if call is None:
-            return
-        seconds = time.monotonic() - call.began
-        if seconds >= self._warn_after * 2**call.warnings:
-            call.warnings += 1
-            end = "Ctrl-C" if call.iteration is None else f"Ctrl-C, twice; {_RESUME}"
-            _log.warning(
-                "%s has been running for %.0f s. If it hangs, end it with %s. "
-                "`stereogs train --hang-after SECONDS` ends such calls",
-                *(call, seconds, end),
-            )
+    def look(self) -> None:
+        """Warn, once in each stage, of a call that is silent for too long; interrupt one over the limit."""
+        for calls in [] if self._warned else list(self._calls.values()):
+            silent = next(filter(self._is_silent, reversed(calls.copy())), None)
+            if silent is not None:
+                self._warned = True
+                end = f"Ctrl-C, twice; {_RESUME}" if silent.iteration else "Ctrl-C"
+                _log.warning(
+                    "%s has been running for %.0f s, much longer than expected. If it hangs, end it "
+                    "with %s",
+                    *(silent, self._clock() - silent.began, end),
+                )
+                break
+        self._interrupt()
+
+    def _is_silent(self, call: Call) -> bool:
+        expected = EXPECTED if call.iteration is None else EXPECTED_IN_LOOP
+        expected = max(expected, self._longest_step, self._longest.get(call.who, 0.0))
+        return self._clock() - max(call.began, self._latest) >= PATIENCE * expected
 
     def _interrupt(self) -> None:
-        hung, now = self._hung(), time.monotonic()
+        hung, now = self._hung(), self._clock()
         if hung is None:
             return
         if hung.interrupted is None:
@@ -166,7 +189,8 @@ class Watchdog:
             error = hung.error(
                 f"no answer came within {now - hung.began:.0f} s, and the call could not be interrupted"
             )
-            print(f"stereogs: {error}", file=sys.stderr, flush=True)
+            end = _SHOW_CURSOR if sys.stderr.isatty() else ""
+            print(f"stereogs: {error}{end}", file=sys.__stderr__, flush=True)
             os._exit(HUNG)
         signal.pthread_kill(_main_thread(), _SIGNAL)
 
@@ -174,7 +198,9 @@ class Watchdog:
         """Return the innermost call of the main thread that takes too long."""
         if self._limit is None:
             return None
-        return _innermost(self._calls.get(_main_thread(), []), self._limit)
+        now, limit = self._clock(), self._limit
+        calls = reversed(self._calls.get(_main_thread(), []).copy())
+        return next((call for call in calls if now - call.began >= limit), None)
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
         hung = self._hung()
@@ -184,12 +210,6 @@ class Watchdog:
 
 WATCHDOG = Watchdog()
 """Watches all calls of the process."""
-
-
-def _innermost(calls: list[Call], seconds: float) -> Call | None:
-    """Return the innermost call that has taken so long."""
-    now = time.monotonic()
-    return next((call for call in reversed(calls.copy()) if now - call.began >= seconds), None)
 
 
 def _main_thread() -> int:

@@ -107,7 +107,7 @@ def add_run_options(parser: argparse.ArgumentParser, verb: str) -> None:
         "--hang-after",
         type=positive_seconds,
         metavar="SECONDS",
-        help="end the run if one call into a plugin takes longer (default: only warn, after 60)",
+        help="end the run if one call into a plugin takes longer (default: only warn)",
     )
     for option in train_options(verb):
         option.add_arguments(parser)

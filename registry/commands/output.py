@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..messages.terminal import PlainConsole
+from ..toolkit.progress.display import console_of_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,8 +25,19 @@ ABSENT = "\u2013"
 
 
 def console(*, stderr: bool = False) -> PlainConsole:
-    """Return a console for the current standard output or standard error."""
+    """Return a console for the current standard output or standard error; the bar's, if one is shown."""
+    shown = console_of_bar()
+    if isinstance(shown, PlainConsole) and (not stderr or sys.stderr.isatty()):
+        return shown
     return PlainConsole(stderr=stderr, markup=False, highlight=False, soft_wrap=True)
+
+
+class LogLines(logging.Handler):
+    """Prints log lines on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print the line."""
+        console(stderr=True).print(f"stereogs: {self.format(record)}")
 
 
 def results_table(results: dict[str, Any]) -> Table:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..contract.command import Command, TrainOption, TrainRequest
 from ..errors import RunError
 from ..plugins.commands import train_options
+from ..toolkit.progress import showing
 from .arguments import (
     add_changes,
     add_device,
@@ -73,13 +74,15 @@ from it to the same result.
         """Train; return 0, or 1 if something failed after training, or 130 after Ctrl-C."""
         begin = monotonic()
         from ..calls.watchdog import WATCHDOG
-        from ..plugins.discovery import Plugins
-        from ..session import train
 
-        output, extra = console(), train_options("train")
-        for option in extra:
-            option.check(arguments)
-        with WATCHDOG.ending(arguments.hang_after):
+        output = console()
+        with WATCHDOG.ending(arguments.hang_after), showing(output):
+            from ..plugins.discovery import Plugins
+            from ..session import train
+
+            extra = train_options("train")
+            for option in extra:
+                option.check(arguments)
             load = _loader(arguments, Plugins())
             is_folder = arguments.pipeline.is_dir()
             pipeline = load(_folder_pipeline(extra) if is_folder else arguments.pipeline.as_posix())
@@ -115,15 +118,16 @@ a kill, a crash or a full disk. A finished run is scored and exported again.
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Train to the end; return the exit status as `train` does."""
-        request = TrainRequest(arguments, monotonic())
+        request, output = TrainRequest(arguments, monotonic()), console()
         from ..calls.watchdog import WATCHDOG
-        from ..session import resume
 
-        output = console()
         with (
             WATCHDOG.ending(arguments.hang_after),
+            showing(output),
             run_options(request, train_options("resume"), output) as options,
         ):
+            from ..session import resume
+
             return conclude(resume(arguments.run_folder, options), output)
 
 
@@ -144,10 +148,12 @@ stopped is scored at its checkpoint.
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Evaluate and print."""
-        run = open_given(arguments)
+        output = console()
+        with showing(output):
+            run = open_given(arguments)
+            results = run.renew()
         from ..runs.results import RENDERS
 
-        output, results = console(), run.renew()
         output.print(results_table(results), soft_wrap=False)
         output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
         return print_failures(results["failures"], arguments.run_folder)

@@ -15,6 +15,7 @@ from ..pipeline.schedule import HostSettings
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import Node, Place
 from ..plugins.discovery import SCENE, Offer, Plugins, recognize
+from ..toolkit.progress import progress
 
 if TYPE_CHECKING:
     from ..contract.scene import Scene
@@ -63,6 +64,7 @@ def find_loader(
 
 def load(loader: Part) -> Scene:
     """Load a scene and validate it; raises an ExplainedError if the loader fails or it is not valid."""
+    progress("reading")
     with loader.at_work():
         return validate(loader.component.load())
 

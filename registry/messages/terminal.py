@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import re
-import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from shutil import get_terminal_size
 from textwrap import wrap
 from typing import Any, NoReturn
 
@@ -87,17 +84,6 @@ class PlainConsole(Console):
         for segment in super().render(renderable, options):
             is_text = segment.control is None
             yield Segment(visible(segment.text), segment.style) if is_text else segment
-
-
-class PlainFormatter(logging.Formatter):
-    """Formats log lines as `PlainConsole` prints text."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
-        text = visible(super().format(record))
-        if sys.stderr.isatty() or WIDTH in os.environ:
-            return fitting(text, get_terminal_size().columns)
-        return text
 
 
 class CommandParser(argparse.ArgumentParser):

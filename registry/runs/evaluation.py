@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
@@ -62,7 +62,7 @@ class Scores:
 def evaluate(
     model: GaussianModel,
     scene: Scene,
-    views: Sequence[View],
+    views: Iterable[View],
     metrics: Sequence[Part],
     pictures: Path | None = None,
 ) -> Scores:

@@ -113,11 +113,12 @@ class RunFolder:
                 write_json(folder / INPUTS, {"digests": inputs, "changed": []})
                 fill(RunFolder(folder))
             remove_leftovers(self.path.parent, of=self.path.name)
-        except OSError as error:
+        except (OSError, RunError) as error:
+            reason = error.what if isinstance(error, RunError) else error.strerror or error
             raise RunError(
-                f"the run folder cannot be created: {error.strerror or error}",
+                f"the run folder cannot be created: {reason}",
                 where=str(self.path),
-                fix="choose another --out",
+                fix="free some disk space, or choose another --out",
             ) from error
 
     @contextmanager
@@ -178,8 +179,8 @@ class RunFolder:
         Args:
             pictures: `[H, W, 3]` in [0, 1] by file name without suffix.
         """
-        from ..system.parallel import in_parallel
         from ..toolkit.drawing.pictures import save_png
+        from ..toolkit.progress.parallel import in_parallel
 
         folder = self.folder(INITIALIZATION)
         write_json(folder / "facts.json", facts)

@@ -85,11 +85,9 @@ class RunOptions:
 
     def console(self) -> Console:
         """Return the console for progress, silent if `progress` is False."""
-        from rich.console import Console
-
         from ..messages.terminal import PlainConsole
 
-        if isinstance(self.progress, Console):
+        if not isinstance(self.progress, bool):
             return self.progress
         return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not self.progress)
 

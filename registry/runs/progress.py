@@ -1,22 +1,13 @@
-"""Reports of a training: a bar or lines on the console, metrics.jsonl, and calls to observers."""
+"""Reports of a training: its stage, metrics.jsonl, and calls to observers."""
 
 from __future__ import annotations
 
 import copy
 import logging
-import time
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 from core_rasterizer import ExplainedError
 
@@ -24,6 +15,7 @@ from ..calls.read_only_guard import of_scene
 from ..events import RunEnded, RunStarted, ViewsScored
 from ..pipeline.parts import Part
 from ..system.files import jsonable
+from ..toolkit.progress.stages import STAGES, Stage, progress
 from ..training.trainer import Iteration, Trainer
 from .evaluation import Scores
 from .run import Run
@@ -32,7 +24,6 @@ EVERY = 50
 """Iterations that share a line of metrics.jsonl."""
 OBSERVERS = "observers"
 """Folder in the run folder, with a folder for the files of each observer."""
-_SECONDS_BETWEEN_LINES = 10.0
 _SMOOTHING = 0.05
 """Weight of the newest loss in the shown one: the losses of single views differ too much."""
 
@@ -40,53 +31,30 @@ _log = logging.getLogger(__name__)
 
 
 class TrainingProgress:
-    """Shows loss, number of Gaussians, iterations per second and time left.
+    """The stage "training", with loss, number of Gaussians and iterations per second.
 
     Args:
-        first: the last iteration before training.
-        total: the last iteration.
-        console: shows a bar on a terminal, else a line every ten seconds.
-
-    Attributes:
-        bar: is shown within its `with` block.
+        first, total: the last iteration before training, and the last one.
     """
 
-    def __init__(self, first: int, total: int, console: Console) -> None:
-        self._first, self._total, self._console = first, total, console
-        self._begin = self._last_line = time.monotonic()
-        self._loss: float | None = None
-        self.bar = Progress(
-            TextColumn("training"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("loss {task.fields[loss]:.4f}"),
-            TextColumn("{task.fields[gaussians]:,} Gaussians"),
-            TextColumn("{task.fields[speed]:.1f} it/s"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
-        self._task = self.bar.add_task(
-            "training", total=total, completed=first, loss=0.0, gaussians=0, speed=0.0
-        )
+    def __init__(self, first: int, total: int) -> None:
+        self._first, self._loss, self._gaussians = first, math.nan, 0
+        self.stage = Stage("training", first, total, STAGES.clock())
+        self.stage.detail = self._detail
 
-    def update(self, iteration: int, loss: float, gaussians: int) -> None:
-        """Show a complete iteration."""
-        smooth = loss if self._loss is None else self._loss + _SMOOTHING * (loss - self._loss)
-        self._loss = smooth
-        now = time.monotonic()
-        speed = (iteration - self._first) / max(now - self._begin, 1e-9)
-        if self._console.is_terminal:
-            self.bar.update(
-                self._task, completed=iteration, loss=smooth, gaussians=gaussians, speed=speed
-            )
-        elif now - self._last_line >= _SECONDS_BETWEEN_LINES or iteration == self._total:
-            self._last_line = now
-            left = int((self._total - iteration) / max(speed, 1e-9))
-            self._console.print(
-                f"iteration {iteration}/{self._total}  loss {smooth:.4f}  "
-                f"{gaussians:,} Gaussians  {speed:.1f} it/s  {left // 60}:{left % 60:02d} left"
-            )
+    def update(self, done: Iteration) -> None:
+        """Report a complete iteration."""
+        before = done.loss if math.isnan(self._loss) else self._loss
+        self._loss = before + _SMOOTHING * (done.loss - before)
+        self._gaussians = done.gaussians
+        progress(self.stage.name, done.number, self.stage.total)
+
+    def _detail(self) -> str:
+        stage = self.stage
+        if stage.done == self._first:
+            return ""
+        speed = (stage.done - self._first) / max(stage.latest - stage.began, 1e-9)
+        return f"loss {self._loss:.4f}  {self._gaussians:,} Gaussians  {speed:.1f} it/s"
 
 
 class MetricsLog:

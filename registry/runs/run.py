@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -26,6 +27,7 @@ from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Pipeline
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
+from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
@@ -142,9 +144,11 @@ class Run:
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures
         with one_torch_thread():
+            views = tracked([*scene.test, *scene.train], "scoring")
+            test = islice(views, len(scene.test))
             scores = {
-                "test": evaluate(self.model, scene, scene.test, metrics, pictures),
-                "train": evaluate(self.model, scene, scene.train, quick(metrics), of_train),
+                "test": evaluate(self.model, scene, test, metrics, pictures),
+                "train": evaluate(self.model, scene, views, quick(metrics), of_train),
             }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
@@ -311,6 +315,7 @@ class Run:
         folder.write_results(results)
         exporters = self.parts["exporters"]
         place = folder.folder(EXPORTS) if exporters else folder.path
+        progress("files")
         results.exports, failures = self._outputs(
             exporters,
             of_scene(self.scene) + ReadOnlyGuard(models=(self.model,)),
@@ -324,6 +329,7 @@ class Run:
 
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
         path, scene = self.folder_or_refuse().path, self.scene
+        progress("page")
         return self._outputs(reports, of_scene(scene), lambda report: report.write(path, scene))
 
     def _outputs(

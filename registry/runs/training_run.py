@@ -16,6 +16,7 @@ from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import Scene
+from ..errors import RunError
 from ..inspection.explanation import refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
@@ -24,6 +25,8 @@ from ..pipeline.pipeline import Pipeline
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
+from ..toolkit.progress.display import showing
+from ..toolkit.progress.stages import STAGES, progress
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, one_torch_thread, resumed
@@ -72,14 +75,15 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
         RunFolder.check_vacant(out)
     refuse_missing_priors(pipeline)
     console = options.console()
-    with _guarded(options):
+    with _guarded(options, console):
         run, trainer = _initialized(pipeline, options, console)
         if out is not None:
             run.keep_in(out if isinstance(out, Path) else out(run.pipeline, run.scene))
+        STAGES.begin(None)
         writing = f"; writing {run.folder.path}" if run.folder else ""
         console.print(f"{run.initialization['points']:,} points; {run.model.device.name}{writing}")
         with run.folder.locked() if run.folder else nullcontext():
-            _train_to_end(run, trainer, options, console, resumed=False)
+            _train_to_end(run, trainer, options, resumed=False)
     return run
 
 
@@ -91,7 +95,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             failure.
     """
     folder, console = RunFolder.existing(path), options.console()
-    with _guarded(options), folder.locked():
+    with _guarded(options, console), folder.locked():
         device = find_device(options.device)
         run = open_run(
             path,
@@ -114,15 +118,16 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             f"continuing after iteration {checkpoint.iteration} of "
             f"{run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, options, console, resumed=True)
+        _train_to_end(run, trainer, options, resumed=True)
     return run
 
 
 @contextmanager
-def _guarded(options: RunOptions) -> Iterator[None]:
-    """One torch thread, and the checks of plugins that the options select."""
+def _guarded(options: RunOptions, console: Console) -> Iterator[None]:
+    """One torch thread, progress on the console, and the checks of plugins that the options select."""
     with (
         one_torch_thread(),
+        showing(console),
         checked_plugins(options.check_plugins),
         WATCHDOG.ending(options.hang_after),
     ):
@@ -138,12 +143,14 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     scene = load(parts.one("scene")) if options.scene is None else validate(options.scene)
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
+    STAGES.begin(None)
     console.print(summary(scene))
     fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
     for warning in [*warnings(scene), *(f"fallback: the prior {text}" for text in fallbacks)]:
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()
+    progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
         gaussians = initial_gaussians(points, pipeline.training)
@@ -175,22 +182,20 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     return run, trainer
 
 
-def _train_to_end(
-    run: Run, trainer: Trainer, options: RunOptions, console: Console, *, resumed: bool
-) -> None:
+def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool) -> None:
     """Train, report progress, and write the results if the last iteration is complete."""
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
-    with observed(run, trainer, resumed=resumed) as observers:
+    with _told_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
-        progress = TrainingProgress(trainer.iteration, settings.iterations, console)
-        with stop_on_interrupt() as stop, progress.bar:
+        shown = TrainingProgress(trainer.iteration, settings.iterations)
+        with stop_on_interrupt() as stop, STAGES.fixed(shown.stage):
             saved, saving_took = monotonic(), 0.0
             begin = monotonic()
             for done in _iterations(run, trainer):
                 run.seconds.training += monotonic() - begin
                 run.iteration = done.number
-                progress.update(done.number, done.loss, done.gaussians)
+                shown.update(done)
                 metrics.add(done, run.seconds.training, last=done.number == settings.iterations)
                 observers.iterated(done)
                 # A finished run is always scored, with pictures.
@@ -210,6 +215,28 @@ def _train_to_end(
         if run.finished and run.folder is not None:
             run.finish()
             observers.evaluated(run.scores)
+
+
+@contextmanager
+def _told_how_to_continue(run: Run) -> Iterator[None]:
+    """Add the command that continues the run to Ctrl-C, and to errors of its disk."""
+    if run.folder is None:
+        yield
+        return
+    path = run.folder.path
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        kept = "trained scene" if run.finished else "last checkpoint"
+        rest = "scores it and writes its page" if run.finished else "continues from it"
+        stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
+        raise
+    except OSError as error:
+        raise RunError(
+            f"a file of the run cannot be written: {error.strerror or error}",
+            where=str(path),
+            fix=f"free some disk space, or check the permissions; then `stereogs resume {path}`",
+        ) from error
 
 
 def _score_test_views(run: Run, metrics: MetricsLog, observers: Observers) -> None:

@@ -138,11 +138,12 @@ def write_checkpoint(checkpoint: Checkpoint, place: Path) -> None:
             flush_folder(inside)
         flush_folder(place.parent)
     except (OSError, SafetensorError) as error:
-        before = "; the previous one is intact" if _places(place.parent) else ""
+        before = _places(place.parent)
+        rest = f"; then `stereogs resume {place.parent.parent}`" if before else ""
         raise RunError(
             f"the checkpoint cannot be written: {error}",
             where=str(place),
-            fix=f"free some disk space, or check the permissions{before}",
+            fix=f"free some disk space, or check the permissions{rest}",
         ) from error
 
 

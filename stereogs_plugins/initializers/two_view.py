@@ -27,6 +27,7 @@ from registry import (
     hookimpl,
 )
 from registry.priors import DepthMap, MatchingPrior, OpticalFlowPrior
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,7 +77,7 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
                 where=scene.name,
                 fix="use two or more training views, or the initializer `random`",
             )
-        maps = {view.name: self._map(view, scene, prior) for view in scene.train}
+        maps = {view.name: self._map(view, scene, prior) for view in tracked(scene.train, "depth")}
         if not any(known.valid.any() for known in maps.values()):
             raise SceneError(
                 f"no flow between the {len(maps)} training views fits their cameras",
@@ -187,7 +188,8 @@ class MatchedPoints(Initializer[MatchedPointsSettings]):
         import torch
 
         prior = MatchingPrior.choose(priors, self.settings.prior)
-        found = [self._pair(*pair, scene, prior) for pair in combinations(scene.train, 2)]
+        pairs = list(combinations(scene.train, 2))
+        found = [self._pair(*pair, scene, prior) for pair in tracked(pairs, "matching")]
         counts = [len(positions) for positions, _ in found]
         if not any(counts):
             raise SceneError(

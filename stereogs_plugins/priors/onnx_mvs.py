@@ -13,6 +13,7 @@ from registry import Context, PluginError, Register, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.networks import OnnxModel, OnnxModelSettings
 from registry.toolkit.networks.image_fitting import ValueRange
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -217,7 +218,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
                 where=str(self._model.path),
                 fix="use more training views, or export the graph with a dynamic number of views",
             )
-        return [self.depth_of(view, views, bounds) for view in views]
+        return [self.depth_of(view, views, bounds) for view in tracked(views, "depth")]
 
     def depth_of(
         self, view: TrainingView, views: Sequence[TrainingView], bounds: tuple[float, float]

@@ -14,6 +14,7 @@ from core_rasterizer.matching import MOST_PATCH_SOURCES
 from registry import PluginError, Register, Settings, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
+from registry.toolkit.progress import progress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,8 +70,9 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
             )
         greys = [grey(view.image) for view in views]
         matcher = PatchMatch(self.context.device, greys, cameras, reach, radius=settings.radius)
-        maps = []
-        for found, camera, others in zip(matcher.maps(sources), cameras, sources, strict=True):
+        count, maps = len(views), []
+        planes = matcher.maps(sources, lambda share: progress("depth", int(share * count), count))
+        for found, camera, others in zip(planes, cameras, sources, strict=True):
             seen = seen_by_any(found.depth.double(), camera, [cameras[k] for k in others])
             valid = seen & (found.cost < _NO_MATCH)
             maps.append(DepthMap(found.depth, valid, (1 - found.cost).clamp(0, 1)))

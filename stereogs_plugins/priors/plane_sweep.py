@@ -17,6 +17,7 @@ from registry import Context, PluginError, Register, Settings, TrainingView, hoo
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
 from registry.toolkit.networks import OnnxModel, Sha256
+from registry.toolkit.progress import tracked
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -124,7 +125,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         sweep = self._sweep(views, greys, inverse_depths)
         penalties = Penalties(self.settings.small_penalty, self.settings.large_penalty)
         maps = []
-        for index, camera in enumerate(cameras):
+        for index, camera in enumerate(tracked(cameras, "depth")):
             costs = sweep.costs(index, sources[index])
             sums = aggregate(self.context.device, costs, greys[index], penalties)
             plane, confidence = pick(self.context.device, sums, planes)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from registry import Command, Register, hookimpl
 from registry.commands import add_device, conclude, console
+from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
     from registry.plugins import Plugins
@@ -39,21 +40,22 @@ class Demo(Command):
         """Train the pipeline `demo` and print the results."""
         import shutil
 
-        from registry.pipeline import load_pipeline
-        from registry.plugins import Plugins
-        from registry.runs import RENDERS, in_runs
-        from registry.session import train
-        from registry.system import replacing
-        from registry.toolkit.drawing import COMPARISONS
-
         output = console()
-        plugins = Plugins()
-        scene = photographs(plugins)
-        overrides = [] if scene is None else [f"scene={json.dumps(scene)}"]
-        pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
-        run = train(
-            pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device
-        )
+        with showing(output):
+            from registry.pipeline import load_pipeline
+            from registry.plugins import Plugins
+            from registry.runs import RENDERS, in_runs
+            from registry.session import train
+            from registry.system import replacing
+            from registry.toolkit.drawing import COMPARISONS
+
+            plugins = Plugins()
+            scene = photographs(plugins)
+            overrides = [] if scene is None else [f"scene={json.dumps(scene)}"]
+            pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
+            run = train(
+                pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device
+            )
         folder = run.folder_or_refuse()
         if run.finished:
             comparison = min((folder.path / RENDERS / COMPARISONS).iterdir())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_run, console, open_given, print_failures
+from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,14 +48,15 @@ class Report(Command):
         from registry.plugins import Plugins
 
         output = console()
-        given = open_given(arguments)
-        if not given.finished or not given.folder_or_refuse().results():
-            raise RunError(
-                "the run has not finished, so it has no report yet",
-                where=str(arguments.run_folder),
-                fix=f"stereogs resume {arguments.run_folder}",
-            )
-        files, failures = given.report(_reports(given, Plugins(), arguments.beside))
+        with showing(output):
+            given = open_given(arguments)
+            if not given.finished or not given.folder_or_refuse().results():
+                raise RunError(
+                    "the run has not finished, so it has no report yet",
+                    where=str(arguments.run_folder),
+                    fix=f"stereogs resume {arguments.run_folder}",
+                )
+            files, failures = given.report(_reports(given, Plugins(), arguments.beside))
         for file in files:
             output.print(f"page  {given.folder_or_refuse().path / file}")
         return print_failures([f.model_dump() for f in failures], arguments.run_folder)

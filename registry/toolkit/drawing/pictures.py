@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 from ...contract.scene import View
 from ...system.files import replacing
-from ...system.parallel import in_parallel
+from ..progress.parallel import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

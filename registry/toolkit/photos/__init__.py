@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ...system.parallel import in_parallel
+    from ..progress.parallel import in_parallel
     from .bounds import Bounds, estimate_bounds
     from .colmap_files import ColmapImage, has_colmap_model
     from .colmap_model import POINTS_FIX, ColmapModel, Tracks, read_colmap_model

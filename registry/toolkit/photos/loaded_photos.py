@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from ...contract.checks.scene import validate
 from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
-from ...system.parallel import in_parallel
+from ..progress.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size
 from .lens import undistort
 from .reading import find_image
@@ -95,7 +95,7 @@ class LoadedPhotos:
         Raises:
             SceneError: An image or mask cannot be read, or does not match its camera.
         """
-        views = in_parallel(lambda photo: _load_view(photo, decoder), photos)
+        views = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
         return cls(photos, views, decoder, train, test)
 
     @property

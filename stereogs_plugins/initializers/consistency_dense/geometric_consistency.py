@@ -129,7 +129,7 @@ def most_confirmed(
             prior=prior,
         )
 
-    return in_parallel(select, range(len(cameras)))
+    return in_parallel(select, range(len(cameras)), stage="points")
 
 
 def _take(depths: Sequence[DepthImage], prior: Indices) -> DepthImage:

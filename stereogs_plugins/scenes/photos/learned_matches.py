@@ -7,13 +7,13 @@ Their matches are added to those of SIFT, which are more exact.
 
 from __future__ import annotations
 
-import logging
 import os
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
+from registry.toolkit.progress import tracked
 
 from .unposed_photos import image_index, image_name
 
@@ -39,7 +39,6 @@ LONGER_SIDE = 1024
 MOST_ENLARGED = 2.0
 MOST_KEYPOINTS = 1024
 """Keypoints of a picture to match, best first; matching twice as many takes four times as long."""
-_log = logging.getLogger("stereogs.photos")
 
 
 def known_files() -> tuple[Path, Path] | None:
@@ -74,13 +73,15 @@ def add_learned_matches(
     with colmap.Database.open(sift) as known, colmap.Database.open(database) as opened:
         there = {image_index(image.name): image.image_id for image in known.read_all_images()}
         here = {image_index(image.name): image.image_id for image in opened.read_all_images()}
-        found = {k: _keypoints(networks, images / image_name(k)) for k in sorted(here)}
+        found = {
+            k: _keypoints(networks, images / image_name(k))
+            for k in tracked(sorted(here), "keypoints")
+        }
         before = {k: known.read_keypoints(there[k])[:, :2] for k in found}
         for k, keypoints in found.items():
             opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
         pairs = list(combinations(found, 2))
-        _log.info("matching %d pairs by networks, about a second each", len(pairs))
-        for first, second in pairs:
+        for first, second in tracked(pairs, "matching"):
             rows, _ = networks.match(found[first], found[second], MIN_SCORE)
             new = rows.numpy() + np.array([len(before[first]), len(before[second])])
             old = known.read_matches(there[first], there[second])

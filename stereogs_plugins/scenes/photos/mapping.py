@@ -9,9 +9,12 @@ those. Global mapping (Pan et al. 2024) needs no initial pair. Matches contradic
 from __future__ import annotations
 
 import logging
+from itertools import count as numbers_from
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from registry.toolkit.progress import progress
 
 from .unposed_photos import image_index
 
@@ -84,7 +87,7 @@ def place_cameras(
         trust: which matches connect photographs.
     """
     best: list[Piece] = []
-    for name, attempt in _attempts(colmap):
+    for name, attempt in _attempts(colmap, count):
         target = folder / name
         target.mkdir()
         found = [
@@ -105,12 +108,24 @@ def worth(pieces: list[Piece]) -> tuple[bool, int]:
     return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
 
 
-def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
+def _attempts(
+    colmap: Any, total: int
+) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
     """Name and mapping function of each attempt, cheapest first."""
 
     def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
         options = _incremental_options(colmap, degrees)
-        return lambda *paths: colmap.incremental_mapping(*paths, options)
+
+        def attempt(*paths: Path) -> dict[int, Any]:
+            placed = numbers_from(2)  # after the first pair
+            progress("cameras", 0, total)
+            found: dict[int, Any] = colmap.incremental_mapping(
+                *(*paths, options),
+                next_image_callback=lambda: progress("cameras", next(placed), total),
+            )
+            return found
+
+        return attempt
 
     return [
         *((f"incremental_{degrees:g}", incremental(degrees)) for degrees in _FIRST_PAIR_DEGREES),

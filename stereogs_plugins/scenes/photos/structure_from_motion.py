@@ -28,6 +28,7 @@ from .mapping import (
     place_cameras,
     worth,
 )
+from .reported import rows_reported
 from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
@@ -79,18 +80,18 @@ def reconstruct(
     colmap = import_pycolmap(least_severity=3)
     images = folder / "images"
     images.mkdir()
-    _log.info("finding the cameras of %d photographs; this may take minutes", len(photos))
     # pycolmap reads only files written here, because a truncated photograph would crash it.
     in_parallel(
         lambda k: Image.fromarray(decoder.read(photos[k].path)).save(
             images / image_name(k), compress_level=1
         ),
         range(len(photos)),
+        stage="reading",
     )
     lenses = _lenses(photos, share_lens)
     best: Reconstruction | None = None
     tried: list[str] = []
-    for name, trust, fill in _ways(colmap, images, folder):
+    for name, trust, fill in _ways(colmap, images, folder, len(photos)):
         workplace = folder / name
         workplace.mkdir()
         database = workplace / MATCHES
@@ -113,14 +114,14 @@ def reconstruct(
 
 
 def _ways(
-    colmap: Any, images: Path, folder: Path
+    colmap: Any, images: Path, folder: Path, count: int
 ) -> list[tuple[str, Trust, Callable[[Path], None]]]:
     """Kinds of matches, cheapest first: name, trust in them, and a function that fills a database."""
 
     def by_sift(pooled: bool) -> Callable[[Path], None]:
         def fill(database: Path) -> None:
-            _extract(colmap, database, images, pooled)
-            _match(colmap, database)
+            _extract(colmap, database, images, pooled, count)
+            _match(colmap, database, count)
 
         return fill
 
@@ -143,7 +144,6 @@ def _placed(
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches = _verified_matches(colmap, opened, index)
-    _log.info("%d pairs match; placing the cameras", len(matches))
     pieces = place_cameras(colmap, database, images, folder, count, trust)
     return Reconstruction(pieces, matches, [features[k] for k in range(count)])
 
@@ -180,22 +180,23 @@ def _import(
     )
 
 
-def _extract(colmap: Any, database: Path, images: Path, pooled: bool) -> None:
+def _extract(colmap: Any, database: Path, images: Path, pooled: bool, count: int) -> None:
     options = colmap.FeatureExtractionOptions()
     options.sift.domain_size_pooling = pooled
-    colmap.extract_features(database, images, extraction_options=options, device=colmap.Device.cpu)
+    with rows_reported(database, "keypoints", "features", count):
+        colmap.extract_features(
+            database, images, extraction_options=options, device=colmap.Device.cpu
+        )
 
 
-def _match(colmap: Any, database: Path) -> None:
-    with colmap.Database.open(database) as opened:
-        count = opened.num_images()
-    _log.info("found features; matching %d pairs of photographs", count * (count - 1) // 2)
-    colmap.match_exhaustive(
-        database,
-        matching_options=colmap.FeatureMatchingOptions(),
-        verification_options=_geometry(colmap),
-        device=colmap.Device.cpu,
-    )
+def _match(colmap: Any, database: Path, count: int) -> None:
+    with rows_reported(database, "two_view_geometries", "matching", count * (count - 1) // 2):
+        colmap.match_exhaustive(
+            database,
+            matching_options=colmap.FeatureMatchingOptions(),
+            verification_options=_geometry(colmap),
+            device=colmap.Device.cpu,
+        )
 
 
 def _geometry(colmap: Any) -> Any:

@@ -75,7 +75,9 @@ def read_folder(folder: Path) -> PictureFolder:
         SceneError: the folder is missing, or has fewer than three usable pictures.
     """
     paths, left_out = readable_pictures(folder)
-    read = in_parallel(lambda path: _read(path, path.relative_to(folder).as_posix()), paths)
+    read = in_parallel(
+        lambda path: _read(path, path.relative_to(folder).as_posix()), paths, stage="reading"
+    )
     photos = [one for one in read if isinstance(one, UnposedPhoto)]
     left_out += [one for one in read if isinstance(one, LeftOut)]
     original: dict[str, UnposedPhoto] = {}

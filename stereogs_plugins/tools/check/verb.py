@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_device, console
+from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,24 +56,25 @@ class Check(Command):
         """Load the scene, print its properties, write the image."""
         picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
         _check_writable(picture)
-        from registry.inspection import find_loader
-        from registry.plugins import Plugins
-
         output = console()
-        found = find_loader(
-            arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
-        )
-        from core_rasterizer import open_device
-        from registry.inspection import load, warnings
-        from registry.pipeline import build_part
-        from registry.toolkit.drawing import save_png
-        from registry.training import one_torch_thread
+        with showing(output):
+            from registry.inspection import find_loader
+            from registry.plugins import Plugins
 
-        from .facts import facts
-        from .scene_picture import scene_picture
+            found = find_loader(
+                arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
+            )
+            from core_rasterizer import open_device
+            from registry.inspection import load, warnings
+            from registry.pipeline import build_part
+            from registry.toolkit.drawing import save_png
+            from registry.training import one_torch_thread
 
-        with one_torch_thread():
-            scene = load(build_part(found.item, found.seed, open_device(arguments.device)))
+            from .facts import facts
+            from .scene_picture import scene_picture
+
+            with one_torch_thread():
+                scene = load(build_part(found.item, found.seed, open_device(arguments.device)))
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         _print_columns(output, facts(scene))

@@ -20,6 +20,7 @@ from core_rasterizer import GaussianModel, Gaussians
 from registry import View
 from registry.pipeline import Part, Parts
 from registry.runs import InitialState, evaluate, quick
+from registry.toolkit.progress import progress
 from registry.training import Trainer, new_model
 
 Clock = Callable[[], float]
@@ -58,6 +59,7 @@ def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) ->
         count: mean number of Gaussians of the run; the initial ones are repeated to reach it.
         seconds: approximate duration of the iterations; at least one is measured after the warm-up.
     """
+    progress("timing")
     pipeline, scene = initial.pipeline, initial.scene
     points, repeated = initial.points, torch.arange(count) % len(initial.gaussians)
     first = initial.gaussians

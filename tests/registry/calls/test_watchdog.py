@@ -5,15 +5,48 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 
 import pytest
 
 from registry import PluginError
-from registry.calls.watchdog import Hang, Watchdog
+from registry.calls.watchdog import EXPECTED, EXPECTED_IN_LOOP, PATIENCE, Hang, Watchdog
+from registry.toolkit.progress.stages import Stages
+
+
+class Clock:
+    """A clock that tests turn forward."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@dataclass
+class Bench:
+    """A watchdog without a thread; its warnings go to the log."""
+
+    clock: Clock
+    stages: Stages
+    dog: Watchdog
+
+    def after(self, seconds: float) -> None:
+        """Look once a second, as the thread does."""
+        for _ in range(int(seconds)):
+            self.clock.now += 1
+            self.dog.look()
+
+
+@pytest.fixture
+def bench() -> Bench:
+    clock = Clock()
+    dog = Watchdog(look_every=None, clock=clock)
+    return Bench(clock, Stages(clock, dog), dog)
 
 
 def quick() -> Watchdog:
-    return Watchdog(warn_after=0.4, look_every=0.01)
+    return Watchdog(look_every=0.01)
 
 
 def stubborn() -> None:
@@ -25,32 +58,92 @@ def stubborn() -> None:
             pytest.fail("a plugin's `except Exception` must not stop it")
 
 
-def test_a_long_call_causes_warnings_with_its_name(caplog: pytest.LogCaptureFixture) -> None:
-    dog = quick()
-    with dog.watching("regularizer 'slow' at p.yaml:4", 20):
-        time.sleep(1)
-    told = [
-        m for m in caplog.messages if m.startswith("regularizer 'slow' at p.yaml:4, iteration 20")
-    ]
-    assert 2 <= len(told) <= 6, "again whenever the time has doubled"
-    assert "stereogs resume RUN" in told[0]
-    caplog.clear()
-    for _ in range(10):
-        with dog.watching("quick"):
-            time.sleep(0.05)
-    assert not caplog.messages
+def test_a_silent_call_causes_one_warning_after_ten_times_the_expected_time(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench.stages.report("points")
+    with bench.dog.watching("initializer 'slow' at p.yaml:4"):
+        bench.after(PATIENCE * EXPECTED - 1)
+        assert not caplog.messages
+        bench.after(5000)
+    (told,) = caplog.messages
+    assert told.startswith("initializer 'slow' at p.yaml:4 has been running for 600 s")
+    assert "--" not in told, "no option of another command"
+
+
+def test_an_iteration_is_expected_to_take_less(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    with bench.dog.watching("loss", 20):
+        bench.after(PATIENCE * EXPECTED_IN_LOOP)
+    (told,) = caplog.messages
+    assert told.startswith("loss, iteration 20 has been running for 60 s")
+    assert "stereogs resume RUN" in told
+
+
+def test_no_warning_while_progress_is_reported(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    with bench.dog.watching("scene loader"):
+        for done in range(66):
+            bench.stages.report("matching", done, 66)
+            bench.after(100)
+        assert not caplog.messages, "not in two hours"
+        bench.after(899)
+        assert not caplog.messages, "ten times the longest step"
+        bench.after(1)
+    assert len(caplog.messages) == 1
+
+
+def test_earlier_calls_tell_how_long_the_next_may_take(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    with bench.dog.watching("metric"):
+        bench.after(200)
+    with bench.dog.watching("metric"):
+        bench.after(1999)
+        assert not caplog.messages
+        bench.after(1)
+        assert len(caplog.messages) == 1
+
+
+def test_one_warning_in_each_stage(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    for count, stage in enumerate(("depth", "points"), 1):
+        bench.stages.report(stage)
+        for who in "abc":
+            with bench.dog.watching(f"{who} of {stage}"), bench.dog.watching(f"prior of {stage}"):
+                bench.after(10_000)
+        assert len(caplog.messages) == count
 
 
 def test_short_inner_calls_of_a_long_call_cause_no_warning(
-    caplog: pytest.LogCaptureFixture,
+    bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    dog = quick()
-    with dog.watching("initializer"):
-        for _ in range(12):
-            with dog.watching("prior"):
-                time.sleep(0.05)
-    assert caplog.messages
-    assert all(m.startswith("initializer") for m in caplog.messages), "no prior took long"
+    with bench.dog.watching("initializer"):
+        for _ in range(120):
+            with bench.dog.watching("prior"):
+                bench.after(10)
+    (told,) = caplog.messages
+    assert told.startswith("initializer"), "no prior took long"
+
+
+def test_calls_of_other_threads_cause_warnings(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    entered, end = threading.Event(), threading.Event()
+
+    def work() -> None:
+        with bench.dog.ending(0.01), bench.dog.watching("elsewhere"):
+            entered.set()
+            end.wait()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    entered.wait()
+    bench.after(600)
+    end.set()
+    thread.join()
+    assert caplog.messages[0].startswith("elsewhere")
 
 
 def test_a_hang_is_ended_with_an_error() -> None:
@@ -85,21 +178,6 @@ def test_calls_within_the_limit_are_not_ended() -> None:
         time.sleep(0.1)
     with dog.ending(5), dog.watching("patient"):
         time.sleep(0.1)
-
-
-def test_calls_of_other_threads_cause_warnings_and_are_not_ended(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    dog = quick()
-
-    def work() -> None:
-        with dog.ending(0.01), dog.watching("elsewhere"):
-            time.sleep(0.6)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert caplog.messages[0].startswith("elsewhere")
 
 
 LATE = """

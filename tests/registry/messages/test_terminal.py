@@ -10,7 +10,8 @@ import pytest
 from rich.table import Table
 
 from registry.cli import main
-from registry.messages.terminal import PlainConsole, PlainFormatter, visible
+from registry.commands.output import LogLines
+from registry.messages.terminal import PlainConsole, visible
 from registry.runs.options import RunOptions
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
@@ -42,9 +43,11 @@ def test_every_console_of_the_host_is_a_plain_console() -> None:
     assert isinstance(RunOptions().console(), PlainConsole)
 
 
-def test_log_lines_are_escaped() -> None:
-    record = logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (EVIL,), None)
-    assert PlainFormatter().format(record).startswith(TAMED)
+def test_log_lines_are_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    LogLines().emit(logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (EVIL,), None))
+    written = capsys.readouterr().err
+    assert written.startswith("stereogs: a\\x1b[2J")
+    assert written.replace("\n", "").isprintable()
 
 
 def test_control_characters_in_a_name_are_escaped(

@@ -25,7 +25,7 @@ def test_files_of_a_run(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, finished, output = run(toys, device, tmp_path / "run")
     assert finished
     assert "2 training views, 1 test views" in output
-    assert "iteration 30/30" in output
+    assert "training  30/30" in output
     results = json.loads((folder.path / "results.json").read_text())
     assert results["test"].keys() == results["train"].keys() == {"psnr"}
     assert results["views"]["test"]["view1"] == results["test"]

@@ -72,12 +72,12 @@ def test_a_full_disk_leaves_earlier_checkpoints_intact(tmp_path: Path, free: int
     """No byte fits, or the tensors are cut off, or the manifest is."""
     with pytest.raises(RunError, match="cannot be written") as caught, full_disk(free):
         save_checkpoint(checkpoint(10), tmp_path)
-    assert "whole" not in caught.value.fix
+    assert "resume" not in caught.value.fix
     assert names(tmp_path) == []
     save_checkpoint(checkpoint(10), tmp_path)
     with pytest.raises(RunError, match="cannot be written") as caught, full_disk(free):
         save_checkpoint(checkpoint(20), tmp_path)
-    assert "the previous one is intact" in caught.value.fix
+    assert f"then `stereogs resume {tmp_path.parent}`" in caught.value.fix
     assert names(tmp_path) == [FIRST]
     assert load_checkpoint(tmp_path).iteration == 10
 

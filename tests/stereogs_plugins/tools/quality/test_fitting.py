@@ -56,6 +56,7 @@ class Machine:
             step(field)
 
         def evaluated(model, scene, views, metrics, pictures=None):  # type: ignore[no-untyped-def]
+            views = list(views)
             self.now += slow * 0.3 * len(views)
             return evaluate(model, scene, views, metrics, pictures)
 

@@ -1,0 +1,22 @@
+"""Progress of slow work, for the bar on the terminal and for the watchdog.
+
+    from registry.toolkit.progress import progress, tracked
+
+    for view in tracked(views, "depth"):       before each view: "depth 3/12"
+        ...
+    progress("matching", done, total)          where there is no loop
+
+A verb shows what its components report within `with showing(console()):`.
+"""
+
+from typing import TYPE_CHECKING
+
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .display import showing
+    from .stages import progress, tracked
+else:
+    __getattr__, __dir__ = names_on_first_use(__name__)
+
+__all__ = ["progress", "showing", "tracked"]

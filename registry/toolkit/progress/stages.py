@@ -1,0 +1,180 @@
+"""Stages of long work: what components report, and how much time is left."""
+
+from __future__ import annotations
+
+import threading
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+from ...calls.watchdog import WATCHDOG, Watchdog
+
+Item = TypeVar("Item")
+
+_LEAST_SECONDS, _LEAST_STEPS = 3.0, 2
+"""Until both have passed, the time left is not known."""
+_SAMPLE_SECONDS, _MOST_SAMPLES = 0.5, 2000
+_TREND_STEPS, _TREND_LIMIT = 10, 1.5
+"""Least number of steps for a trend, and the largest factor by which it lengthens the rest. The last
+iterations of a training take two to six times as long as the first."""
+
+
+class Stage:
+    """A part of the work, with the times of its steps.
+
+    Args:
+        name: one or two words, for example "depth".
+        done, total: number of steps; `total` is None if it is not known.
+        now: seconds of the clock.
+
+    Attributes:
+        began, latest: times of the first and the latest report.
+        detail: returns more text about the state, or "".
+    """
+
+    def __init__(self, name: str, done: int, total: int | None, now: float) -> None:
+        self.name, self.done, self.total = name, done, total
+        self.began = self.latest = now
+        self.detail: Callable[[], str] = str
+        self._samples = [(done, now)]
+
+    def includes(self, name: str, done: int, total: int | None) -> bool:
+        """Whether a report is about this stage rather than a new one."""
+        again = done == 0 < self.done
+        return name == self.name and self.total in (None, total) and not again
+
+    def reached(self, done: int, now: float) -> None:
+        """Record a report."""
+        self.latest = now
+        if done > self.done:
+            self.done = done
+            if now - self._samples[-1][1] >= _SAMPLE_SECONDS:
+                self._samples.append((done, now))
+                if len(self._samples) > _MOST_SAMPLES:
+                    del self._samples[1::2]
+
+    def seconds_left(self, now: float) -> float | None:
+        """Estimate the rest from the second half of the steps so far; None until it is known.
+
+        If steps have become slower, they are expected to become slower still.
+        """
+        (first, began), (done, latest) = self._samples[0], self._samples[-1]
+        steps = done - first
+        if self.total is None or latest - began < _LEAST_SECONDS or steps < _LEAST_STEPS:
+            return None
+        middle = bisect_right(self._samples, (first + steps // 2, latest)) - 1
+        half, split = self._samples[min(middle, len(self._samples) - 2)]
+        step = (latest - split) / (done - half)
+        left = (self.total - done) * step
+        if half > first and steps >= _TREND_STEPS:
+            slower = 1 - (split - began) / (half - first) / step
+            left *= min(max(1 + slower * (self.total - half) / steps, 1), _TREND_LIMIT)
+        return max(left - (now - latest), 0.0)
+
+    def text(self, now: float, *, running: bool) -> str:
+        """Return the steps, the time left or, after the end, the time taken, and the detail."""
+        left = self.seconds_left(now) if running else None
+        parts = [f"{self.done}/{self.total}"] if self.total else []
+        if left is not None:
+            parts.append(f"{_minutes(left)} left")
+        elif not running:
+            parts.append(f"{now - self.began:.1f} s")
+        elif not self.total:
+            parts.append(_minutes(now - self.began))
+        return "  ".join(filter(None, (*parts, self.detail())))
+
+
+class Display(Protocol):
+    """Shows stages."""
+
+    def begun(self, stage: Stage) -> None:
+        """Called when a stage begins."""
+
+    def reached(self, stage: Stage) -> None:
+        """Called after each report of a stage."""
+
+    def ended(self, stage: Stage) -> None:
+        """Called when a stage has ended."""
+
+
+class Stages:
+    """The stage that the process is in, and what shows it.
+
+    Args:
+        clock, watchdog: replaced by tests.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, watchdog: Watchdog = WATCHDOG
+    ) -> None:
+        self.clock, self._watchdog = clock, watchdog
+        self.current: Stage | None = None
+        self.displays: list[Display] = []
+        """The last one shows the stages."""
+        self._fixed = False
+        self._lock = threading.RLock()
+
+    def report(self, stage: str, done: int = 0, total: int | None = None) -> None:
+        """Report the stage that the work is in, from any thread and as often as you like.
+
+        A new name, another total, or `done=0` after a larger one begins a stage; the one before ends.
+        During training nothing is shown, but the watchdog sees that the work goes on.
+
+        Args:
+            stage: one or two words, for example "matching".
+            done: number of finished steps.
+            total: number of steps; None: not known.
+        """
+        now = self.clock()
+        with self._lock:
+            current = self.current
+            if current is not None and self._fixed and stage != current.name:
+                self._watchdog.progressed(began=False)
+            elif current is None or not current.includes(stage, done, total):
+                self.begin(Stage(stage, done, total, now))
+            else:
+                self._watchdog.progressed(began=False)
+                current.total = total
+                current.reached(done, now)
+                for display in self.displays[-1:]:
+                    display.reached(current)
+
+    @contextmanager
+    def fixed(self, stage: Stage) -> Iterator[None]:
+        """Begin a stage, and stay in it within the block, whatever components report."""
+        self.begin(stage)
+        self._fixed = True
+        try:
+            yield
+        finally:
+            self._fixed = False
+
+    def begin(self, stage: Stage | None) -> None:
+        """Begin a stage, or None; the current one ends."""
+        with self._lock:
+            self._watchdog.progressed(began=True)
+            ended, self.current = self.current, stage
+            for display in self.displays[-1:]:
+                if ended is not None:
+                    display.ended(ended)
+                if stage is not None:
+                    display.begun(stage)
+
+
+STAGES = Stages()
+"""The stages of the process."""
+progress = STAGES.report
+
+
+def tracked(items: Sequence[Item], stage: str) -> Iterator[Item]:
+    """Yield the items, and report before each how many are done: `for view in tracked(views, "depth")`."""
+    for done, item in enumerate(items):
+        progress(stage, done, len(items))
+        yield item
+    progress(stage, len(items), len(items))
+
+
+def _minutes(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
