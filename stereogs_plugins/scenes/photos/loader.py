@@ -24,6 +24,7 @@ from registry.toolkit.photos import (
 from .picture_files import NOT_A_PICTURE, is_picture_folder
 
 if TYPE_CHECKING:
+    from .disconnected import LargestGroup
     from .found_cameras import FoundCameras
     from .picture_files import LeftOut
     from .unposed_photos import UnposedPhoto
@@ -86,13 +87,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         found, other_files = read_folder(folder)
         _warn_of_left_out(folder, other_files)
         names = [photo.name for photo in found]
-        model, disconnected = largest_group(
+        group = largest_group(
             self._find_cameras(found),
             names,
             str(folder),
             require_all=settings.require_all_photos,
         )
-        _warn_of_disconnected(names, disconnected)
+        _warn_of_disconnected(names, group)
+        model = group.model
         placed = _posed(model, found)
         test_every = settings.test_every
         if test_every is None:
@@ -111,7 +113,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
-            *_facts_of_left_out(folder, other_files, [names[k] for k in disconnected]),
+            *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
             *loaded.split_facts(split_rule(test_every), len(placed)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
@@ -133,9 +135,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 def default_test_every(count: int) -> int:
     """Return the spacing of test views among `count` photographs; 0 gives no test views."""
     if count < HELD_OUT_EVERY:
+        _log.info(
+            "%d photographs, fewer than %d: all train, and scores are those of training photographs; "
+            "--test-every 3 holds out every third",
+            *(count, HELD_OUT_EVERY),
+        )
         return 0
     _log.info(
-        "%d photographs: every %dth is held out to measure quality; scene.test_every=0 trains on all",
+        "%d photographs: every %dth is held out to score new views; --test-every 0 trains on all",
         *(count, HELD_OUT_EVERY),
     )
     return HELD_OUT_EVERY
@@ -184,18 +191,16 @@ def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
         _log.warning("%d pictures are left out:\n%s", len(pictures), "\n".join(lines))
 
 
-def _warn_of_disconnected(names: list[str], disconnected: dict[int, str]) -> None:
-    if not disconnected:
-        return
-    by_reason: dict[str, list[str]] = {}
-    for index, reason in disconnected.items():
-        by_reason.setdefault(reason, []).append(names[index])
-    lines = (f"  {', '.join(few)}: {reason}" for reason, few in by_reason.items())
-    _log.warning(
-        "the cameras of %d of %d photographs fit together; the scene consists of these. Left out:\n%s\n"
-        "--set scene.require_all_photos=true stops here instead",
-        *(len(names) - len(disconnected), len(names), "\n".join(lines)),
-    )
+def _warn_of_disconnected(names: list[str], group: LargestGroup) -> None:
+    if group.left_out:
+        from .disconnected import PAGE, reason_lines
+
+        advice = f"{group.advice}\nor stop here: --require-all-photos\nmore: {PAGE}"
+        _log.warning(
+            "WARNING: %d of %d photographs connect; the scene is made of these. Left out:\n%s\n  fix    %s",
+            *(len(names) - len(group.left_out), len(names)),
+            *("\n".join(reason_lines(group.left_out, names)), advice.replace("\n", "\n         ")),
+        )
 
 
 def _facts_of_left_out(folder: Path, files: list[LeftOut], disconnected: list[str]) -> list[Fact]:

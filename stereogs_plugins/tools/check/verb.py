@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_device, console
 
+from .option import add_photo_options
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -42,6 +44,7 @@ class Check(Command):
             metavar="KEY=VALUE",
             help="change a setting of the loader",
         )
+        add_photo_options(parser)
         parser.add_argument(
             "--out",
             type=Path,
