@@ -9,6 +9,7 @@ from itertools import combinations
 import torch
 
 from ..contract.scene import Scene, View
+from ..messages.suggestions import counted
 
 FEW_POINTS = 100
 """Number of sparse points below which most of a scene is unknown."""
@@ -23,10 +24,9 @@ def summary(scene: Scene) -> str:
     """Return the main facts in one line, for the start of a run."""
     points = f"{len(scene.points):,} points" if scene.points is not None else "no points"
     near, far = scene.bounds
-    return (
-        f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views, "
-        f"{image_sizes(scene.train)}, depth {near:.4g} .. {far:.4g}, {points}"
-    )
+    train, test = counted(len(scene.train), "training view"), counted(len(scene.test), "test view")
+    sizes = image_sizes(scene.train)
+    return f"{scene.name}: {train}, {test}, {sizes}, depth {near:.4g} .. {far:.4g}, {points}"
 
 
 def warnings(scene: Scene) -> list[str]:

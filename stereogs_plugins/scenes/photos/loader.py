@@ -110,6 +110,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
         facts = (
             Fact("cameras", "found in the photographs by COLMAP"),
+            Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
