@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneLoader, Settings, hookimpl
+from registry.messages import counted
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
@@ -21,7 +22,7 @@ from registry.toolkit.photos import (
     split_rule,
 )
 
-from .picture_files import NOT_A_PICTURE, is_picture_folder
+from .picture_files import COMPANION, is_picture_folder
 
 if TYPE_CHECKING:
     from .disconnected import LargestGroup
@@ -186,10 +187,13 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
 
 
 def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
-    pictures = [one for one in files if one.reason != NOT_A_PICTURE]
-    if pictures:
-        lines = (f"  {path.relative_to(folder)}: {reason}" for path, reason in pictures)
-        _log.warning("%d pictures are left out:\n%s", len(pictures), "\n".join(lines))
+    told = [one for one in files if one.reason != COMPANION]
+    if told:
+        from .disconnected import reason_lines
+
+        names = [str(path.relative_to(folder)) for path, _ in told]
+        lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
+        _log.warning("%s left out:\n%s", counted(len(told), "file"), "\n".join(lines))
 
 
 def _warn_of_disconnected(names: list[str], group: LargestGroup) -> None:
