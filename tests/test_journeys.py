@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
 from PIL import Image
 from skimage import data
 
@@ -40,9 +41,9 @@ def shell(command: str, folder: Path, *, status: int = 0) -> str:
 
 
 def take(scene: str, numbers: Sequence[int], folder: Path, size: tuple[int, int]) -> list[Path]:
-    """JPEGs of some photographs of a scene, at most of this size."""
+    """JPEGs of some photographs of a scene, scaled into this size."""
     folder.mkdir(exist_ok=True)
-    photographs = sorted((data_folder(scene) / "images_8").iterdir())
+    photographs = sorted(next(data_folder(scene).glob("images*")).iterdir())
     taken = []
     for number in numbers:
         with Image.open(photographs[number]) as opened:
@@ -91,3 +92,72 @@ def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     assert "only 4 of 5 photographs connect" in refused
     assert "STEREOGS_MODELS" in refused
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    ("scene", "numbers"), [("llff_fern", (0, 4, 9)), ("llff_flower", (0, 12, 24))]
+)
+def test_three_photographs_train_on_three(
+    scene: str, numbers: tuple[int, ...], tmp_path: Path
+) -> None:
+    take(scene, numbers, tmp_path / "photos", (504, 378))
+    output = shell("stereogs train photos --quality fast --out run", tmp_path)
+    assert "3 photographs, fewer than 8: all train" in output
+    assert "3 training views, 0 test views" in output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert results["train"]["psnr"] > 24
+    held_out = shell("stereogs train photos --quality fast --test-every 3 --out scored", tmp_path)
+    assert "2 training views, 1 test view," in held_out
+    assert "finding the cameras" not in held_out
+    assert "test mean" in held_out
+
+
+@pytest.mark.proof
+def test_pictures_of_a_phone(tmp_path: Path) -> None:
+    """Twelve megapixels, one stored sideways."""
+    *_, last = take("llff_fern", (0, 4, 9), tmp_path / "DCIM", (4032, 3024))
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    with Image.open(last) as opened:
+        sideways = opened.transpose(Image.Transpose.ROTATE_90)
+    sideways.save(last, quality=92, exif=exif)
+    output = shell("stereogs check DCIM --details", tmp_path)
+    assert "3 of 3 photographs connect; ready" in output
+    assert "turned upright         1" in output
+
+
+@pytest.mark.proof
+def test_a_turntable_with_gaps(tmp_path: Path) -> None:
+    """What does not connect is one short warning, and the rest a scene."""
+    take("mview_temple", range(0, 29, 3), tmp_path / "temple", (640, 480))
+    output = shell("stereogs check temple", tmp_path)
+    warning = output[output.index("WARNING: ") :].partition("more: ")[0].splitlines()
+    assert len(warning) <= 6
+    assert "take pictures between" in output
+    assert "STEREOGS_MODELS" in output
+    assert " of 10 photographs connect; ready" in output.splitlines()[-2]
+    assert output.splitlines()[-1] == "  stereogs train temple"
+
+
+@pytest.mark.proof
+def test_lengths_are_compared(tmp_path: Path) -> None:
+    room = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
+    for length in (50, 200):
+        shell(
+            f"stereogs train demo {room} --set training.iterations={length} --out runs/{length}",
+            tmp_path,
+        )
+    rows = [line.split() for line in shell("stereogs compare runs/*", tmp_path).splitlines()]
+    assert [row[1:3] for row in rows if row and row[0] in ("50", "200")] == [
+        ["200", "iterations"],
+        ["50", "iterations"],
+    ]
+    (tmp_path / "matrix.yaml").write_text(
+        "pipelines: [3dgs_fast, weightfree_quick]\niterations: [20]\n"
+        "scenes: [{use: procedural, train_views: 3, width: 96, height: 72}]\n"
+    )
+    shell("stereogs bench matrix.yaml --out bench --jobs 1", tmp_path)
+    page = (tmp_path / "bench" / "index.html").read_text()
+    assert "against seconds" in page
+    assert "against pipeline" not in page

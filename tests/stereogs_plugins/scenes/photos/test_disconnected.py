@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -110,26 +109,6 @@ class TestExplanation:
         files = (Path("a"), Path("b")) if available else None
         monkeypatch.setattr(disconnected, "known_files", lambda: files)
         assert ("ALIKED and LightGlue" in self.explain([[0, 1, 2]]).fix) is not available
-
-
-@pytest.mark.proof
-def test_a_photograph_of_something_else_is_left_out(
-    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    from skimage import data
-
-    copy = shutil.copytree(folder, tmp_path / "mixed")
-    (copy / "train_01.jpg").unlink()
-    Image.fromarray(data.coffee()).resize((360, 270)).save(copy / "coffee.png")
-    with pytest.raises(SceneError) as caught:
-        load(copy, require_all_photos=True)
-    assert "only 4 of 5 photographs connect" in caught.value.what
-    assert "  coffee.png: " in caught.value.what
-    assert "coffee.png" in caught.value.fix
-    scene = load(copy)
-    assert len(scene.train) == 4
-    assert scene.fact("disconnected_photographs") == "coffee.png"
-    assert "coffee.png: " in caplog.text
 
 
 def test_photographs_without_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
