@@ -43,7 +43,7 @@ def faults(pipeline: Pipeline) -> list[str]:
     """Return the problems that are known before anything is loaded."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
-        missing = [path for path in _paths(dict(item.settings)) if not path.exists()]
+        missing = [path for path in _leaves(dict(item.settings), Path) if not path.exists()]
         found += [(item, f"{path} does not exist") for path in missing]
         if not _is_used(item, pipeline):
             found.append((item, "is never due"))
@@ -73,7 +73,7 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline.training.iterations)))
     notes.append(("reads", item.point.reads))
-    notes += [("file", f"{path}, {_size(path)}") for path in _paths(dict(item.settings))]
+    notes += [("file", f"{path}, {_size(path)}") for path in _leaves(dict(item.settings), Path)]
     for wanted in needs(offer.component):
         names = ", ".join(usable_priors(_capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
@@ -94,13 +94,13 @@ def _when(item: Item, iterations: int) -> str:
     return f"iterations {due[0]}, {due[1]} to {due[-1]}, {len(due)} times"
 
 
-def _paths(value: Any) -> Iterator[Path]:
-    """Yield every path in a value, also in mappings and sequences."""
-    if isinstance(value, Path):
+def _leaves(value: Any, kind: type) -> Iterator[Any]:
+    """Yield every value of a type, also in mappings and sequences."""
+    if isinstance(value, kind):
         yield value
     elif isinstance(value, Mapping | list | tuple):
         for inner in value.values() if isinstance(value, Mapping) else value:
-            yield from _paths(inner)
+            yield from _leaves(inner, kind)
 
 
 def _size(path: Path) -> str:
@@ -127,8 +127,8 @@ def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
         if not _is_used(item, pipeline):
             continue
         for wanted in needs(item.offer.component):
-            names = _names(getattr(item.settings, "prior", None))
-            for name in names or (None,):
+            names = _leaves(getattr(item.settings, "prior", None), str)
+            for name in [*names] or (None,):
                 try:
                     chosen_prior(known, wanted, name)
                 except PluginError as fault:
@@ -141,14 +141,6 @@ def _capabilities(pipeline: Pipeline) -> dict[str, str | None]:
         item.name: getattr(item.offer.component, "capability", None)
         for item in pipeline.items["priors"]
     }
-
-
-def _names(setting: Any) -> list[str]:
-    """Return all names in a setting `prior`: a name, a sequence, or a mapping to names."""
-    if isinstance(setting, str):
-        return [setting]
-    values = setting.values() if isinstance(setting, dict) else setting or ()
-    return [name for value in values for name in _names(value)]
 
 
 def component_help(name: str, plugins: Plugins) -> str:

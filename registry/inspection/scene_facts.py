@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
@@ -98,8 +99,7 @@ def typical_depth(scene: Scene) -> float:
 
 def image_sizes(views: Sequence[View]) -> str:
     """Return the sizes of the views' images as text."""
-    sizes = [f"{view.camera.width}x{view.camera.height}" for view in views]
-    distinct = list(dict.fromkeys(sizes))
-    if len(distinct) == 1:
-        return distinct[0]
-    return ", ".join(f"{size} ({sizes.count(size)} views)" for size in distinct)
+    sizes = Counter(f"{view.camera.width}x{view.camera.height}" for view in views)
+    if len(sizes) == 1:
+        return next(iter(sizes))
+    return ", ".join(f"{size} ({counted(count, 'view')})" for size, count in sizes.items())
