@@ -87,7 +87,8 @@ def _follows_length(key: str, same: Sequence[_Values]) -> bool:
     pairs = [(other[key], other[_LENGTH]) for other in same if key in other]
     if not all(isinstance(value, int) for value, _ in pairs):
         return False
-    return max((v - 1) / n for v, n in pairs) <= min((v + 1) / n for v, n in pairs)
+    least, most = (max((v - 1) / n for v, n in pairs), min((v + 1) / n for v, n in pairs))
+    return bool(least <= most)
 
 
 def _too_short_for(component: str, same: Sequence[_Values]) -> bool:
