@@ -84,9 +84,11 @@ def _follows_length(key: str, same: Sequence[_Values]) -> bool:
     """Return whether a setting is the same share of the iterations in all runs, up to rounding."""
     if key.split(".")[-1] not in _SCALED:
         return False
-    pairs = [(other[key], other[_LENGTH]) for other in same if key in other]
+    pairs = {(other[key], other[_LENGTH]) for other in same if key in other}
     if not all(isinstance(value, int) for value, _ in pairs):
         return False
+    if len({length for _, length in pairs}) < len(pairs):
+        return False  # runs of one length differ
     least, most = (max((v - 1) / n for v, n in pairs), min((v + 1) / n for v, n in pairs))
     return bool(least <= most)
 

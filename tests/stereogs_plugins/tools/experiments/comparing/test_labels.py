@@ -35,6 +35,8 @@ def test_runs_of_different_lengths() -> None:
     assert "densification" not in by_setting[0].tree or by_setting[0].tree["densification"] is None
     scaled = [trained(iterations=n) for n in (77, 201, 600)]
     assert labels(scaled) == ["77 iterations", "201 iterations", "600 iterations"]
+    later = [trained(), trained("densification.start=101", "densification.phase=0")]
+    assert labels(later) == ["densification.start=100", "densification.start=101"]
     changed = [trained("training.iterations=200", "densification.start=120"), trained()]
     assert labels(changed)[0] == "densification.start=120, densification.phase=20, 200 iterations"
 
