@@ -10,9 +10,9 @@ import pytest
 import torch
 from PIL import Image
 
-from core_rasterizer import Camera
+from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
-from registry.cli import main
+from registry.cli import main, parse
 from registry.inspection.scene_facts import points_in_view, summary, typical_depth, warnings
 from registry.plugins.discovery import Plugins, recognize
 from registry.testing import tiny_scene
@@ -329,3 +329,13 @@ def test_the_image_is_written_into_a_given_folder(install: Install, tmp_path: Pa
     folder.mkdir()
     assert main(["check", str(pipeline), "--out", str(folder)]) == 0
     assert (folder / "check.png").is_file()
+
+
+def test_options_of_photographs_are_settings_of_the_scene() -> None:
+    changes = ["scene.train_views=3", "scene.test_every=4", "scene.require_all_photos=true"]
+    given = ["--set", changes[0], "--test-every", "4", "--require-all-photos"]
+    for verb in ("train", "check"):
+        assert parse([verb, "folder", *given]).set == changes
+        assert parse([verb, "folder"]).set == []
+    with pytest.raises(ExplainedError, match="'often' is not a whole number, 0 or more"):
+        parse(["train", "folder", "--test-every", "often"])
