@@ -48,6 +48,13 @@ def test_its_commands_run_as_written(tmp_path: Path) -> None:
         assert answer.returncode == expected, f"{command}\n{answer.stdout}{answer.stderr}"
         if expected:
             assert command.partition(f"{REFUSED}: ")[2] in answer.stderr
+        if command.startswith("stereogs demo"):
+            page, *yours = answer.stdout.splitlines()[-3:]
+            assert (tmp_path / page.split()[1]).is_file()
+            assert [line.split()[:3] for line in yours] == [
+                ["stereogs", "check", "FOLDER"],
+                ["stereogs", "train", "FOLDER"],
+            ]
         done.append(command)
     assert len(done) > 10
     promised = re.findall(r"^\| `([^`]+)` \|", PAGE.read_text("utf-8"), re.MULTILINE)

@@ -14,7 +14,7 @@ from ..contract.hook_points import PIPELINE_POINTS, STAGES
 from ..contract.prior import chosen_prior, usable_priors
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean
-from ..pipeline.pipeline import Item, Pipeline, paths_in
+from ..pipeline.pipeline import Item, Pipeline, leaves
 from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
@@ -43,7 +43,7 @@ def faults(pipeline: Pipeline) -> list[str]:
     """Return the problems that are known before anything is loaded."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
-        missing = [path for path in paths_in(dict(item.settings)) if not path.exists()]
+        missing = [path for path in leaves(dict(item.settings), Path) if not path.exists()]
         found += [(item, f"{path} does not exist") for path in missing]
         if not _is_used(item, pipeline):
             found.append((item, "is never due"))
@@ -75,7 +75,7 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline.training.iterations)))
     notes.append(("reads", item.point.reads))
-    notes += [("file", f"{path}, {_size(path)}") for path in paths_in(dict(item.settings))]
+    notes += [("file", f"{path}, {_size(path)}") for path in leaves(dict(item.settings), Path)]
     for wanted in needs(offer.component):
         names = ", ".join(usable_priors(_capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))
@@ -120,8 +120,8 @@ def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
         if not _is_used(item, pipeline):
             continue
         for wanted in needs(item.offer.component):
-            names = _names(getattr(item.settings, "prior", None))
-            for name in names or (None,):
+            names = leaves(getattr(item.settings, "prior", None), str)
+            for name in [*names] or (None,):
                 try:
                     chosen_prior(known, wanted, name)
                 except PluginError as fault:
@@ -134,14 +134,6 @@ def _capabilities(pipeline: Pipeline) -> dict[str, str | None]:
         item.name: getattr(item.offer.component, "capability", None)
         for item in pipeline.items["priors"]
     }
-
-
-def _names(setting: Any) -> list[str]:
-    """Return all names in a setting `prior`: a name, a sequence, or a mapping to names."""
-    if isinstance(setting, str):
-        return [setting]
-    values = setting.values() if isinstance(setting, dict) else setting or ()
-    return [name for value in values for name in _names(value)]
 
 
 def component_help(name: str, plugins: Plugins) -> str:

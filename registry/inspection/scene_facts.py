@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import torch
 
 from ..contract.scene import Scene, View
+from ..messages.suggestions import counted
 
 FEW_POINTS = 100
 """Number of sparse points below which most of a scene is unknown."""
@@ -23,10 +25,9 @@ def summary(scene: Scene) -> str:
     """Return the main facts in one line, for the start of a run."""
     points = f"{len(scene.points):,} points" if scene.points is not None else "no points"
     near, far = scene.bounds
-    return (
-        f"{scene.name}: {len(scene.train)} training views, {len(scene.test)} test views, "
-        f"{image_sizes(scene.train)}, depth {near:.4g} .. {far:.4g}, {points}"
-    )
+    train, test = counted(len(scene.train), "training view"), counted(len(scene.test), "test view")
+    sizes = image_sizes(scene.train)
+    return f"{scene.name}: {train}, {test}, {sizes}, depth {near:.4g} .. {far:.4g}, {points}"
 
 
 def warnings(scene: Scene) -> list[str]:
@@ -98,8 +99,7 @@ def typical_depth(scene: Scene) -> float:
 
 def image_sizes(views: Sequence[View]) -> str:
     """Return the sizes of the views' images as text."""
-    sizes = [f"{view.camera.width}x{view.camera.height}" for view in views]
-    distinct = list(dict.fromkeys(sizes))
-    if len(distinct) == 1:
-        return distinct[0]
-    return ", ".join(f"{size} ({sizes.count(size)} views)" for size in distinct)
+    sizes = Counter(f"{view.camera.width}x{view.camera.height}" for view in views)
+    if len(sizes) == 1:
+        return next(iter(sizes))
+    return ", ".join(f"{size} ({counted(count, 'view')})" for size, count in sizes.items())

@@ -1,4 +1,4 @@
-"""Suggestions in error messages about unknown names."""
+"""Phrases of messages: the nearest known name, lists, and counts."""
 
 from __future__ import annotations
 
@@ -16,3 +16,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def listing(names: Iterable[str]) -> str:
     """Return the names separated by commas, or "none"."""
     return ", ".join(names) or "none"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return for example "1 view" or "1,200 views"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"

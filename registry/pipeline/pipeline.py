@@ -269,7 +269,7 @@ def _first_complete(
             lacking.append(unset_variable.what)
             continue
         item = component_item(point, candidate, find, iterations)
-        paths = list(paths_in(dict(item.settings))) if item else []
+        paths = list(leaves(dict(item.settings), Path)) if item else []
         absent = [path for path in paths if not path.expanduser().exists()]
         if item is None or (not absent and not lacking):
             return item
@@ -281,13 +281,13 @@ def _first_complete(
     return component_item(point, candidates[-1], find, iterations)
 
 
-def paths_in(value: Any) -> Iterator[Path]:
-    """Yield every path in a value, also in mappings and sequences."""
-    if isinstance(value, Path):
+def leaves(value: Any, kind: type) -> Iterator[Any]:
+    """Yield every value of a type, also in mappings and sequences."""
+    if isinstance(value, kind):
         yield value
     elif isinstance(value, Mapping | list | tuple):
         for inner in value.values() if isinstance(value, Mapping) else value:
-            yield from paths_in(inner)
+            yield from leaves(inner, kind)
 
 
 def component_item(

@@ -13,7 +13,10 @@ from registry.commands import add_device, conclude, console
 from registry.toolkit.progress import showing
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from registry.plugins import Plugins
+    from registry.runs import RunFolder
 
 DATA = "STEREOGS_DATA"
 
@@ -53,6 +56,11 @@ class Demo(Command):
             scene = photographs(plugins)
             overrides = [] if scene is None else [f"scene={json.dumps(scene)}"]
             pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
+            what = "the built-in room" if scene is None else f"photographs in {scene['path']}"
+            output.print(
+                f"demo: a scene from three views of {what}; half a minute on two idle cores, a few "
+                "seconds more the first time"
+            )
             run = train(
                 pipeline, out=arguments.out or in_runs, progress=output, device=arguments.device
             )
@@ -63,8 +71,21 @@ class Demo(Command):
                 shutil.copyfile(comparison, temporary)
         status = conclude(run, output)
         if run.finished:
-            output.print(f"photograph, render and depth of a test view: {folder.path / 'demo.png'}")
+            _print_next_steps(folder, output)
         return status
+
+
+def _print_next_steps(folder: RunFolder, output: Console) -> None:
+    """Print what to look at and the commands for the user's own photographs."""
+    output.print(
+        f"picture   {folder.path / 'demo.png'}: a new view, its render and its depth\n\nnext"
+    )
+    for file in folder.results()["reports"]:
+        output.print(f"  open {folder.path / file} in a browser to turn the scene")
+    output.print(
+        "  stereogs check FOLDER   with a folder of your own photographs, three to twenty-four\n"
+        "  stereogs train FOLDER"
+    )
 
 
 def photographs(plugins: Plugins) -> dict[str, Any] | None:

@@ -6,6 +6,7 @@ import argparse
 
 from registry import Command, Register, hookimpl
 from registry.commands import add_run, console, open_given
+from registry.messages import counted
 
 _EPILOG = """\
 examples:
@@ -46,7 +47,7 @@ class Render(Command):
             if not arguments.path:
                 for view in run.scene.test:
                     save_view_pictures(run.rendering(view.camera), view, folder)
-                output.print(f"{len(run.scene.test)} test views in {folder}")
+                output.print(f"{counted(len(run.scene.test), 'test view')} in {folder}")
                 return 0
             cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
             frames = (run.rendering(camera).rgb for camera in cameras)

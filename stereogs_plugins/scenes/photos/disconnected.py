@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, NamedTuple
 
 from registry import SceneError
 
 from .learned_matches import FOLDER_VARIABLE, known_files
-from .mapping import connected
 from .unposed_photos import MIN_PHOTOS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from registry.toolkit.photos import ColmapModel
 
@@ -26,113 +23,143 @@ ENOUGH_MATCHES = 30
 """Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
 MANY_MATCHES = 200
 """Photographs with this many matches overlap; if they do not connect, there is another reason."""
-_PARTNERS = 3
+PAGE = "docs/photographs_do_not_connect.md"
+_MOST_PAIRS = 6
+_MOST_NAMES = 6
+_CONTRADICTING = "many matches with the others, but they contradict the cameras"
+_POOR = "nearly no details: blurred, too dark, or of a plain surface"
+
+
+class LargestGroup(NamedTuple):
+    """The photographs that fit together.
+
+    Args:
+        model: their cameras and points.
+        left_out: the reason for each photograph outside, by index.
+        advice: what to photograph next; empty if no photograph is left out.
+    """
+
+    model: ColmapModel
+    left_out: dict[int, str]
+    advice: str
 
 
 def largest_group(
     cameras: FoundCameras, names: Sequence[str], where: str, *, require_all: bool
-) -> tuple[ColmapModel, dict[int, str]]:
-    """Return the model of the largest group of photographs that fit together.
+) -> LargestGroup:
+    """Return the largest group of photographs that fit together.
 
     Args:
         names: file names of the photographs, in the order of the indices.
         require_all: raise an error if the group does not contain every photograph.
 
-    Returns:
-        the model, and advice for each photograph outside it, by index.
-
     Raises:
         SceneError: fewer than three photographs fit together, or one does not although `require_all` is set;
-            lists which photographs connect, their matches, and what to photograph next.
+            says which are left out and why, which pairs match, and what to photograph next.
     """
     found = cameras.reconstruction
-    groups = _groups(found, len(names))
-    main = groups[0]
+    main = found.pieces[0].members if found.pieces else []
+    left_out = _reasons(found, main, len(names))
+    advice = _advice(found, main, left_out, names)
     placed = cameras.model is not None and len(main) >= MIN_PHOTOS
-    if placed and cameras.model is not None and (len(groups) == 1 or not require_all):
-        reasons = {k: _bridge(found, group, main, names) for group in groups[1:] for k in group}
-        return cameras.model, reasons
+    if placed and cameras.model is not None and not (left_out and require_all):
+        return LargestGroup(cameras.model, left_out, advice)
     lines = [_summary(found, len(main), len(names))]
-    if found.pieces:
-        lines += [f"  group {n}: {_names(group, names)}" for n, group in enumerate(groups, start=1)]
-    lines += _table(found, names)
-    lines.append(f"  matched by {', by '.join(found.tried)}")
-    fix = _advice(found, groups, names)
-    if require_all and placed:
-        fix += "\nor set `require_all_photos: false` to train on group 1"
-    raise SceneError("\n".join(lines), where=where, fix=fix + _networks_advice())
+    if placed:
+        lines[0] += ", and all are required"
+        advice += (
+            "\nor leave out --require-all-photos (`require_all_photos`) to train on the others"
+        )
+    if main:
+        lines += reason_lines(left_out, names)
+    lines.append(_strongest_pairs(found, left_out if placed else range(len(names)), names))
+    raise SceneError("\n".join(lines), where=where, fix=f"{advice}\nmore: {PAGE}")
 
 
-def _networks_advice() -> str:
-    if known_files() is not None:
-        return ""
-    return (
-        f"\nor set {FOLDER_VARIABLE} to a folder with the networks ALIKED and LightGlue, which match "
-        "pictures that are farther apart (docs/prior_models.md)"
-    )
+def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:
+    """Return a line for each reason, with the photographs that share it."""
+    by_reason: dict[str, list[int]] = {}
+    for index, reason in left_out.items():
+        by_reason.setdefault(reason, []).append(index)
+    return [f"  {_listed(few, names)}: {reason}" for reason, few in by_reason.items()]
+
+
+def _listed(group: Sequence[int], names: Sequence[str]) -> str:
+    """Return the names; only the first ones if there are many."""
+    shown = group if len(group) <= _MOST_NAMES else group[: _MOST_NAMES - 1]
+    more = len(group) - len(shown)
+    return ", ".join(names[k] for k in shown) + (f" and {more} more" if more else "")
 
 
 def _summary(found: Reconstruction, placed: int, count: int) -> str:
-    if found.pieces:
-        return (
-            f"the cameras of {placed} of {count} photographs fit together; "
-            "the others do not connect to them"
-        )
-    if _most_matches(found) < ENOUGH_MATCHES:
+    if placed:
+        return f"only {placed} of {count} photographs connect"
+    most = max(found.matches.values(), default=0)
+    if most < ENOUGH_MATCHES:
         return f"no camera could be placed: no two of the {count} photographs overlap enough"
     return (
-        f"no camera could be placed: the {count} photographs share up to {_most_matches(found):,} "
-        "matches, but no depth follows from them"
+        f"no camera could be placed: the {count} photographs share up to {most:,} matches, but no depth "
+        "follows from them"
     )
 
 
-def _most_matches(found: Reconstruction) -> int:
-    return max(found.matches.values(), default=0)
+def _strongest_pairs(found: Reconstruction, of: Collection[int], names: Sequence[str]) -> str:
+    """Return the pairs with most matches that contain one of these photographs."""
+    pairs = sorted((-count, a, b) for (a, b), count in found.matches.items() if {a, b} & set(of))
+    shown = (f"{names[a]} - {names[b]} {-count:,}" for count, a, b in pairs[:_MOST_PAIRS])
+    return f"  tried {', '.join(found.tried)}; most matches: {', '.join(shown) or 'none'}"
 
 
-def _groups(found: Reconstruction, count: int) -> list[list[int]]:
-    """The pieces, largest first, then groups of the remaining photographs; each photograph once."""
-    left = set(range(count))
-    groups = []
-    for piece in found.pieces:
-        own = [k for k in piece.members if k in left]
-        left -= set(own)
-        if own:
-            groups.append(own)
-    # COLMAP searches less for an initial pair once it has a piece.
-    rest = sorted(left)
-    links = np.array(
-        [[found.matches.get((a, b), 0) >= ENOUGH_MATCHES for b in rest] for a in rest], dtype=int
-    )
-    return groups + [[rest[k] for k in group] for group in (connected(links) if rest else ())]
+def _reasons(found: Reconstruction, main: Collection[int], count: int) -> dict[int, str]:
+    """Return why each photograph outside the main group does not connect to it."""
+    outside = [k for k in range(count) if k not in main]
+    links = {
+        k: max((found.matches.get(_pair(k, other), 0) for other in main), default=0)
+        for k in outside
+    }
+    most = max((link for link in links.values() if link < MANY_MATCHES), default=0)
+    too_few = f"at most {most} matches with the others, too few for a camera"
+    if not most:
+        too_few = "no matches with the others"
+    reasons = {}
+    for k in outside:
+        poor, contradicting = found.features[k] < FEW_FEATURES, links[k] >= MANY_MATCHES
+        reasons[k] = _POOR if poor else _CONTRADICTING if contradicting else too_few
+    return reasons
 
 
-def _names(group: Sequence[int], names: Sequence[str]) -> str:
-    return ", ".join(names[k] for k in group)
+def _advice(
+    found: Reconstruction, main: Collection[int], left_out: dict[int, str], names: Sequence[str]
+) -> str:
+    """Return what to photograph: a line for each kind of reason, and the networks if they are missing."""
+    if not left_out:
+        return ""
+    lines = []
+    if not main:
+        lines.append(_advice_without_cameras(found))
+    else:
+        poor = [k for k, reason in left_out.items() if reason == _POOR]
+        contradicting = [k for k, reason in left_out.items() if reason == _CONTRADICTING]
+        weak = [k for k in left_out if k not in poor and k not in contradicting]
+        if weak:
+            lines.append(_bridge(found, main, weak, names))
+        if contradicting:
+            lines.append(
+                f"check if something moved in {_listed(contradicting, names)}, or if the picture is cropped "
+                "or zoomed; otherwise take another one a step to the side"
+            )
+        if poor:
+            lines.append(f"take {_listed(poor, names)} again, sharp and with enough light")
+    if known_files() is None:
+        lines.append(
+            f"or set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
+            "farther apart (docs/prior_models.md#networks-that-were-run)"
+        )
+    return "\n".join(lines)
 
 
-def _partners(found: Reconstruction, photo: int) -> list[tuple[int, int]]:
-    """`(matches, other photograph)`, best first."""
-    pairs = ((n, a + b - photo) for (a, b), n in found.matches.items() if photo in (a, b))
-    return sorted(pairs, key=lambda pair: (-pair[0], pair[1]))
-
-
-def _table(found: Reconstruction, names: Sequence[str]) -> list[str]:
-    """Each photograph with its best partners by verified matches."""
-    width = max(map(len, names))
-    lines = ["  matches that agree on one geometry:"]
-    for k, name in enumerate(names):
-        best = [f"{names[other]} {n}" for n, other in _partners(found, k)[:_PARTNERS]]
-        lines.append(f"    {name:<{width}}  {', '.join(best) or 'none'}")
-    return lines
-
-
-def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[str]) -> str:
-    if found.pieces:
-        # One line per reason: groups without any match share theirs.
-        bridges = [_bridge(found, group, groups[0], names) for group in groups[1:]]
-        return "\n".join(dict.fromkeys(bridges))
-    if _most_matches(found) < ENOUGH_MATCHES:
+def _advice_without_cameras(found: Reconstruction) -> str:
+    if max(found.matches.values(), default=0) < ENOUGH_MATCHES:
         return (
             "photograph the scene again with small steps to the side between pictures, so that two thirds of "
             "each picture are in the next"
@@ -144,34 +171,24 @@ def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[
 
 
 def _bridge(
-    found: Reconstruction, group: Sequence[int], main: Sequence[int], names: Sequence[str]
+    found: Reconstruction, main: Collection[int], weak: Sequence[int], names: Sequence[str]
 ) -> str:
-    """Advice for connecting a group to the main one."""
-    poor = [k for k in group if found.features[k] < FEW_FEATURES]
-    if poor:
-        return (
-            f"take {_names(poor, names)} again: {found.features[poor[0]]} details were found, so it is "
-            "blurred, too dark, or of a plain surface"
-        )
-    links = ((found.matches.get((min(a, b), max(a, b)), 0), -a, -b) for a in group for b in main)
-    matches, a, b = max(links)
-    if matches >= MANY_MATCHES:
-        return (
-            f"{names[-a]} shares {matches:,} matches with {names[-b]} but does not fit: check if something "
-            "moved, or if the picture is cropped or zoomed; otherwise take another a step to the side"
-        )
-    if matches:
-        return (
-            f"take a picture between {names[-a]} and {names[-b]}, which share only "
-            f"{matches} matches"
-        )
-    apart = [k for k in range(len(names)) if not _matches_with(found, k, main)]
+    """Advice for the photographs with too few matches: where to take one that connects them.
+
+    Between the two with most matches, or, without matches, that are nearest in the order of the names.
+    """
+    pairs = (
+        (found.matches.get(_pair(k, other), 0), -abs(k - other), -k, -other)
+        for k in weak
+        for other in main
+    )
+    _, _, first, second = max(pairs)
+    same = "if it shows the same scene" if len(weak) == 1 else "if they show the same scene"
     return (
-        f"{_names(apart, names)} {'has' if len(apart) == 1 else 'have'} no matches with the largest group: "
-        "take pictures between them, each with two thirds of the previous picture"
+        f"{same}, take pictures between {names[-second]} and {names[-first]}, each with two thirds of the "
+        "previous one"
     )
 
 
-def _matches_with(found: Reconstruction, photo: int, main: Sequence[int]) -> bool:
-    """Whether a photograph belongs to the main group or matches one of it."""
-    return photo in main or any(photo in pair and (set(pair) & set(main)) for pair in found.matches)
+def _pair(one: int, other: int) -> tuple[int, int]:
+    return min(one, other), max(one, other)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneLoader, Settings, hookimpl
+from registry.messages import counted
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
@@ -21,9 +22,10 @@ from registry.toolkit.photos import (
     split_rule,
 )
 
-from .picture_files import NOT_A_PICTURE, is_picture_folder
+from .picture_files import COMPANION, is_picture_folder
 
 if TYPE_CHECKING:
+    from .disconnected import LargestGroup
     from .found_cameras import FoundCameras
     from .picture_files import LeftOut
     from .unposed_photos import UnposedPhoto
@@ -86,13 +88,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         found, other_files = read_folder(folder)
         _warn_of_left_out(folder, other_files)
         names = [photo.name for photo in found]
-        model, disconnected = largest_group(
+        group = largest_group(
             self._find_cameras(found),
             names,
             str(folder),
             require_all=settings.require_all_photos,
         )
-        _warn_of_disconnected(names, disconnected)
+        _warn_of_disconnected(names, group)
+        model = group.model
         placed = _posed(model, found)
         test_every = settings.test_every
         if test_every is None:
@@ -108,10 +111,11 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
         facts = (
             Fact("cameras", "found in the photographs by COLMAP"),
+            Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
-            *_facts_of_left_out(folder, other_files, [names[k] for k in disconnected]),
+            *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
             *loaded.split_facts(split_rule(test_every), len(placed)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
@@ -133,9 +137,14 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 def default_test_every(count: int) -> int:
     """Return the spacing of test views among `count` photographs; 0 gives no test views."""
     if count < HELD_OUT_EVERY:
+        _log.info(
+            "%d photographs, fewer than %d: all train, and scores are those of training photographs; "
+            "--test-every 3 holds out every third",
+            *(count, HELD_OUT_EVERY),
+        )
         return 0
     _log.info(
-        "%d photographs: every %dth is held out to measure quality; scene.test_every=0 trains on all",
+        "%d photographs: every %dth is held out to score new views; --test-every 0 trains on all",
         *(count, HELD_OUT_EVERY),
     )
     return HELD_OUT_EVERY
@@ -178,24 +187,25 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
 
 
 def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
-    pictures = [one for one in files if one.reason != NOT_A_PICTURE]
-    if pictures:
-        lines = (f"  {path.relative_to(folder)}: {reason}" for path, reason in pictures)
-        _log.warning("%d pictures are left out:\n%s", len(pictures), "\n".join(lines))
+    told = [one for one in files if one.reason != COMPANION]
+    if told:
+        from .disconnected import reason_lines
+
+        names = [str(path.relative_to(folder)) for path, _ in told]
+        lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
+        _log.warning("%s left out:\n%s", counted(len(told), "file"), "\n".join(lines))
 
 
-def _warn_of_disconnected(names: list[str], disconnected: dict[int, str]) -> None:
-    if not disconnected:
-        return
-    by_reason: dict[str, list[str]] = {}
-    for index, reason in disconnected.items():
-        by_reason.setdefault(reason, []).append(names[index])
-    lines = (f"  {', '.join(few)}: {reason}" for reason, few in by_reason.items())
-    _log.warning(
-        "the cameras of %d of %d photographs fit together; the scene consists of these. Left out:\n%s\n"
-        "--set scene.require_all_photos=true stops here instead",
-        *(len(names) - len(disconnected), len(names), "\n".join(lines)),
-    )
+def _warn_of_disconnected(names: list[str], group: LargestGroup) -> None:
+    if group.left_out:
+        from .disconnected import PAGE, reason_lines
+
+        advice = f"{group.advice}\nor stop here: --require-all-photos\nmore: {PAGE}"
+        _log.warning(
+            "WARNING: %d of %d photographs connect; the scene is made of these. Left out:\n%s\n  fix    %s",
+            *(len(names) - len(group.left_out), len(names)),
+            *("\n".join(reason_lines(group.left_out, names)), advice.replace("\n", "\n         ")),
+        )
 
 
 def _facts_of_left_out(folder: Path, files: list[LeftOut], disconnected: list[str]) -> list[Fact]:

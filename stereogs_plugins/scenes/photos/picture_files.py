@@ -32,7 +32,7 @@ _COMPANION_FOLDERS = ("__macosx", "@eadir")
 _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
-NOT_A_PICTURE = "not a picture"
+COMPANION = "a companion file of pictures"
 
 
 class LeftOut(NamedTuple):
@@ -113,7 +113,8 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
         )
     content = list_content(folder)
     without_suffix = {path.with_suffix("") for path in content.pictures}
-    left_out = [LeftOut(path, NOT_A_PICTURE) for path in content.companions + content.others]
+    left_out = [LeftOut(path, COMPANION) for path in content.companions]
+    left_out += [LeftOut(path, "not a picture") for path in content.others]
     for path in content.unreadable:
         if path.with_suffix("") in without_suffix:
             left_out.append(LeftOut(path, "the folder has the same picture in a supported format"))

@@ -7,30 +7,39 @@ from collections.abc import Callable, Sequence
 from core_rasterizer import Camera
 from registry import Scene, View
 from registry.inspection import image_sizes, points_in_view
-from registry.messages import listing
+from registry.messages import counted, listing
+
+MAIN = 4
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
-    """Return the facts of a scene, each as label and text."""
+    """Return the facts of a scene, each as label and text; the first `MAIN` are those that matter most."""
     views = (*scene.train, *scene.test)
     masked = sum(view.mask is not None for view in views)
     with_depth = sum(view.depth is not None for view in views)
     offset_x = _range(views, lambda camera: camera.cx - camera.width / 2)
     offset_y = _range(views, lambda camera: camera.cy - camera.height / 2)
     return [
-        ("views", f"{len(views)}: {len(scene.train)} train, {len(scene.test)} test"),
-        ("train", listing(view.name for view in scene.train)),
-        ("test", listing(view.name for view in scene.test)),
+        ("train", _names(scene.train)),
+        ("test", _names(scene.test)),
         ("size", image_sizes(views)),
+        ("points", _points(scene)),
         ("focal x", _range(views, lambda camera: camera.fx)),
         ("focal y", _range(views, lambda camera: camera.fy)),
         ("center off", f"x {offset_x}, y {offset_y}"),
         ("depth", f"{scene.bounds[0]:.4g} .. {scene.bounds[1]:.4g}"),
-        ("points", _points(scene)),
         ("masks", f"{masked} of {len(views)} views" if masked else "none"),
         ("true depth", f"{with_depth} of {len(views)} views" if with_depth else "none"),
         ("background", " ".join(f"{channel:g}" for channel in scene.background)),
     ]
+
+
+def _names(views: Sequence[View]) -> str:
+    return (
+        f"{counted(len(views), 'view')}: {listing(view.name for view in views)}"
+        if views
+        else "none"
+    )
 
 
 def _range(views: Sequence[View], number: Callable[[Camera], float]) -> str:
@@ -43,4 +52,6 @@ def _points(scene: Scene) -> str:
     if scene.points is None or not len(scene.points):
         return "none"
     counts = [points_in_view(scene, view) for view in scene.train]
-    return f"{len(scene.points):,}; {min(counts):,} to {max(counts):,} in each training view"
+    few, most = min(counts), max(counts)
+    in_each = f"{few:,}" if few == most else f"{few:,} to {most:,}"
+    return f"{len(scene.points):,}; {in_each} in each training view"

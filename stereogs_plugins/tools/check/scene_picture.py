@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from registry import Scene, View
+from registry.messages import counted
 from registry.toolkit.drawing import to_bytes
 
 from .labels import Color, Label, draw_labels, write
@@ -70,8 +71,8 @@ def _contact_sheet(scene: Scene) -> Image.Image:
     x = float(_MARGIN)
     for text, color in (
         (f"{scene.name}:", _TEXT),
-        (f"  {len(scene.train)} training views", TRAIN_COLOR),
-        (f"  {len(scene.test)} test views", TEST_COLOR),
+        (f"  {counted(len(scene.train), 'training view')}", TRAIN_COLOR),
+        (f"  {counted(len(scene.test), 'test view')}", TEST_COLOR),
     ):
         pen.text((x, _MARGIN / 2), text, color, font)
         x += pen.textlength(text, font)

@@ -1,19 +1,25 @@
-"""Show what a scene loader finds in a folder of data."""
+"""Show what a scene loader finds in a folder of data, and whether it can be trained."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_device, console
+from registry.messages import counted
 from registry.toolkit.progress import showing
+
+from .option import add_photo_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
+
+    from registry import Scene
 
 _EPILOG = """\
 examples:
@@ -43,6 +49,7 @@ class Check(Command):
             metavar="KEY=VALUE",
             help="change a setting of the loader",
         )
+        add_photo_options(parser)
         parser.add_argument(
             "--out",
             type=Path,
@@ -50,10 +57,13 @@ class Check(Command):
             metavar="PATH",
             help="the image to write, or a folder for it (default: check.png)",
         )
+        parser.add_argument(
+            "--details", action="store_true", help="print everything that is known about the scene"
+        )
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Load the scene, print its properties, write the image."""
+        """Load the scene, print its properties, write the image, say if it can be trained."""
         picture = arguments.out / "check.png" if arguments.out.is_dir() else arguments.out
         _check_writable(picture)
         output = console()
@@ -70,21 +80,43 @@ class Check(Command):
             from registry.toolkit.drawing import save_png
             from registry.training import one_torch_thread
 
-            from .facts import facts
+            from .facts import MAIN, facts
             from .scene_picture import scene_picture
 
             with one_torch_thread():
                 scene = load(build_part(found.item, found.seed, open_device(arguments.device)))
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
-        _print_columns(output, facts(scene))
-        output.print("reported by the loader")
-        _print_columns(output, [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts])
-        for text in warnings(scene):
+        known = facts(scene)
+        if arguments.details:
+            known += [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts]
+        _print_columns(output, known if arguments.details else known[:MAIN])
+        found_faults = warnings(scene)
+        for text in found_faults:
             output.print(f"warning: {text}")
         save_png(scene_picture(scene), picture)
-        output.print(f"image  {picture}")
+        output.print(f"image  {picture}: all views, and the cameras from above")
+        output.print(f"{_verdict(scene, len(found_faults))}\n  {_training_command(arguments)}")
         return 0
+
+
+def _verdict(scene: Scene, warnings: int) -> str:
+    """Return how many photographs can be used.
+
+    Loaders that find cameras report the fact `connected`, for example "5 of 6".
+    """
+    connected = [str(fact) for fact in scene.facts if fact.name == "connected"]
+    what = f"{counted(len(scene.train) + len(scene.test), 'photograph')} with cameras"
+    if connected:
+        what = f"{connected[0]} photographs connect"
+    return f"{what}; ready" + (f", with {counted(warnings, 'warning')}" if warnings else "") + ":"
+
+
+def _training_command(arguments: argparse.Namespace) -> str:
+    changes = [f"scene.use={arguments.format}"] if arguments.format else []
+    changes += [f"scene.{text.removeprefix('scene.')}" for text in arguments.set]
+    options = [part for text in changes for part in ("--set", text)]
+    return shlex.join(["stereogs", "train", str(arguments.data), *options])
 
 
 def _check_writable(path: Path) -> None:

@@ -26,9 +26,9 @@ examples:
   stereogs compare --paper stereogs --protocol dtu-3
 
 Runs that are not comparable (different protocols, preparations of a scene or settings of metrics) are in
-separate tables with the reason. Labels of runs with the same pipeline name the settings that differ. If
-all methods were run on the same scenes, the table ends with their means. --paper adds the numbers of a
-paper for the protocol of the runs.
+separate tables with the reason. Methods are labelled by what differs between the runs. If all methods were
+run on the same scenes, the table ends with their means. --paper adds the numbers of a paper for the
+protocol of the runs.
 """
 
 FORMATS = ("table", "csv", "markdown", "latex", "page")

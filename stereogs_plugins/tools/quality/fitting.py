@@ -8,6 +8,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
 from registry import RunError
+from registry.messages import counted
 from registry.pipeline import Pipeline
 
 from .table import GROWTH, Quality, by_length, by_quality
@@ -184,7 +185,7 @@ def _log_choice(chosen: Pipeline, reason: str, initial: InitialState, log: Log) 
     training, camera = chosen.training, initial.scene.train[0].camera
     most = f", at most {training.max_gaussians:,} Gaussians" if training.max_gaussians else ""
     log(f"trained: {chosen.name}, {training.iterations:,} iterations{most}")
-    views = f"{len(initial.scene.train)} training views of {camera.width}x{camera.height} pixels"
+    views = f"{counted(len(initial.scene.train), 'training view')} of {camera.width}x{camera.height} pixels"
     kind = initial.points.facts.get("scene_kind")
     log(f"  for     {views}" + (f", {kind}" if kind else ""))
     if reason:

@@ -28,7 +28,7 @@ def test_train_eval_render(pipeline: Path, capsys: Capture) -> None:
     again = json.loads((run / "results.json").read_text())
     assert (again["hash"], again["test"]) == (results["hash"], results["test"])
     assert main(["render", str(run)]) == 0
-    assert "1 test views" in capsys.readouterr().out
+    assert "1 test view" in capsys.readouterr().out
     assert main(["render", str(run), "--path", "--frames", "5"]) == 0
     assert "runs/toy-tiny/renders/path" in capsys.readouterr().out
     assert main(["train", "toy.yaml"]) == 0

@@ -24,7 +24,7 @@ from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 def test_files_of_a_run(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, finished, output = run(toys, device, tmp_path / "run")
     assert finished
-    assert "2 training views, 1 test views" in output
+    assert "2 training views, 1 test view" in output
     assert "training  30/30" in output
     results = json.loads((folder.path / "results.json").read_text())
     assert results["test"].keys() == results["train"].keys() == {"psnr"}

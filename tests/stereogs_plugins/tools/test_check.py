@@ -10,9 +10,9 @@ import pytest
 import torch
 from PIL import Image
 
-from core_rasterizer import Camera
+from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
-from registry.cli import main
+from registry.cli import main, parse
 from registry.inspection.scene_facts import points_in_view, summary, typical_depth, warnings
 from registry.plugins.discovery import Plugins, recognize
 from registry.testing import tiny_scene
@@ -84,19 +84,27 @@ def test_a_folder_is_read_by_the_loader_that_knows_it(folder: Path, capsys: Capt
     output = capsys.readouterr().out
     for text in (
         "attic, read by the scene loader marked",
-        "2 train, 1 test",
-        "changed",
+        "train   2 views: view0, view2",
+        "test    1 view: ",
         "check.png",
     ):
         assert text in output
+    assert "changed" not in output, "only with --details"
+    assert output.splitlines()[-2:] == [
+        "3 photographs with cameras; ready, with 1 warning:",
+        "  stereogs train 'data${x}' --set scene.title=attic",
+    ]
     with Image.open("check.png") as picture:
         assert picture.width == WIDTH
 
 
 def test_settings_may_be_named_as_in_a_pipeline(folder: Path, capsys: Capture) -> None:
     arguments = ["--format", "also_marked", "--set", "scene.title=attic", "--out", "other.png"]
-    assert main(["check", folder.name, *arguments]) == 0
-    assert "attic, read by the scene loader also_marked" in capsys.readouterr().out
+    assert main(["check", folder.name, *arguments, "--details"]) == 0
+    output = capsys.readouterr().out
+    assert "attic, read by the scene loader also_marked" in output
+    assert "  changed     nothing" in output.splitlines()
+    assert output.endswith("--set scene.use=also_marked --set scene.title=attic\n")
     assert Path("other.png").is_file()
 
 
@@ -107,7 +115,8 @@ def test_the_scene_of_a_pipeline(install: Install, tmp_path: Path, capsys: Captu
     assert main(["check", str(pipeline), "--set", "test_views=0", "--out", out]) == 0
     output = capsys.readouterr().out
     assert "read by the scene loader toy_scene" in output
-    assert "2 train, 0 test" in output
+    assert "train   2 views" in output
+    assert "test    none" in output
 
 
 @pytest.mark.parametrize(
@@ -190,8 +199,8 @@ def test_facts() -> None:
     scene = replace(scene, test=(replace(scene.test[0], camera=lens),))
     found = dict(facts(scene))
     size = scene.train[0].camera
-    assert found["views"] == "3: 2 train, 1 test"
-    assert found["train"] == "view0, view2"
+    assert found["train"] == "2 views: view0, view2"
+    assert found["test"] == "1 view: view1"
     assert found["size"] == f"{size.width}x{size.height}"
     assert found["focal x"] == f"{size.fx:.1f} .. 50.0 px"
     assert found["center off"] == "x 0.0 .. 1.0 px, y 0.0 px"
@@ -202,7 +211,7 @@ def test_facts() -> None:
 
 def test_the_summary_line_before_training() -> None:
     assert summary(tiny_scene()) == (
-        "tiny: 2 training views, 1 test views, 32x24, depth 1.5 .. 5, 60 points"
+        "tiny: 2 training views, 1 test view, 32x24, depth 1.5 .. 5, 60 points"
     )
 
 
@@ -320,3 +329,13 @@ def test_the_image_is_written_into_a_given_folder(install: Install, tmp_path: Pa
     folder.mkdir()
     assert main(["check", str(pipeline), "--out", str(folder)]) == 0
     assert (folder / "check.png").is_file()
+
+
+def test_options_of_photographs_are_settings_of_the_scene() -> None:
+    changes = ["scene.train_views=3", "scene.test_every=4", "scene.require_all_photos=true"]
+    given = ["--set", changes[0], "--test-every", "4", "--require-all-photos"]
+    for verb in ("train", "check"):
+        assert parse([verb, "folder", *given]).set == changes
+        assert parse([verb, "folder"]).set == []
+    with pytest.raises(ExplainedError, match="'often' is not a whole number, 0 or more"):
+        parse(["train", "folder", "--test-every", "often"])

@@ -1,4 +1,4 @@
-"""Finished runs, their labels, and the means of each method."""
+"""Finished runs and the means of each method."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from registry.runs import RESULTS, RunFolder, read_results
 
 COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
 """Costs in results.json, with their headings."""
-MOST_SETTINGS = 3
-"""Largest number of settings in a label."""
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
-_ABSENT = object()
 
 
 @dataclass(frozen=True)
@@ -151,35 +148,6 @@ def metric_names(runs: Iterable[FinishedRun]) -> list[str]:
     return list(dict.fromkeys(name for run in runs for name in run.scores))
 
 
-def labels(runs: Sequence[FinishedRun]) -> list[str]:
-    """Return for each run its pipeline's name and the settings that differ among runs of that name.
-
-    Components of lists are identified by name: `regularizers.stereo_depth.weight=2`. A setting that a run
-    lacks is not in its label.
-    """
-    settings = [
-        # No result depends on observers.
-        dict(dotted(_named_lists({k: v for k, v in run.tree.items() if k != "observers"})))
-        for run in runs
-    ]
-    found = []
-    for run, own in zip(runs, settings, strict=True):
-        same = [
-            other for r, other in zip(runs, settings, strict=True) if r.pipeline == run.pipeline
-        ]
-        differing = [
-            f"{key}={_text(own[key])}"
-            for key in dict.fromkeys(key for other in same for key in other)
-            if key not in ("name", "scene.path")
-            and key in own
-            and any(other.get(key, _ABSENT) != own[key] for other in same)
-        ]
-        rest = len(differing) - MOST_SETTINGS
-        more = [f"{rest} more"] if rest > 0 else []
-        found.append(", ".join([run.pipeline, *differing[:MOST_SETTINGS], *more]))
-    return found
-
-
 def dotted(tree: Mapping[str, Any], start: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the values of nested mappings with dotted names."""
     for key, value in tree.items():
@@ -187,18 +155,3 @@ def dotted(tree: Mapping[str, Any], start: str = "") -> Iterator[tuple[str, Any]
             yield from dotted(value, f"{start}{key}.")
         else:
             yield f"{start}{key}", value
-
-
-def _named_lists(value: Any) -> Any:
-    """Replace lists of components by mappings from their names."""
-    if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
-        value = {str(item.get("name", item.get("use"))): item for item in value}
-    if isinstance(value, Mapping):
-        return {key: _named_lists(child) for key, child in value.items()}
-    return value
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "null"
-    return str(value).lower() if isinstance(value, bool) else str(value)

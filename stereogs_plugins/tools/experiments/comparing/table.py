@@ -17,7 +17,8 @@ from registry.runs import RENDERS
 from registry.toolkit.web_page import Cell, note, page, score_table, section
 
 from ..showing.view_gallery import RenderedRun, view_gallery
-from .comparison import COSTS, FinishedRun, MethodMean, labels, method_means, metric_names
+from .comparison import COSTS, FinishedRun, MethodMean, method_means, metric_names
+from .labels import labels
 from .paper_tables import PaperTables
 
 _LATEX = {**{sign: f"\\{sign}" for sign in "&%$#_{}"}, "–": "--", "\\": r"\textbackslash{}"}  # noqa: RUF001

@@ -10,6 +10,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 
 from registry.errors import PipelineError
+from registry.messages import counted
 from registry.pipeline import Node, Pipeline, Place, checked_pipeline, set_value
 from registry.plugins import Plugins
 
@@ -82,8 +83,8 @@ class Plan:
             "scene": len(self.scenes),
             "seed": len(self.seeds),
         }
-        terms = (f"{count} {name}{'' if count == 1 else 's'}" for name, count in factors.items())
-        return f"{' x '.join(terms)} = {len(self.runs)} runs"
+        terms = (counted(count, name) for name, count in factors.items())
+        return f"{' x '.join(terms)} = {counted(len(self.runs), 'run')}"
 
     def describe(self, combination: Combination) -> str:
         """Return for example "stereo_depth off, opacity.base 0.99"."""

@@ -19,7 +19,6 @@ from registry.toolkit.web_page import (
 )
 
 from ..planning.plan import Combination, Plan
-from ..planning.variations import Choice
 from ..running.folder import AblationFolder
 from . import scores
 from .against_time import Reference, against_time, read_curves
@@ -71,11 +70,14 @@ def _images(plan: Plan, results: Results, folder: AblationFolder, scene: str) ->
 
 
 def plots(plan: Plan, results: Results) -> Iterator[str]:
-    """Yield a figure of each metric against each variation, with a line per choice of the rest."""
+    """Yield a figure of each metric against each number that varies, with a line per choice of the rest.
+
+    Other choices, such as pipelines, have no order that a line could follow; the tables compare them.
+    """
     for index, variation in enumerate(plan.variations):
-        if len(variation.choices) < 2:
+        places = [choice.number for choice in variation.choices if choice.number is not None]
+        if len(places) < 2 or len(set(places)) < len(variation.choices):
             continue
-        places = _places(variation.choices)
         ticks = zip(places, (choice.label for choice in variation.choices), strict=True)
         axis = Axis(sorted(ticks), variation.name)
         for column in scores.metric_columns(plan, results):
@@ -83,13 +85,6 @@ def plots(plan: Plan, results: Results) -> Iterator[str]:
             plot = line_plot(f"{column.heading} against {variation.name}", lines, axis)
             if plot:
                 yield plot
-
-
-def _places(choices: Sequence[Choice]) -> list[float]:
-    """Return the values if all are different numbers, otherwise evenly spaced places."""
-    numbers = [choice.number for choice in choices if choice.number is not None]
-    evenly = len(set(numbers)) < len(choices)
-    return [float(index) for index in range(len(choices))] if evenly else numbers
 
 
 def _lines(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from registry.messages import counted
 from registry.toolkit.drawing import ViewPictures
 from registry.toolkit.web_page import choice, figure, image, note, pinned, wipe
 
@@ -54,7 +55,7 @@ def _some_views(
     hidden = len(names) - len(parts)
     if not parts:
         return ""
-    more = note(f"The run folders hold {hidden} more test views.") if hidden else ""
+    more = note(f"The run folders hold {counted(hidden, 'more test view')}.") if hidden else ""
     return choice("view", parts) + note(_DEPTHS) + more
 
 

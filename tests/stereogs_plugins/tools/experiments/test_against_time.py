@@ -122,6 +122,7 @@ def test_the_page_of_a_bench(made: Plan, results: Results, folder: AblationFolde
     text = as_page(made, results, folder, [row])
     page = Page(text)
     assert "Pareto front" in page.text
+    assert "against pipeline" not in text, "no line joins different pipelines"
     assert page.text.count("Paper, 43 min on a large card") == 2, "psnr of two scenes"
     assert text.count("stroke-dasharray") == 2
     marks = "per scene: the better pipeline's three, and one lpips that both have"

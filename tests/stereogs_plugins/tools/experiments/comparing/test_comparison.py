@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stereogs_plugins.tools.experiments.comparing.comparison import labels, method_means
+from stereogs_plugins.tools.experiments.comparing.comparison import method_means
+from stereogs_plugins.tools.experiments.comparing.labels import labels
 from tests.stereogs_plugins.tools.experiments.comparing.conftest import Make, runs
 
 

@@ -1,0 +1,163 @@
+"""Journeys of new users, in a shell, with real photographs: from the first command to the last line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from skimage import data
+
+from tests.data import data_folder
+
+ORIENTATION = 0x0112
+SMALL = (320, 240)
+
+
+def shell(command: str, folder: Path, *, status: int = 0) -> str:
+    """Output and messages of a command that ends with this status."""
+    environment = os.environ | {
+        "STEREOGS_CACHE": str(folder / "cache"),
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    }
+    environment.pop("STEREOGS_MODELS", None)
+    done = subprocess.run(
+        ["bash", "-c", command],
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == status, done.stdout
+    return done.stdout
+
+
+def take(scene: str, numbers: Sequence[int], folder: Path, size: tuple[int, int]) -> list[Path]:
+    """JPEGs of some photographs of a scene, scaled into this size."""
+    folder.mkdir(exist_ok=True)
+    photographs = sorted(next(data_folder(scene).glob("images*")).iterdir())
+    taken = []
+    for number in numbers:
+        with Image.open(photographs[number]) as opened:
+            picture = opened.convert("RGB")
+        scale = min(size[0] / picture.width, size[1] / picture.height)
+        picture = picture.resize((round(picture.width * scale), round(picture.height * scale)))
+        taken.append(folder / f"IMG_{number:04}.jpg")
+        picture.save(taken[-1], quality=92)
+    return taken
+
+
+def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
+    """A text, a raw file, a broken picture, a copy and a stray picture beside four that connect."""
+    folder = tmp_path / "my photos"
+    first, *_ = take("llff_fern", (0, 4, 9, 14), folder, SMALL)
+    (folder / "notes.txt").write_text("shopping list")
+    (folder / "IMG_0020.dng").write_bytes(b"II*\0 raw")
+    (folder / "broken.jpg").write_bytes(first.read_bytes()[:2000])
+    (folder / "copy of IMG_0000.jpg").write_bytes(first.read_bytes())
+    Image.fromarray(data.coffee()).resize(SMALL).save(folder / "stray.jpg")
+
+    output = shell("stereogs check 'my photos'", tmp_path)
+    for line in (
+        "broken.jpg: the photograph cannot be read",
+        "IMG_0020.dng: unsupported format; convert it to JPEG or PNG",
+        "copy of IMG_0000.jpg: a copy of IMG_0000.jpg",
+        "WARNING: 4 of 5 photographs connect",
+        "stray.jpg: ",
+        "notes.txt: not a picture",
+    ):
+        assert line in output
+    assert output.count("stray.jpg: ") == 1
+    *_, verdict, command = output.splitlines()
+    assert verdict.startswith("4 of 5 photographs connect; ready")
+    assert command == "  stereogs train 'my photos'"
+
+    trained = shell(f"{command} --set training.iterations=20 --out run", tmp_path)
+    assert "4 photographs, fewer than 8: all train" in trained
+    assert "finding the cameras" not in trained, "they are cached"
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert len(results["scene"]["train"]) == 4
+    assert results["train"]["psnr"] > 18
+    assert (tmp_path / "run" / "report.html").is_file()
+
+    refused = shell("stereogs train 'my photos' --require-all-photos", tmp_path, status=2)
+    assert "only 4 of 5 photographs connect" in refused
+    assert "STEREOGS_MODELS" in refused
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    ("scene", "numbers"), [("llff_fern", (0, 4, 9)), ("llff_flower", (0, 12, 24))]
+)
+def test_three_photographs_train_on_three(
+    scene: str, numbers: tuple[int, ...], tmp_path: Path
+) -> None:
+    take(scene, numbers, tmp_path / "photos", (504, 378))
+    output = shell("stereogs train photos --quality fast --out run", tmp_path)
+    assert "3 photographs, fewer than 8: all train" in output
+    assert "3 training views, 0 test views" in output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert results["train"]["psnr"] > 24
+    held_out = shell("stereogs train photos --quality fast --test-every 3 --out scored", tmp_path)
+    assert "2 training views, 1 test view," in held_out
+    assert "finding the cameras" not in held_out
+    assert "test mean" in held_out
+
+
+@pytest.mark.proof
+def test_pictures_of_a_phone(tmp_path: Path) -> None:
+    """Twelve megapixels, one stored sideways."""
+    *_, last = take("llff_fern", (0, 4, 9), tmp_path / "DCIM", (4032, 3024))
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    with Image.open(last) as opened:
+        sideways = opened.transpose(Image.Transpose.ROTATE_90)
+    sideways.save(last, quality=92, exif=exif)
+    output = shell("stereogs check DCIM --details", tmp_path)
+    assert "3 of 3 photographs connect; ready" in output
+    assert "turned upright         1" in output
+
+
+@pytest.mark.proof
+def test_a_turntable_with_gaps(tmp_path: Path) -> None:
+    """What does not connect is one short warning, and the rest a scene."""
+    take("mview_temple", range(0, 29, 3), tmp_path / "temple", (640, 480))
+    output = shell("stereogs check temple", tmp_path)
+    warning = output[output.index("WARNING: ") :].partition("more: ")[0].splitlines()
+    assert len(warning) <= 6
+    assert "take pictures between" in output
+    assert "STEREOGS_MODELS" in output
+    assert " of 10 photographs connect; ready" in output.splitlines()[-2]
+    assert output.splitlines()[-1] == "  stereogs train temple"
+
+
+@pytest.mark.proof
+def test_lengths_are_compared(tmp_path: Path) -> None:
+    room = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
+    for length in (50, 200):
+        shell(
+            f"stereogs train demo {room} --set training.iterations={length} --out runs/{length}",
+            tmp_path,
+        )
+    rows = [line.split() for line in shell("stereogs compare runs/*", tmp_path).splitlines()]
+    assert [row[1:3] for row in rows if row and row[0] in ("50", "200")] == [
+        ["200", "iterations"],
+        ["50", "iterations"],
+    ]
+    (tmp_path / "matrix.yaml").write_text(
+        "pipelines: [3dgs_fast, weightfree_quick]\niterations: [20]\n"
+        "scenes: [{use: procedural, train_views: 3, width: 96, height: 72}]\n"
+    )
+    shell("stereogs bench matrix.yaml --out bench --jobs 1", tmp_path)
+    page = (tmp_path / "bench" / "index.html").read_text()
+    assert "against seconds" in page
+    assert "against pipeline" not in page
