@@ -89,13 +89,7 @@ from it to the same result.
 
             with run_options(request, extra, output) as options:
                 run = train(pipeline, options=options, out=arguments.out or in_runs)
-                status = conclude(run, output)
-                if run.finished and options.fit is not None:
-                    output.print(
-                        f"repeat    stereogs train {run.folder_or_refuse().pipeline}; "
-                        f"it took {monotonic() - begin:.1f} s"
-                    )
-        return status
+                return conclude(run, output)
 
 
 class Resume(Command):

@@ -68,8 +68,12 @@ class Parts:
         self._parts: dict[str, tuple[Part, ...]] = {}
 
     def following(self, pipeline: Pipeline) -> Parts:
-        """Return the components of another pipeline of the same run; equal settings and seed are shared."""
-        return Parts(pipeline, self._device, [p for parts in self._parts.values() for p in parts])
+        """Return the components of another pipeline of the same run.
+
+        Those outside the training loop are shared if their settings and seed are equal.
+        """
+        outside = self._parts.keys() - TRAINING_SECTIONS
+        return Parts(pipeline, self._device, [p for name in outside for p in self._parts[name]])
 
     def for_field(self, index: int) -> Parts:
         """Return the components of the pipeline for another field of Gaussians.
