@@ -68,12 +68,9 @@ class Parts:
         self._parts: dict[str, tuple[Part, ...]] = {}
 
     def following(self, pipeline: Pipeline) -> Parts:
-        """Return the components of another pipeline of the same run.
-
-        Those outside the training loop are shared if their settings and seed are equal.
-        """
-        outside = self._parts.keys() - TRAINING_SECTIONS
-        return Parts(pipeline, self._device, [p for name in outside for p in self._parts[name]])
+        """Return the components of another pipeline of the same run; those that do not train are shared."""
+        outside = (parts for name, parts in self._parts.items() if name not in TRAINING_SECTIONS)
+        return Parts(pipeline, self._device, [part for parts in outside for part in parts])
 
     def for_field(self, index: int) -> Parts:
         """Return the components of the pipeline for another field of Gaussians.

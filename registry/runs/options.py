@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -51,16 +50,16 @@ class InitialState:
         )
 
 
-class Plan(ABC):
+class Plan:
     """Chooses the pipeline of a run while it runs. Training the last choice alone gives the same bits."""
 
     def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
         """Return the pipeline for the loaded scene; another pipeline loads the scene again."""
         return pipeline
 
-    @abstractmethod
     def fitted(self, initial: InitialState) -> Pipeline:
         """Return the pipeline that trains, with the same scene, priors and initializer."""
+        return initial.pipeline
 
     def corrected(self, run: Run) -> Pipeline | None:
         """Return a pipeline to start training again with, or None; called after each iteration."""
@@ -81,7 +80,7 @@ class RunOptions:
         check_plugins: compares all data that components receive before and after each call (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
-        fit: chooses the size, the pipeline and its length; None: the given pipeline trains.
+        fit: chooses the size of photographs, the pipeline and its length; by default the given ones.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
     """
 
@@ -92,7 +91,7 @@ class RunOptions:
     device: Device | str | None = None
     check_plugins: bool = False
     hang_after: float | None = None
-    fit: Plan | None = None
+    fit: Plan = field(default_factory=Plan)
     accept_changed_inputs: bool = False
 
     def console(self) -> Console:

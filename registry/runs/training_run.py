@@ -147,11 +147,10 @@ def _initialized(
     parts = Parts(pipeline, device)
     list(parts)  # constructs every component: find mistakes before the scene is loaded
     scene = load(parts.one("scene")) if options.scene is None else validate(options.scene)
-    if options.fit is not None and options.scene is None:
-        resized = options.fit.resized(pipeline, scene)
-        if resized is not pipeline:
-            pipeline, parts = resized, parts.following(resized)
-            scene = load(parts.one("scene"))
+    resized = options.fit.resized(pipeline, scene)
+    if resized is not pipeline:
+        pipeline, parts = resized, parts.following(resized)
+        scene = load(parts.one("scene"))
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
     console.print(summary(scene))
@@ -164,10 +163,10 @@ def _initialized(
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     initial = InitialState(pipeline, parts, scene, points, gaussians, device)
-    if options.fit is not None:
-        pipeline = options.fit.fitted(initial)
-        refuse_missing_priors(pipeline)
-        initial = initial.of(pipeline)
+    fitted = options.fit.fitted(initial)
+    if fitted is not pipeline:
+        refuse_missing_priors(fitted)
+        initial = initial.of(fitted)
     return initial, seconds
 
 
@@ -222,7 +221,7 @@ def _train_to_end(
                 stopped = options.callback is not None and options.callback(done) is False
                 if stop.requested or stopped:
                     break
-                if options.fit is not None and (corrected := options.fit.corrected(run)):
+                if corrected := options.fit.corrected(run):
                     return corrected
                 longest = max(AUTOSAVE_SECONDS, saving_took / AUTOSAVE_SHARE)
                 if _due(done.number, settings.checkpoint_every) or monotonic() - saved > longest:

@@ -111,8 +111,8 @@ class SizePlan(Plan):
         found = smaller_size(scene, self._cpu_seconds_left(), open_device(self.device))
         if found is None:
             return pipeline
-        self.log(f"photographs: {found.pixels} pixels instead of {longer}, because {found.reason}")
-        self.log("  is short; --size PIXELS chooses the size")
+        self.log(f"photographs: {found.pixels} pixels instead of {longer}: {found.reason} is short")
+        self.log("  --size PIXELS chooses the longer side")
         settings = loader.settings.model_copy(update={"max_size": found.pixels})
         resized = replace(loader, settings=settings)
         return replace(pipeline, items={**pipeline.items, "scene": (resized,)})
@@ -120,10 +120,6 @@ class SizePlan(Plan):
     def _cpu_seconds_left(self) -> float | None:
         """CPU seconds that the process can expect until the end of the budget; None: no limit."""
         return None
-
-    def fitted(self, initial: InitialState) -> Pipeline:
-        """Return the given pipeline."""
-        return initial.pipeline
 
     def corrected(self, run: Run) -> Pipeline | None:
         """Note the run."""

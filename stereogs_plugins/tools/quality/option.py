@@ -49,25 +49,14 @@ class Quality(TrainOption):
             "for photographs without cameras: 800, less if time or memory is short",
         )
 
-    def check(self, arguments: argparse.Namespace) -> None:
-        """Refuse --quality with a pipeline, and both options with a number of iterations."""
-        if arguments.quality and arguments.pipeline and not arguments.pipeline.is_dir():
-            raise RunError(
-                f"--quality conflicts with the pipeline {arguments.pipeline}",
-                where=f"--quality {arguments.quality}",
-                fix="give a folder of photographs or data, or --seconds",
-            )
-        if (arguments.seconds or arguments.quality) and _iterations_given(arguments):
-            option = "--seconds" if arguments.seconds else "--quality"
-            raise RunError(
-                f"{option} conflicts with {LENGTH}",
-                where=f"--set {LENGTH}=...",
-                fix="remove one of them",
-            )
-
     @contextmanager
     def running(self, request: TrainRequest, options: RunOptions) -> Iterator[RunOptions]:
-        """Choose size, pipeline and length during the run; report afterwards what it took."""
+        """Choose size, pipeline and length during the run; report afterwards what it took.
+
+        Raises:
+            RunError: --quality is given with a pipeline, or an option with a number of iterations.
+        """
+        _check(request)
         plan = _plan(request)
         yield replace(options, fit=plan)
         if plan.run is not None and plan.run.finished:
@@ -87,6 +76,23 @@ class _Size(argparse.Action):
     ) -> None:
         namespace.size = values
         namespace.set = [*namespace.set, f"{SIZE}={values}"]
+
+
+def _check(request: TrainRequest) -> None:
+    given = request.arguments
+    if given.quality and request.pipeline_named:
+        raise RunError(
+            f"--quality conflicts with the pipeline {given.pipeline}",
+            where=f"--quality {given.quality}",
+            fix="give a folder of photographs or data, or --seconds",
+        )
+    if (given.seconds or given.quality) and _iterations_given(given):
+        option = "--seconds" if given.seconds else "--quality"
+        raise RunError(
+            f"{option} conflicts with {LENGTH}",
+            where=f"--set {LENGTH}=...",
+            fix="remove one of them",
+        )
 
 
 def _iterations_given(arguments: argparse.Namespace) -> bool:
