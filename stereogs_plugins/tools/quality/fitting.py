@@ -285,10 +285,11 @@ class WithinSeconds(SizePlan):
 
 
 def _ready(name: str, initial: InitialState, load: Load) -> Pipeline:
-    """Load a pipeline of the table for the number of training views."""
+    """Load a pipeline of the table for the number of training views, with the scene as it was read."""
     if name == initial.pipeline.name:
         return initial.pipeline
-    return load(name).for_views(len(initial.scene.train))
+    loaded = load(name).for_views(len(initial.scene.train))
+    return replace(loaded, items={**loaded.items, "scene": initial.pipeline.items["scene"]})
 
 
 class _Growth(NamedTuple):
@@ -311,7 +312,7 @@ def _growth(initial: InitialState, *, known: bool) -> _Growth:
         most = max(first, GROWN) if pipeline.items["densification"] else first
         mean = (first + most) / 2
     limit = pipeline.training.max_gaussians or int(most)
-    return _Growth(max(1, min(int(mean), limit)), max(1, min(int(most), limit)))
+    return _Growth(max(first, min(int(mean), limit)), max(1, min(int(most), limit)))
 
 
 def _log_choice(chosen: Pipeline, reason: str, initial: InitialState, log: Log) -> None:

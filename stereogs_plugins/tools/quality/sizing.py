@@ -58,7 +58,7 @@ def smaller_size(scene: Scene, cpu_seconds: float | None, device: Device) -> Siz
         needed = sweeps * sweep_seconds(device) * sum(pixels[: len(scene.train)]) / 1e6
         found.append((max(0.0, SHARE * cpu_seconds / needed), "time"))
     share, reason = min(found)
-    size = max(SMALLEST, int(longer * sqrt(share)))
+    size = max(SMALLEST, int(longer * sqrt(min(1.0, share))))
     return Size(size, reason) if size < LEAST_CHANGE * longer else None
 
 

@@ -10,6 +10,7 @@ import pytest
 import registry.runs.run as runs
 import stereogs_plugins.tools.quality.rehearsal as rehearsal
 from core_rasterizer import Device
+from registry import Scene
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.evaluation import evaluate
@@ -76,7 +77,7 @@ def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> P
 
 
 def trained(first: Pipeline, device: Device, out: Path, fit: Plan | None = None) -> Run:
-    return start(first, RunOptions(device=device, progress=False, fit=fit), out)
+    return start(first, RunOptions(device=device, progress=False, fit=fit or Plan()), out)
 
 
 @pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
@@ -247,6 +248,25 @@ def test_the_length_depends_on_the_number_of_views(
     assert "  iterations: 8\n" in written
     again = trained(parse_pipeline(written, toys), device, tmp_path / "again")
     assert again.hash == run.hash
+
+
+def test_the_chosen_pipeline_keeps_the_scene_as_it_was_read(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    """Here `resized` changes a setting of the scene, as a smaller size of photographs does."""
+    line = "colors: [0.5, 0, 0]"
+
+    class Resized(WithQuality):
+        def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
+            text = TEXT.replace("colors: [0, 0, 0]", line).format(name=SHORT, iterations=400)
+            return parse_pipeline(text, toys)
+
+    plan = Resized(print, load=lambda name: pipeline(toys, name, 8), quality="fast")
+    run = trained(pipeline(toys), device, tmp_path / "run", plan)
+    assert run.pipeline.name == QUICK
+    again = trained(parse_pipeline(run.pipeline_text, toys), device, tmp_path / "again")
+    assert again.hash == run.hash
+    assert run.pipeline.one("scene").settings != pipeline(toys).one("scene").settings
 
 
 def test_the_chosen_pipeline_has_the_length_for_the_scene(toys: Plugins, device: Device) -> None:

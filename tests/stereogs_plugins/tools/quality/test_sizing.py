@@ -19,6 +19,11 @@ from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 WIDTH = 640
 
 
+@pytest.fixture(autouse=True)
+def _no_installed_plugins() -> None:
+    """The installed plugins are used here."""
+
+
 @pytest.fixture(scope="module")
 def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Pipeline:
     """A pipeline with three training and two test views of 640x480 pixels."""
