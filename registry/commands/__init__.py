@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         open_given,
         positive_seconds,
     )
-    from .output import ABSENT, conclude, console, print_failures
+    from .output import ABSENT, conclude, console, print_failures, results_table
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
@@ -28,4 +28,5 @@ __all__ = [
     "open_given",
     "positive_seconds",
     "print_failures",
+    "results_table",
 ]

@@ -1,4 +1,4 @@
-"""The verbs `train`, `resume` and `eval`."""
+"""The verbs `train` and `resume`."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from .arguments import (
     add_device,
     add_run,
     add_run_options,
-    open_given,
     run_options,
 )
-from .output import conclude, console, print_failures, results_table
+from .output import conclude, console
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +39,7 @@ examples:
   stereogs train my-photos                           a folder of pictures or data
   stereogs train my-photos --quality best            the best pipeline without networks
   stereogs train my-photos --seconds 30              finish within thirty seconds
+  stereogs train clip.mp4                            twelve frames of a video
   stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
@@ -54,11 +54,10 @@ from it to the same result.
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "pipeline",
-            nargs="?",
             type=Path,
             metavar="PIPELINE",
-            help="a YAML file, the name of a ready pipeline, or a folder of photographs or data, for "
-            "which a pipeline is chosen",
+            help="a YAML file, the name of a ready pipeline, or data, for which a pipeline is chosen: a "
+            "folder of photographs or of a data set, or a video",
         )
         parser.add_argument(
             "--out",
@@ -80,25 +79,16 @@ from it to the same result.
             from ..plugins.discovery import Plugins
             from ..session import train
 
-            extra = train_options("train")
-            for option in extra:
-                option.check(arguments)
-            load = _loader(arguments, Plugins())
-            is_folder = arguments.pipeline.is_dir()
-            pipeline = load(_folder_pipeline(extra) if is_folder else arguments.pipeline.as_posix())
-            request = TrainRequest(arguments, begin, load, pipeline_named=not is_folder)
+            extra, plugins = train_options("train"), Plugins()
+            named = not _is_data(arguments.pipeline, plugins)
+            load = _loader(arguments, plugins, named)
+            pipeline = load(arguments.pipeline.as_posix() if named else _folder_pipeline(extra))
+            request = TrainRequest(arguments, begin, load, pipeline_named=named)
             with collector_at_rest():
                 from ..runs.training_run import in_runs
 
             with run_options(request, extra, output) as options:
-                run = train(pipeline, options=options, out=arguments.out or in_runs)
-                status = conclude(run, output)
-                if run.finished and options.fit is not None:
-                    output.print(
-                        f"repeat    stereogs train {run.folder_or_refuse().pipeline}; "
-                        f"it took {monotonic() - begin:.1f} s"
-                    )
-        return status
+                return conclude(train(pipeline, options, out=arguments.out or in_runs), output)
 
 
 class Resume(Command):
@@ -131,34 +121,6 @@ a kill, a crash or a full disk. A finished run is scored and exported again.
             return conclude(resume(arguments.run_folder, options), output)
 
 
-class Eval(Command):
-    """Score a run's views again, from its checkpoint."""
-
-    epilog = """\
-examples:
-  stereogs eval runs/3dgs-fern
-
-Renders the training and test views from the newest checkpoint, renews the scores in results.json and
-the pictures, and prints the table. For a finished run it also renews exports and reports. A run that was
-stopped is scored at its checkpoint.
-"""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        add_run(parser)
-
-    def run(self, arguments: argparse.Namespace) -> int:
-        """Evaluate and print."""
-        output = console()
-        with showing(output):
-            run = open_given(arguments)
-            results = run.renew()
-        from ..runs.results import RENDERS
-
-        output.print(results_table(results), soft_wrap=False)
-        output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
-        return print_failures(results["failures"], arguments.run_folder)
-
-
 @contextmanager
 def collector_at_rest() -> Iterator[None]:
     """Import packages within the block without garbage collection.
@@ -189,36 +151,35 @@ def _folder_pipeline(options: Sequence[TrainOption]) -> str:
     )
 
 
-def _loader(arguments: argparse.Namespace, plugins: Plugins) -> Callable[[str], Pipeline]:
-    """Return a function that loads a pipeline by name or path, with the changes of the command line."""
-    from ..pipeline.pipeline import load_pipeline
+def _is_data(given: Path, plugins: Plugins) -> bool:
+    """Return whether the argument of `train` is a folder, or a file that a scene loader recognizes."""
+    from ..pipeline.ready import is_pipeline_file
+    from ..plugins.discovery import recognizing
 
-    overrides, folder = arguments.set, arguments.pipeline
-    if folder is None:
-        raise RunError(
-            "neither a pipeline nor a folder is given",
-            where="the command line",
-            fix="give a folder of photographs, or a pipeline, for example 3dgs",
-        )
-    if folder.is_dir():
-        overrides = [_scene(folder, plugins, overrides), *overrides]
+    is_file = given.is_file() and not is_pipeline_file(given)
+    return given.is_dir() or (is_file and bool(recognizing(given, plugins)))
+
+
+def _loader(
+    arguments: argparse.Namespace, plugins: Plugins, named: bool
+) -> Callable[[str], Pipeline]:
+    """Return a function that loads a pipeline by name or path, with the changes of the command line.
+
+    Raises:
+        SceneError: no pipeline is named, and no loader or several recognize the folder.
+    """
+    from ..pipeline.pipeline import load_pipeline
+    from ..pipeline.settings_check import escape_variables
+    from ..plugins.discovery import recognize
+
+    overrides = arguments.set
+    if not named:
+        scene = {"path": escape_variables(str(arguments.pipeline))}
+        if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
+            scene["use"] = recognize(arguments.pipeline, plugins).name
+        overrides = [f"scene={json.dumps(scene)}", *overrides]
 
     def load(name: str) -> Pipeline:
         return load_pipeline(Path(name), plugins, overrides=overrides, disabled=arguments.disable)
 
     return load
-
-
-def _scene(folder: Path, plugins: Plugins, overrides: Sequence[str]) -> str:
-    """Return the override that makes a folder the scene; its loader recognizes it or is given with --set.
-
-    Raises:
-        SceneError: no loader or several recognize the folder.
-    """
-    from ..pipeline.settings_check import escape_variables
-    from ..plugins.discovery import recognize
-
-    scene = {"path": escape_variables(str(folder))}
-    if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
-        scene["use"] = recognize(folder, plugins).name
-    return f"scene={json.dumps(scene)}"

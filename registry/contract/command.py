@@ -59,12 +59,11 @@ class TrainOption(ABC):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add options."""
 
-    def check(self, arguments: argparse.Namespace) -> None:  # noqa: B027
-        """Raise a `RunError` for options that contradict each other, before anything is loaded."""
-
     @abstractmethod
     def running(self, request: TrainRequest, options: Any) -> AbstractContextManager[Any]:
         """Return a context that encloses the training and gives the options to run it with.
+
+        It raises a `RunError` for options that contradict each other; no scene is loaded yet.
 
         Args:
             request: the command line.

@@ -58,7 +58,7 @@ def memory(pipeline: Pipeline) -> str:
     training = pipeline.training
     each = ARRAYS * _FLOAT_BYTES * row_count(training.sh_degree) * training.fields
     count = training.max_gaussians or _UNKNOWN_COUNT
-    bound = "at most (max_gaussians)" if training.max_gaussians else "if there were that many"
+    bound = "the limit of growth" if training.max_gaussians else "if there were that many"
     return (
         f"{each} bytes a Gaussian for parameters, gradients and moments, SH degree "
         f"{training.sh_degree}, fields {training.fields}: {each * count / 1e6:.0f} MB for {count:,}, "

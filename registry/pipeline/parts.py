@@ -68,8 +68,9 @@ class Parts:
         self._parts: dict[str, tuple[Part, ...]] = {}
 
     def following(self, pipeline: Pipeline) -> Parts:
-        """Return the components of another pipeline of the same run; equal settings and seed are shared."""
-        return Parts(pipeline, self._device, [p for parts in self._parts.values() for p in parts])
+        """Return the components of another pipeline of the same run; those that do not train are shared."""
+        outside = (parts for name, parts in self._parts.items() if name not in TRAINING_SECTIONS)
+        return Parts(pipeline, self._device, [part for parts in outside for part in parts])
 
     def for_field(self, index: int) -> Parts:
         """Return the components of the pipeline for another field of Gaussians.

@@ -90,7 +90,7 @@ class TrainingSettings(Settings):
     """Fields of Gaussians trained in lock-step from the same points, each with its own optimizer, policies
     and random numbers; losses and policies see the other fields. The first field is scored."""
     max_gaussians: Positive | None = None
-    """Largest number of Gaussians after densification; null means no limit."""
+    """Densification adds no Gaussians beyond this number; initial ones may be more. Null: no limit."""
     checkpoint_every: Count = 0
     """Iterations between checkpoints, besides those at the start, at the end and at intervals of time;
     0 for none."""

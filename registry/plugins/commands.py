@@ -19,7 +19,6 @@ COMMANDS, TRAIN_OPTIONS = "stereogs.commands", "stereogs.train_options"
 _BUILT_IN = {
     "train": "running:Train",
     "resume": "running:Resume",
-    "eval": "running:Eval",
     "explain": "inspecting:Explain",
     "plugins": "inspecting:Plugins",
     "schema": "inspecting:Schema",

@@ -307,17 +307,17 @@ def scene_loaders(plugins: Plugins) -> list[tuple[Offer, type[SceneLoader[Any]]]
 
 
 def recognizing(folder: Path, plugins: Plugins) -> list[Offer]:
-    """Return every scene loader that recognizes an existing folder, sorted by name."""
+    """Return every scene loader that recognizes an existing folder or file, sorted by name."""
     return [offer for offer, loader in scene_loaders(plugins) if loader.recognizes(folder)]
 
 
 def recognize(folder: Path, plugins: Plugins) -> Offer:
-    """Return the only scene loader that recognizes a folder by its content.
+    """Return the only scene loader that recognizes a folder by its content, or a file.
 
     Raises:
         SceneError: the folder does not exist, or no loader or several recognize it.
     """
-    if not folder.is_dir():
+    if not folder.exists():
         raise SceneError(
             "there is no such folder of data",
             where=str(folder),

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .evaluation import evaluate, quick
     from .folder import METRICS, RESULTS, RunFolder
     from .opening import replay as repeat_failure
-    from .options import Fit, InitialState, RunOptions
+    from .options import InitialState, Plan, RunOptions
     from .results import RENDERS, read_results
     from .run import Picture, Run
     from .training_run import in_runs
@@ -22,9 +22,9 @@ __all__ = [
     "METRICS",
     "RENDERS",
     "RESULTS",
-    "Fit",
     "InitialState",
     "Picture",
+    "Plan",
     "Run",
     "RunFolder",
     "RunOptions",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -50,9 +50,20 @@ class InitialState:
         )
 
 
-Fit = Callable[[InitialState], "Pipeline"]
-"""Returns the pipeline that trains from an initial state. It must have the same scene, priors and
-initializer, so that training it alone gives the same bits."""
+class Plan:
+    """Chooses the pipeline of a run while it runs. Training the last choice alone gives the same bits."""
+
+    def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
+        """Return the pipeline for the loaded scene; another pipeline loads the scene again."""
+        return pipeline
+
+    def fitted(self, initial: InitialState) -> Pipeline:
+        """Return the pipeline that trains, with the same scene, priors and initializer."""
+        return initial.pipeline
+
+    def corrected(self, run: Run) -> Pipeline | None:
+        """Return a pipeline to start training again with, or None; called after each iteration."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -69,7 +80,7 @@ class RunOptions:
         check_plugins: compares all data that components receive before and after each call (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
-        fit: chooses the pipeline that continues from the first Gaussians; None: the same pipeline.
+        fit: chooses the size of photographs, the pipeline and its length; by default the given ones.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
     """
 
@@ -80,7 +91,7 @@ class RunOptions:
     device: Device | str | None = None
     check_plugins: bool = False
     hang_after: float | None = None
-    fit: Fit | None = None
+    fit: Plan = field(default_factory=Plan)
     accept_changed_inputs: bool = False
 
     def console(self) -> Console:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from time import monotonic
@@ -76,15 +78,22 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
     refuse_missing_priors(pipeline)
     console = options.console()
     with _guarded(options, console):
-        run, trainer = _initialized(pipeline, options, console)
-        if out is not None:
-            run.keep_in(out if isinstance(out, Path) else out(run.pipeline, run.scene))
-        STAGES.begin(None)
-        writing = f"; writing {run.folder.path}" if run.folder else ""
-        console.print(f"{run.initialization['points']:,} points; {run.model.device.name}{writing}")
-        with run.folder.locked() if run.folder else nullcontext():
-            _train_to_end(run, trainer, options, resumed=False)
-    return run
+        initial, seconds = _initialized(pipeline, options, console)
+        while True:
+            run, trainer = _new_run(initial, seconds)
+            if out is not None:
+                out = out if isinstance(out, Path) else out(run.pipeline, run.scene)
+                run.keep_in(out)
+            STAGES.begin(None)
+            writing = f"; writing {out}" if out is not None else ""
+            console.print(f"{len(initial.points):,} points; {initial.device.name}{writing}")
+            with run.folder.locked() if run.folder else nullcontext():
+                corrected = _train_to_end(run, trainer, options, resumed=False)
+            if corrected is None:
+                return run
+            initial = initial.of(corrected)
+            if run.folder is not None:
+                shutil.rmtree(run.folder.path)
 
 
 def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
@@ -134,13 +143,19 @@ def _guarded(options: RunOptions, console: Console) -> Iterator[None]:
         yield
 
 
-def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> tuple[Run, Trainer]:
-    """Load the scene, create the first Gaussians, and return the run with its trainer."""
+def _initialized(
+    pipeline: Pipeline, options: RunOptions, console: Console
+) -> tuple[InitialState, Stages]:
+    """Load the scene, create the first Gaussians, and choose the pipeline that trains them."""
     device = find_device(options.device)
     begin = monotonic()
     parts = Parts(pipeline, device)
     list(parts)  # constructs every component: find mistakes before the scene is loaded
     scene = load(parts.one("scene")) if options.scene is None else validate(options.scene)
+    resized = options.fit.resized(pipeline, scene)
+    if resized is not pipeline:
+        pipeline, parts = resized, parts.following(resized)
+        scene = load(parts.one("scene"))
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
     STAGES.begin(None)
@@ -156,34 +171,46 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     initial = InitialState(pipeline, parts, scene, points, gaussians, device)
-    if options.fit is not None:
-        pipeline = options.fit(initial)
-        refuse_missing_priors(pipeline)
-        initial = initial.of(pipeline)
-    model = new_model(initial.gaussians, pipeline.training, device)
+    fitted = options.fit.fitted(initial)
+    if fitted is not pipeline:
+        refuse_missing_priors(fitted)
+        initial = initial.of(fitted)
+    return initial, seconds
+
+
+def _new_run(initial: InitialState, seconds: Stages) -> tuple[Run, Trainer]:
+    """Return a run before its first iteration, with its trainer."""
+    pipeline, parts, points = initial.pipeline, initial.parts, initial.points
+    model = new_model(initial.gaussians, pipeline.training, initial.device)
+    fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
     facts = {
-        "initializer": initializer.item.name,
+        "initializer": parts.one("initializer").item.name,
         "points": len(points),
         "seconds": round(seconds.initialization, 3),
         **({"fallbacks": fallbacks} if fallbacks else {}),
     }
-    maps, kinds = points.maps, points.kinds
-    trainer = Trainer(pipeline.training, initial.parts, scene, model, maps, kinds)
+    trainer = Trainer(pipeline.training, parts, initial.scene, model, points.maps, points.kinds)
     run = Run(
         pipeline,
-        initial.parts,
-        scene,
+        parts,
+        initial.scene,
         model,
         checkpoint=lambda: _checkpoint(run, trainer),
         initialization={**facts, **points.facts, **facts},  # the host's values, in front
         pictures=dict(points.pictures),
-        seconds=seconds,
+        seconds=replace(seconds),
     )
     return run, trainer
 
 
-def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool) -> None:
-    """Train, report progress, and write the results if the last iteration is complete."""
+def _train_to_end(
+    run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool
+) -> Pipeline | None:
+    """Train, report progress, and write the results if the last iteration is complete.
+
+    Returns:
+        The pipeline to start training again with, if the plan corrects itself.
+    """
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
     with _told_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
@@ -204,6 +231,8 @@ def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: b
                 stopped = options.callback is not None and options.callback(done) is False
                 if stop.requested or stopped:
                     break
+                if corrected := options.fit.corrected(run):
+                    return corrected
                 longest = max(AUTOSAVE_SECONDS, saving_took / AUTOSAVE_SHARE)
                 if _due(done.number, settings.checkpoint_every) or monotonic() - saved > longest:
                     begin = monotonic()
@@ -215,6 +244,7 @@ def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: b
         if run.finished and run.folder is not None:
             run.finish()
             observers.evaluated(run.scores)
+    return None
 
 
 @contextmanager

@@ -33,6 +33,9 @@ class ColmapSettings(SplitSettings, ImageSourceSettings):
     """Folder of the model within the scene's: cameras, images and points3D as .bin or .txt."""
     downsample: int = Field(1, ge=1)
     """Factor by which each side of the full-size photographs is reduced for training."""
+    max_size: int | None = Field(1600, ge=16)
+    """Longer side of the photographs, at most, in pixels; larger ones are resized. 1600 as in 3DGS;
+    null: no limit."""
     points: bool = True
     """Use those points of the model that the training views see."""
 

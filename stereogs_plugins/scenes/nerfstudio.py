@@ -46,6 +46,9 @@ class NerfstudioSettings(SplitSettings):
     """Factor by which each side of the photographs is reduced."""
     resize_filter: ResizeFilter = "bicubic"
     """Pillow filter for resizing."""
+    max_size: int | None = Field(1600, ge=16)
+    """Longer side of the photographs, at most, in pixels; larger ones are resized. 1600 as in 3DGS;
+    null: no limit."""
     points: bool = False
     """Use the points of `ply_file_path`. They include points seen only by test views, so scores are not
     comparable with other methods."""
@@ -77,7 +80,9 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         all_photos = _photos(folder, path, transforms)
         train, test, rule = self._split(transforms, str(path))
         photos = [all_photos[index] for index in train + test]
-        decoder = Decoder(divided_by(settings.downsample), settings.resize_filter)
+        decoder = Decoder(
+            divided_by(settings.downsample, settings.max_size), settings.resize_filter
+        )
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         points = _read_points(folder, transforms, path) if settings.points else None
         bounds = estimate_bounds(loaded.training_cameras, points, str(path))

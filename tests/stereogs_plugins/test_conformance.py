@@ -178,6 +178,7 @@ ELSEWHERE = {
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",
     "regularizers.virtual_stereo": "regularizers/test_virtual_stereo.py",
     "scene.photos": "scenes/photos/test_loader.py",
+    "scene.video": "scenes/photos/test_video_file.py",
     "samplers.camera_refinement": "samplers/test_camera_refinement.py",
     "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
     "samplers.independent_views": "samplers/test_independent_views.py",

@@ -127,9 +127,12 @@ def read_heif() -> bool:
     return True
 
 
-def divided_by(divisor: int) -> SizeRule:
-    """Divide each side and round it, as the published protocols do."""
-    return lambda width, height: (max(1, round(width / divisor)), max(1, round(height / divisor)))
+def divided_by(divisor: int, largest: int | None = None) -> SizeRule:
+    """Divide each side and round it, as the published protocols do; then limit the longer side."""
+    limited = longest_side(largest or MOST_PIXELS)
+    return lambda width, height: limited(
+        max(1, round(width / divisor)), max(1, round(height / divisor))
+    )
 
 
 def at_most(largest: int) -> SizeRule:

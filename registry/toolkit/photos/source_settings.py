@@ -26,13 +26,14 @@ class ImageSourceSettings(Settings):
     image_source: Literal["folder", "resize"] = "folder"
     """`folder` uses photographs at their stored size; `resize` downsamples full-size ones on loading."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for `image_source: resize`."""
+    """Pillow's filter for `image_source: resize` and `max_size`."""
+    max_size: int | None = Field(None, ge=16)
+    """Longer side of the photographs, at most, in pixels; larger ones are resized. null: no limit."""
 
     def decoder(self) -> Decoder:
         """Return a decoder for these settings."""
-        if self.image_source == "resize":
-            return Decoder(size=divided_by(self.downsample), resize_filter=self.resize_filter)
-        return Decoder()
+        divisor = self.downsample if self.image_source == "resize" else 1
+        return Decoder(divided_by(divisor, self.max_size), self.resize_filter)
 
     def image_folder(self, scene: Path) -> Path:
         """Return the folder of the photographs.

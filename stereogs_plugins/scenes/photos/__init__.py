@@ -1,5 +1,14 @@
-"""`photos`: a folder of photographs without cameras, which COLMAP estimates."""
+"""`photos`: a folder of photographs without cameras, which COLMAP estimates; `video`: a video file."""
 
-from .loader import PhotosScene, stereogs_register_scenes
+from registry import Register, hookimpl
 
-__all__ = ["PhotosScene", "stereogs_register_scenes"]
+from .loader import PhotosScene
+from .video_file import VideoScene
+
+__all__ = ["PhotosScene", "VideoScene", "stereogs_register_scenes"]
+
+
+@hookimpl
+def stereogs_register_scenes(register: Register[PhotosScene | VideoScene]) -> None:
+    register("photos", PhotosScene)
+    register("video", VideoScene)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Register, Scene, SceneLoader, Settings, hookimpl
+from registry import Fact, Scene, SceneLoader, Settings
 from registry.messages import counted
 from registry.toolkit.photos import (
     ColmapModel,
@@ -218,8 +218,3 @@ def _facts_of_left_out(folder: Path, files: list[LeftOut], disconnected: list[st
     if disconnected:
         facts.append(Fact("disconnected_photographs", ", ".join(disconnected)))
     return facts
-
-
-@hookimpl
-def stereogs_register_scenes(register: Register[PhotosScene]) -> None:
-    register("photos", PhotosScene)

@@ -7,19 +7,20 @@ import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from registry.runs import Fit
+    from registry.runs import Plan
 
 
-def within(seconds: float) -> Fit:
+def within(seconds: float) -> Plan:
     """Return the argument `fit` of `train` for a run that takes `seconds` in total, from now on.
 
     Iterations are timed on the scene and this machine; schedules scale with their number, which never
-    exceeds that of the pipeline. `run.pipeline` stores the number: training it again gives the same bits.
+    exceeds that of the pipeline. It is at least 30, even if the run then takes longer. `run.pipeline`
+    stores the number: training it again gives the same bits.
 
     Args:
         seconds: wall-clock seconds, > 0, including scores and files.
     """
-    from .fitting import Budget, fit_length
+    from .fitting import Budget, WithinSeconds
 
-    budget, log = Budget(seconds, time.monotonic()), logging.getLogger("stereogs.quality")
-    return lambda initial: fit_length(initial, budget, log.info)
+    log = logging.getLogger("stereogs.quality").info
+    return WithinSeconds(log, budget=Budget(seconds, time.monotonic()))

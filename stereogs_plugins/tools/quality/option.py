@@ -1,4 +1,4 @@
-"""The options `--seconds` and `--quality` of `train`, and the pipeline for a folder of photographs."""
+"""The options `--seconds`, `--quality` and `--size` of `train`, and the pipeline for a folder."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from registry import Register, RunError, TrainOption, hookimpl
 from registry.commands import console, positive_seconds
@@ -16,13 +15,15 @@ from .table import QUALITIES, SHORT
 
 if TYPE_CHECKING:
     from registry.commands import TrainRequest
-    from registry.runs import Fit, RunOptions
+    from registry.runs import RunOptions
 
-LENGTH = "training.iterations"
+    from .fitting import SizePlan
+
+LENGTH, SIZE = "training.iterations", "scene.max_size"
 
 
 class Quality(TrainOption):
-    """The options `--seconds` and `--quality`."""
+    """The options `--seconds`, `--quality` and `--size`."""
 
     folder_pipeline = SHORT
 
@@ -33,50 +34,90 @@ class Quality(TrainOption):
             "--seconds",
             type=positive_seconds,
             metavar="N",
-            help="finish the whole run within N seconds, from the command to the last file; trains at most "
-            "as many iterations as the pipeline specifies",
+            help="finish the whole run within N seconds, from the command to the last file, with smaller "
+            "photographs and fewer iterations, but at least 30",
         )
         length.add_argument(
             "--quality", choices=QUALITIES, help="which pipeline trains a folder (default: good)"
         )
-
-    def check(self, arguments: argparse.Namespace) -> None:
-        """Refuse --quality with a pipeline, and both options with a number of iterations."""
-        if arguments.quality and arguments.pipeline and not arguments.pipeline.is_dir():
-            raise RunError(
-                f"--quality conflicts with the pipeline {arguments.pipeline}",
-                where=f"--quality {arguments.quality}",
-                fix="give a folder of photographs or data, or --seconds",
-            )
-        if (arguments.seconds or arguments.quality) and _iterations_given(arguments):
-            option = "--seconds" if arguments.seconds else "--quality"
-            raise RunError(
-                f"{option} conflicts with {LENGTH}",
-                where=f"--set {LENGTH}=...",
-                fix="remove one of them",
-            )
+        parser.add_argument(
+            "--size",
+            action=_Size,
+            type=int,
+            metavar="PIXELS",
+            help="longer side of the training photographs, at most (--set scene.max_size=PIXELS); default "
+            "for photographs without cameras: 800, less if time or memory is short",
+        )
 
     @contextmanager
     def running(self, request: TrainRequest, options: RunOptions) -> Iterator[RunOptions]:
-        """Choose the pipeline or its length once the first Gaussians exist."""
-        yield replace(options, fit=_fit(request))
+        """Choose size, pipeline and length during the run; report afterwards what it took.
+
+        Raises:
+            RunError: --quality is given with a pipeline, or an option with a number of iterations.
+        """
+        _check(request)
+        plan = _plan(request)
+        yield replace(options, fit=plan)
+        if plan.run is not None and plan.run.finished:
+            for line in plan.closing():
+                console().print(line)
+
+
+class _Size(argparse.Action):
+    """Stores the size, and adds the setting of the scene that it stands for."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        namespace.size = values
+        namespace.set = [*namespace.set, f"{SIZE}={values}"]
+
+
+def _check(request: TrainRequest) -> None:
+    given = request.arguments
+    if given.quality and request.pipeline_named:
+        raise RunError(
+            f"--quality conflicts with the pipeline {given.pipeline}",
+            where=f"--quality {given.quality}",
+            fix="give a folder of photographs or data, or --seconds",
+        )
+    if (given.seconds or given.quality) and _iterations_given(given):
+        option = "--seconds" if given.seconds else "--quality"
+        raise RunError(
+            f"{option} conflicts with {LENGTH}",
+            where=f"--set {LENGTH}=...",
+            fix="remove one of them",
+        )
 
 
 def _iterations_given(arguments: argparse.Namespace) -> bool:
-    return any(text.partition("=")[0].strip() == LENGTH for text in arguments.set)
+    return LENGTH in _changed(arguments)
 
 
-def _fit(request: TrainRequest) -> Fit | None:
-    """Return a function that chooses the pipeline or its length; None if both are given."""
-    from .fitting import Budget, choose, fit_length
+def _changed(arguments: argparse.Namespace) -> set[str]:
+    """Names of the settings that --set changes."""
+    return {text.partition("=")[0].strip() for text in arguments.set}
 
-    given, log = request.arguments, console().print
-    budget = Budget(given.seconds, request.begin) if given.seconds else None
-    if _iterations_given(given) or request.load is None:
-        return None
-    if request.pipeline_named:
-        return partial(fit_length, budget=budget, log=log) if budget else None
-    return partial(choose, wanted=budget or given.quality or "good", load=request.load, log=log)
+
+def _plan(request: TrainRequest) -> SizePlan:
+    """Return the plan for a command line: a folder has its size and its pipeline chosen."""
+    from .fitting import Budget, SizePlan, WithinSeconds, WithQuality
+
+    given, log, load = request.arguments, console().print, request.load
+    is_folder = not request.pipeline_named
+    adapts = is_folder and not _changed(given) & {SIZE, "scene.downsample"}
+    chosen = {"size": given.size, "adapts_size": adapts, "device": given.device}
+    if given.seconds:
+        budget = Budget(given.seconds, request.begin)
+        return WithinSeconds(log, **chosen, budget=budget, load=load if is_folder else None)
+    if not is_folder or load is None or _iterations_given(given):
+        return SizePlan(log, **chosen)
+    return WithQuality(log, **chosen, load=load, quality=given.quality or "good")
 
 
 @hookimpl

@@ -6,8 +6,7 @@ priors and metrics are the run's own; their state is restored afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from statistics import fmean
@@ -42,14 +41,28 @@ class Measured(NamedTuple):
     """Measured durations.
 
     Args:
-        iteration: seconds per iteration.
+        quarters: seconds per iteration in each quarter of the run.
         after: seconds after the last iteration.
         gaussians: number of Gaussians in them.
     """
 
-    iteration: float
+    quarters: tuple[float, ...]
     after: float
     gaussians: int
+
+    @property
+    def iteration(self) -> float:
+        """Mean seconds per iteration."""
+        return fmean(self.quarters)
+
+    def seconds(self, first: int, last: int, total: int) -> float:
+        """Return the seconds of the iterations after `first` up to `last`, in a run of `total`."""
+        parts = len(self.quarters)
+        shares = [
+            max(0.0, min(last, total * (k + 1) / parts) - max(first, total * k / parts))
+            for k in range(parts)
+        ]
+        return sum(count * each for count, each in zip(shares, self.quarters, strict=True))
 
 
 def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) -> Measured:
@@ -67,30 +80,34 @@ def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) ->
     model = new_model(gaussians, pipeline.training, initial.device)
     parts = initial.parts.for_field(0)
     kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
-    with _restored(parts):
-        trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
-        spans: list[tuple[float, int]] = []
-        for moment in MOMENTS:
-            skipped = WARM if spans else WARM_UP
-            trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
-            spans.append(_measure(trainer, skipped, clock, seconds / len(MOMENTS)))
-        iteration = fmean(taken / done for taken, done in spans)
-        return Measured(iteration, _after(initial, model, parts, clock), len(gaussians))
+    shared = SharedState(parts)
+    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
+    quarters: list[float] = []
+    for moment in MOMENTS:
+        skipped = WARM if quarters else WARM_UP
+        trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
+        quarters.append(_measure(trainer, skipped, clock, seconds / len(MOMENTS)))
+    measured = Measured(tuple(quarters), _after(initial, model, parts, clock), len(gaussians))
+    shared.restore()
+    return measured
 
 
-@contextmanager
-def _restored(parts: Parts) -> Iterator[None]:
-    """Restore the random generators and states of the components that the run shares."""
-    shared = [part.component for part in parts.shared]
-    saved = [(one.generator.get_state(), {**one.state()}) for one in shared]
-    yield
-    for one, (generator, state) in zip(shared, saved, strict=True):
-        one.generator.set_state(generator)
-        one.restore(state)
+class SharedState:
+    """Random generators and states of the components outside the training loop, to be restored."""
+
+    def __init__(self, parts: Parts) -> None:
+        components = [part.component for part in parts.shared]
+        self._saved = [(one, one.generator.get_state(), {**one.state()}) for one in components]
+
+    def restore(self) -> None:
+        """Restore them as they were."""
+        for one, generator, state in self._saved:
+            one.generator.set_state(generator)
+            one.restore(state)
 
 
-def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tuple[float, int]:
-    """Return the seconds and number of iterations after the first `skipped`."""
+def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> float:
+    """Return the seconds per iteration after the first `skipped`."""
     done, begin = 0, clock()
     for count, _ in enumerate(trainer.run(), 1 - skipped):
         if count <= 0:
@@ -99,7 +116,7 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> tu
         done = count
         if clock() - begin >= seconds or done == MOST_MEASURED:
             break
-    return clock() - begin, max(done, 1)
+    return (clock() - begin) / max(done, 1)
 
 
 def _after(initial: InitialState, model: GaussianModel, parts: Parts, clock: Clock) -> float:

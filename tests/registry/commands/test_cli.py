@@ -22,7 +22,7 @@ def only_the_pipeline(pipeline: Path) -> bool:
     ("arguments", "what", "where"),
     [
         (["train", "none.yaml"], "cannot be read", "none.yaml"),
-        (["train"], "neither a pipeline nor a folder", "command line"),
+        (["train"], "arguments are required: PIPELINE", "stereogs train"),
         (["resume", "none"], "not a run folder: there is no such folder", "none"),
         (["train", "toy.yaml", "--set", "scene.use=toy_scne"], "did you mean", "--set scene.use"),
         (["train", "toy.yaml", "--set", "metrics=[psmr]"], "did you mean 'psnr'", "--set metrics"),

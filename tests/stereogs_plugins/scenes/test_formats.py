@@ -82,3 +82,18 @@ def test_only_its_loader_recognizes_a_folder(case: Case, tmp_path: Path) -> None
     folder = write(tmp_path, world)
     assert [other for other, *_ in CASES.values() if other.recognizes(folder)] == [loader]
     assert not loader.recognizes(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["llff", "colmap", "nerfstudio"])
+def test_larger_photographs_are_reduced_and_smaller_ones_kept(name: str, tmp_path: Path) -> None:
+    loader, write, world, settings = CASES[name]
+    folder = write(tmp_path, world)
+    reduced, kept = (
+        build(loader, path=folder, **settings, max_size=size).load().train[0].camera
+        for size in (32, 1000)
+    )
+    assert (reduced.width, reduced.height) == (world.width // 2, world.height // 2)
+    assert (reduced.fx, reduced.cx) == pytest.approx(
+        (world.focal / 2, world.principal_point[0] / 2), abs=1e-6
+    )
+    assert (kept.width, kept.height) == (world.width, world.height)

@@ -14,6 +14,7 @@ from registry.testing import check
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.photos import (
     PhotosScene,
+    VideoScene,
     stereogs_register_scenes,
     structure_from_motion,
 )
@@ -26,7 +27,7 @@ from .photographs import SIDEWAYS, load, pose_errors, reconstruction_of, write_p
 
 
 def test_registers_as_photos() -> None:
-    assert offered(stereogs_register_scenes) == {"photos": PhotosScene}
+    assert offered(stereogs_register_scenes) == {"photos": PhotosScene, "video": VideoScene}
 
 
 def test_cameras_of_the_room_are_found(folder: Path, room: Scene, cached: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,15 +10,20 @@ import pytest
 import registry.runs.run as runs
 import stereogs_plugins.tools.quality.rehearsal as rehearsal
 from core_rasterizer import Device
-from registry import RunError
+from registry import Scene
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.evaluation import evaluate
-from registry.runs.options import Fit, InitialState, RunOptions
+from registry.runs.options import InitialState, Plan, RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import start
 from registry.training.field import Field
-from stereogs_plugins.tools.quality.fitting import LEAST_ITERATIONS, Budget, choose, fit_length
+from stereogs_plugins.tools.quality.fitting import (
+    LEAST_ITERATIONS,
+    Budget,
+    WithinSeconds,
+    WithQuality,
+)
 from stereogs_plugins.tools.quality.table import (
     LONG,
     QUALITIES,
@@ -27,6 +31,7 @@ from stereogs_plugins.tools.quality.table import (
     QUICK_TIMES,
     SHORT,
     SHORT_TIMES,
+    Quality,
     by_length,
     by_quality,
 )
@@ -52,12 +57,12 @@ class Machine:
         step = Field.step_optimizer
 
         def stepped(field: Field) -> None:
-            self.now += slow * (0.05 + 1e-4 * field.model.count)
+            self.now += self.slow * (0.05 + 1e-4 * field.model.count)
             step(field)
 
         def evaluated(model, scene, views, metrics, pictures=None):  # type: ignore[no-untyped-def]
             views = list(views)
-            self.now += slow * 0.3 * len(views)
+            self.now += self.slow * 0.3 * len(views)
             return evaluate(model, scene, views, metrics, pictures)
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
@@ -72,8 +77,8 @@ def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> P
     return parse_pipeline(TEXT.format(name=name, iterations=iterations), toys)
 
 
-def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) -> Run:
-    return start(first, RunOptions(device=device, progress=False, fit=fit), out)
+def trained(first: Pipeline, device: Device, out: Path, fit: Plan | None = None) -> Run:
+    return start(first, RunOptions(device=device, progress=False, fit=fit or Plan()), out)
 
 
 @pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
@@ -87,7 +92,7 @@ def test_a_run_takes_its_seconds_and_can_be_repeated(
 ) -> None:
     machine, said = Machine(monkeypatch, slow=slow), list[str]()
     budget = machine.budget(seconds)
-    fit = partial(fit_length, budget=budget, log=said.append)
+    fit = WithinSeconds(said.append, budget=budget)
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
     assert LEAST_ITERATIONS < run.iteration < 400
     assert budget.spent == pytest.approx(seconds, rel=0.1)
@@ -104,24 +109,73 @@ def test_the_length_never_exceeds_that_of_the_pipeline(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine, said = Machine(monkeypatch), list[str]()
-    fit = partial(fit_length, budget=machine.budget(60), log=said.append)
+    fit = WithinSeconds(said.append, budget=machine.budget(60))
     assert trained(pipeline(toys, iterations=30), device, tmp_path / "run", fit).iteration == 30
     assert "less than 60 s" in said[-1]
 
 
-def test_too_few_seconds_leave_nothing_behind(
+def test_too_few_seconds_train_the_least_and_end_late(
     toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fit = partial(fit_length, budget=Machine(monkeypatch).budget(3), log=print)
-    with pytest.raises(RunError, match="3 s are too few"):
-        trained(pipeline(toys), device, tmp_path / "run", fit)
-    assert not (tmp_path / "run").exists()
+    said = list[str]()
+    fit = WithinSeconds(said.append, budget=Machine(monkeypatch).budget(3))
+    run = trained(pipeline(toys), device, tmp_path / "run", fit)
+    assert (run.iteration, run.finished) == (LEAST_ITERATIONS, True)
+    first, *reasons = fit.closing()
+    took, _, wanted = first.removeprefix("late      took ").partition(" s instead of ")
+    assert wanted == "3 s, because"
+    assert float(took) > 3
+    assert f"{LEAST_ITERATIONS} iterations took" in reasons[2]
+    assert max(map(len, said)) <= 80
+
+
+def test_no_time_left_measures_nothing(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, said = Machine(monkeypatch), list[str]()
+    budget = machine.budget(3)
+    machine.now += 5
+    run = trained(
+        pipeline(toys), device, tmp_path / "run", WithinSeconds(said.append, budget=budget)
+    )
+    assert run.iteration == LEAST_ITERATIONS
+    assert said[-1] == "  5.0 s have passed, so the run takes longer than 3 s"
+
+
+def test_training_starts_again_if_the_machine_becomes_slow(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, said = Machine(monkeypatch), list[str]()
+
+    class Slowed(WithinSeconds):
+        def fitted(self, initial: InitialState) -> Pipeline:
+            found = super().fitted(initial)
+            machine.slow = 2.0
+            return found
+
+    budget = machine.budget(12)
+    out = tmp_path / "run"
+    run = trained(pipeline(toys), device, out, Slowed(said.append, budget=budget))
+    pace, choice = said[-2:]
+    assert pace.endswith("times as long as measured; training starts again")
+    assert float(pace.split()[2]) == pytest.approx(2, abs=0.2)
+    planned = int(choice.rpartition("instead of ")[2])
+    assert choice == f"  with {run.iteration} iterations instead of {planned}"
+    assert LEAST_ITERATIONS < run.iteration < planned / 2
+    assert run.finished
+    assert budget.spent == pytest.approx(12, rel=0.15)
+    lines = (out / "metrics.jsonl").read_text("utf-8").splitlines()
+    assert len(lines) == len(run.metrics), "those of the first start are gone"
+    again = trained(
+        parse_pipeline((out / "pipeline.yaml").read_text("utf-8"), toys), device, tmp_path / "again"
+    )
+    assert (again.iteration, again.hash) == (run.iteration, run.hash)
 
 
 def chosen(
     toys: Plugins,
     device: Device,
-    wanted: object,
+    wanted: Budget | Quality,
     said: Callable[[str], None] = print,
     *,
     own: int | str = 400,
@@ -137,13 +191,19 @@ def chosen(
         return pipeline(toys, name, {QUICK: quick, LONG: 2000}[name])
 
     found: list[Pipeline] = []
+    plan = (
+        WithinSeconds(said, load=load, budget=wanted)
+        if isinstance(wanted, Budget)
+        else WithQuality(said, load=load, quality=wanted)
+    )
 
-    def fit(initial: InitialState) -> Pipeline:
-        found.append(choose(initial, wanted, load, said))  # type: ignore[arg-type]
-        raise Chosen
+    class Choosing(Plan):
+        def fitted(self, initial: InitialState) -> Pipeline:
+            found.append(plan.fitted(initial))
+            raise Chosen
 
     with pytest.raises(Chosen):
-        trained(pipeline(toys, iterations=own), device, Path("nowhere"), fit)
+        trained(pipeline(toys, iterations=own), device, Path("nowhere"), Choosing())
     return found[0]
 
 
@@ -152,13 +212,13 @@ def chosen(
     [("fast", QUICK, 160), ("good", SHORT, 400), ("best", LONG, 2000)],
 )
 def test_a_quality_is_a_pipeline_and_a_length(
-    toys: Plugins, device: Device, quality: str, name: str, iterations: int
+    toys: Plugins, device: Device, quality: Quality, name: str, iterations: int
 ) -> None:
     said: list[str] = []
     found = chosen(toys, device, quality, said.append)
     assert (found.name, found.training.iterations) == (name, iterations)
     assert found.items["densification"][0].host.every == iterations // 4
-    assert "2 training views of" in said[1]
+    assert "2 training views of" in said[2]
     assert max(map(len, said)) <= 80
 
 
@@ -189,6 +249,25 @@ def test_the_length_depends_on_the_number_of_views(
     assert "  iterations: 8\n" in written
     again = trained(parse_pipeline(written, toys), device, tmp_path / "again")
     assert again.hash == run.hash
+
+
+def test_the_chosen_pipeline_keeps_the_scene_as_it_was_read(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    """Here `resized` changes a setting of the scene, as a smaller size of photographs does."""
+    line = "colors: [0.5, 0, 0]"
+
+    class Resized(WithQuality):
+        def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
+            text = TEXT.replace("colors: [0, 0, 0]", line).format(name=SHORT, iterations=400)
+            return parse_pipeline(text, toys)
+
+    plan = Resized(print, load=lambda name: pipeline(toys, name, 8), quality="fast")
+    run = trained(pipeline(toys), device, tmp_path / "run", plan)
+    assert run.pipeline.name == QUICK
+    again = trained(parse_pipeline(run.pipeline_text, toys), device, tmp_path / "again")
+    assert again.hash == run.hash
+    assert run.pipeline.one("scene").settings != pipeline(toys).one("scene").settings
 
 
 def test_the_chosen_pipeline_has_the_length_for_the_scene(toys: Plugins, device: Device) -> None:

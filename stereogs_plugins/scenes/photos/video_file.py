@@ -1,0 +1,203 @@
+"""`video`: frames of a video file as photographs without cameras.
+
+Of evenly spaced candidates, the frames are chosen that are sharp (variance of the Laplacian, Pech-Pacheco et
+al. 2000) and have the same image motion between them, so that a camera that rests gives one frame only.
+
+    STEREOGS_CACHE/frames/<key>/frame_000123.png    key: hash of the file, number of frames, this code
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from pydantic import Field
+
+from registry import Fact, Scene, SceneError, SceneLoader
+from registry.toolkit.cache import Cache, content_key, source_digest
+
+from .loader import PhotosScene, PhotosSettings
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+"""Suffixes of video files, in lower case."""
+CANDIDATES = 8
+"""Frames that are considered for each chosen one."""
+_SHARPNESS_SIZE, _MOTION_SIZE = 640, 160
+"""Longer side, in pixels, of the frames in which sharpness and motion are measured."""
+_LEAST_MOTION = 1e-4
+"""Motion between candidates at least, as a share of the frame: frames of a still clip are spaced by time."""
+_FIX = (
+    "check that it plays, or convert it: ffmpeg -i VIDEO clip.mp4; or give a folder of photographs"
+)
+
+_log = logging.getLogger("stereogs.photos")
+
+
+class VideoSettings(PhotosSettings):
+    path: Path
+    """Path of the video file."""
+    frames: int = Field(12, ge=3, le=500)
+    """Number of frames to use, at most."""
+
+
+class VideoScene(SceneLoader[VideoSettings]):
+    """Takes sharp, well-spaced frames of a video; `photos` finds their cameras."""
+
+    recognized_by: ClassVar[str] = "a video file (.mp4, .mov, ...)"
+
+    @classmethod
+    def recognizes(cls, folder: Path) -> bool:
+        """Return True for a file with the suffix of a video."""
+        return folder.suffix.lower() in VIDEO_SUFFIXES and folder.is_file()
+
+    def load(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            SceneError: the file is missing or not a video, or as for `photos`.
+        """
+        settings = self.settings
+        video = settings.path.expanduser()
+        with TemporaryDirectory(prefix="stereogs-") as place:
+            folder = Path(place, video.stem)
+            folder.mkdir()
+            _extract(video, settings.frames, folder)
+            photos = settings.model_dump(exclude={"frames"}) | {"path": folder}
+            scene = PhotosScene(PhotosSettings.model_validate(photos), self.context).load()
+            names = ", ".join(sorted(path.stem.removeprefix("frame_") for path in folder.iterdir()))
+        return replace(scene, facts=(*scene.facts, Fact("frames_of_the_video", names)))
+
+
+def _extract(video: Path, wanted: int, folder: Path) -> None:
+    """Write the chosen frames of a video into an empty folder, from the cache if they are there."""
+    if not video.is_file():
+        raise SceneError("the video does not exist", where=str(video), fix="correct `path`")
+    import cv2
+
+    def copy(entry: Path) -> bool:
+        for path in entry.glob("frame_*.png"):
+            shutil.copy(path, folder)
+        return True
+
+    with video.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    cache = Cache("frames")
+    key = content_key(digest, str(wanted), cv2.__version__, source_digest(chosen_frames))
+    if cache.load(key, copy):
+        return
+    _log.info("choosing %d frames of %s", wanted, video.name)
+    _write(video, set(chosen_frames(_candidates(video, wanted), wanted)), folder)
+    cache.save(key, lambda entry: shutil.copytree(folder, entry, dirs_exist_ok=True))
+
+
+class Candidate(NamedTuple):
+    """A frame that may be chosen.
+
+    Args:
+        number: of the frame, from 0.
+        sharpness: variance of the Laplacian.
+        motion: mean length of the optical flow since the previous candidate, as a share of the frame.
+    """
+
+    number: int
+    sharpness: float
+    motion: float
+
+
+def chosen_frames(candidates: Sequence[Candidate], wanted: int) -> list[int]:
+    """Return the numbers of the chosen frames, in order; all if there are fewer than wanted.
+
+    The motion of the whole clip is divided into equal parts. Of the candidates in the middle half of each
+    part, the sharpest is chosen; without any, the candidate nearest to the part's middle.
+    """
+    import numpy as np
+
+    if len(candidates) <= wanted:
+        return [one.number for one in candidates]
+    position = np.cumsum([max(one.motion, _LEAST_MOTION) for one in candidates])
+    position = (position - position[0]) / (position[-1] - position[0]) * wanted
+    chosen = set()
+    for part in range(wanted):
+        distances = np.abs(position - (part + 0.5))
+        middle = np.flatnonzero(distances <= 0.25)
+        if len(middle):
+            best = max(middle.tolist(), key=lambda k: (candidates[k].sharpness, -k))
+        else:
+            best = int(np.argmin(distances))
+        chosen.add(candidates[best].number)
+    return sorted(chosen)
+
+
+def _candidates(video: Path, wanted: int) -> list[Candidate]:
+    import cv2
+    import numpy as np
+
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    before: NDArray[np.uint8] | None = None
+    found = []
+    for number, frame in _frames(video, CANDIDATES * wanted):
+        grey = _reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), _SHARPNESS_SIZE)
+        small, motion = _reduced(grey, _MOTION_SIZE), 0.0
+        if before is not None:
+            moved = flow.calc(before, small, np.zeros((*small.shape, 2), np.float32))
+            motion = float(np.linalg.norm(moved, axis=2).mean() / max(small.shape))
+        sharpness = float(cv2.Laplacian(grey, cv2.CV_64F).var())
+        found.append(Candidate(number, sharpness, motion))
+        before = small
+    if not found:
+        raise SceneError("the video has no frame that can be read", where=str(video), fix=_FIX)
+    return found
+
+
+def _reduced(grey: Any, size: int) -> Any:
+    import cv2
+
+    scale = size / max(grey.shape)
+    return grey if scale >= 1 else cv2.resize(grey, None, None, scale, scale, cv2.INTER_AREA)
+
+
+def _write(video: Path, numbers: set[int], folder: Path) -> None:
+    import cv2
+    from PIL import Image
+
+    for number, frame in _frames(video, None, numbers):
+        picture = Image.fromarray(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        picture.save(folder / f"frame_{number:06d}.png", compress_level=1)
+
+
+def _frames(
+    video: Path, about: int | None, numbers: set[int] | None = None
+) -> Iterator[tuple[int, Any]]:
+    """Yield frames, upright, with their numbers: about as many as given, evenly spaced, or those given.
+
+    Raises:
+        SceneError: the file is not a video.
+    """
+    import cv2
+
+    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise SceneError("the file cannot be read as a video", where=str(video), fix=_FIX)
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))  # an estimate; 0 if unknown
+        every = max(1, count // about) if about else 1
+        number = 0
+        while capture.grab():
+            if number in numbers if numbers is not None else number % every == 0:
+                decoded, frame = capture.retrieve()
+                if decoded:
+                    yield number, frame
+            number += 1
+    finally:
+        capture.release()

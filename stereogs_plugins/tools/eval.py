@@ -1,0 +1,40 @@
+"""Score a run's views again, from its checkpoint."""
+
+from __future__ import annotations
+
+import argparse
+
+from registry import Command, Register, hookimpl
+from registry.commands import add_run, console, open_given, print_failures, results_table
+
+_EPILOG = """\
+examples:
+  stereogs eval runs/3dgs-fern
+
+Renders the training and test views from the newest checkpoint, renews the scores in results.json and
+the pictures, and prints the table. For a finished run it also renews exports and reports. A run that was
+stopped is scored at its checkpoint.
+"""
+
+
+class Eval(Command):
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add_run(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Evaluate and print; return 1 if a metric, an exporter or a report failed."""
+        run = open_given(arguments)
+        from registry.runs import RENDERS
+
+        output, results = console(), run.renew()
+        output.print(results_table(results), soft_wrap=False)
+        if run.scene.test:
+            output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
+        return print_failures(results["failures"], arguments.run_folder)
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("eval", Eval)

@@ -1,0 +1,79 @@
+"""Frames of a video as a scene of photographs without cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from registry import SceneError
+from registry.cli import main
+from stereogs_plugins.scenes.photos import VideoScene
+from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build
+
+PHOTOGRAPHS, COPIES = 5, 3
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Real photographs of a moving camera, each in three frames, the middle one of them blurred."""
+    paths = sorted((data_folder("llff_fern") / "images_8").iterdir())[: 4 * PHOTOGRAPHS : 4]
+    pictures = [cv2.imread(str(path)) for path in paths]
+    path = tmp_path_factory.mktemp("videos") / "fern clip.mp4"
+    height, width = pictures[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (width, height))
+    for picture in pictures:
+        writer.write(picture)
+        writer.write(cv2.GaussianBlur(picture, (0, 0), 4))
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+def test_a_video_is_a_scene_of_its_sharp_frames(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", str(clip), "--set", "frames=4"]) == 0
+    assert "fern clip, read by the scene loader video" in capsys.readouterr().out
+    scene = build(VideoScene, path=clip, frames=4).load()
+    assert (scene.name, scene.fact("source"), scene.test) == ("fern clip", "fern clip", ())
+    numbers = [int(view.name.removeprefix("frame_")) for view in scene.train]
+    assert scene.fact("frames_of_the_video") == ", ".join(f"{n:06d}" for n in numbers)
+    assert len({number // COPIES for number in numbers}) == 4, "four different photographs"
+    assert all(number % COPIES != 1 for number in numbers), "no blurred one"
+    assert [*(tmp_path / "cache" / "frames").iterdir()] != []
+
+
+def test_files_that_are_no_videos(tmp_path: Path) -> None:
+    text = tmp_path / "notes.mp4"
+    text.write_text("no video")
+    assert VideoScene.recognizes(text)
+    assert not VideoScene.recognizes(tmp_path)
+    with pytest.raises(SceneError, match="cannot be read as a video"):
+        build(VideoScene, path=text).load()
+    with pytest.raises(SceneError, match="does not exist"):
+        build(VideoScene, path=tmp_path / "missing.mp4").load()
+
+
+def test_frames_are_spaced_by_motion() -> None:
+    """A camera that rests for half of the clip and then moves evenly."""
+    rests = [Candidate(number, 1.0, 0.0) for number in range(50)]
+    moves = [Candidate(number, 1.0, 0.01) for number in range(50, 100)]
+    numbers = chosen_frames(rests + moves, 10)
+    assert len(numbers) == 10
+    assert sum(number < 50 for number in numbers) <= 1
+
+
+def test_the_sharpest_frame_of_each_part_is_chosen() -> None:
+    frames = [Candidate(number, float(number % 7 == 3), 0.01) for number in range(100)]
+    assert all(number % 7 == 3 for number in chosen_frames(frames, 5))
+
+
+def test_all_frames_of_a_short_clip_are_chosen() -> None:
+    frames = [Candidate(10 * number, 1.0, 0.0) for number in range(4)]
+    assert chosen_frames(frames, 5) == [0, 10, 20, 30]
