@@ -20,6 +20,7 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
+from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
 from .structure_from_motion import Reconstruction, reconstruct
@@ -69,6 +70,7 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         source_digest(
             reconstruct,
             place_cameras,
+            DenseCheck,
             add_learned_matches,
             KeypointNetworks,
             UnposedPhoto,

@@ -2,13 +2,14 @@
 
 Incremental mapping (Schoenberger and Frahm 2016) starts from a pair with a wide triangulation angle. COLMAP
 requires 16 degrees, which gives an exact start but excludes forward-facing captures; 2 degrees suffice for
-those. Global mapping (Pan et al. 2024) needs no initial pair. Matches contradict wrong models
-(`drop_unsupported`), or these have implausible lenses.
+those. Global mapping (Pan et al. 2024) needs no initial pair. Wrong models are contradicted by matches or by
+the pictures (`drop_unsupported`), or have implausible lenses.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ import numpy as np
 from .unposed_photos import image_index
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -37,21 +37,28 @@ _log = logging.getLogger("stereogs.photos")
 
 
 class Trust(NamedTuple):
-    """Matches that connect two photographs, if `LEAST_SUPPORT` of them agree with the cameras.
+    """Matches that connect two photographs without a look at the pictures.
 
     Args:
-        fewest: least number that agree.
-        alone: number that suffices without a third photograph that is connected to both.
+        in_triangle: least number, if a third photograph has as many with both; None if no number suffices.
+        alone: least number without a third photograph.
     """
 
-    fewest: int
+    in_triangle: int | None
     alone: int
 
 
-SIFT_TRUST = Trust(15, 15)
-LEARNED_TRUST = Trust(30, 200)
+LEAST_MATCHES = 15
+"""Matches that connect two photographs if the pictures confirm it (dense_check.py)."""
+SIFT_TRUST = Trust(LEAST_MATCHES, 60)
+LEARNED_TRUST = Trust(None, 200)
 """Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
-sides of symmetric objects (up to 150). Correct pairs of distant pictures with as few matches are lost."""
+sides of symmetric objects (up to 180, in triangles too)."""
+MOST_FAILURES = 3
+"""Pairs of one photograph that may fail the dense check before others are no longer tried."""
+
+Confirms = Callable[[Any, int, int], bool]
+"""Whether the pictures confirm a model's cameras of two images, by id."""
 
 
 class Piece(NamedTuple):
@@ -69,19 +76,27 @@ class Piece(NamedTuple):
 
 
 def place_cameras(
-    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
+    colmap: Any,
+    database: Path,
+    images: Path,
+    folder: Path,
+    count: int,
+    trust: Trust,
+    confirms: Confirms,
 ) -> list[Piece]:
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
-    Photographs and models that the matches contradict are discarded. Attempts run in order of cost until one
-    places all photographs with a plausible lens; otherwise the one of the highest `worth` is returned.
+    Photographs and models that the matches or the pictures contradict are discarded. Attempts run in order of
+    cost until one places all photographs with a plausible lens; otherwise the one of the highest `worth` is
+    returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
         images: folder of the photographs, for the colours of points.
         folder: folder for the models.
         count: number of photographs.
-        trust: which matches connect photographs.
+        trust: matches that suffice to connect photographs.
+        confirms: decides about pairs with fewer.
     """
     best: list[Piece] = []
     for name, attempt in _attempts(colmap):
@@ -90,7 +105,7 @@ def place_cameras(
         found = [
             model
             for model in attempt(database, images, target).values()
-            if drop_unsupported(colmap, database, model, trust)
+            if drop_unsupported(colmap, database, model, trust, confirms)
         ]
         pieces = _pieces(found, target)
         if pieces and worth(pieces) > worth(best):
@@ -154,12 +169,15 @@ def _is_plausible(camera: Any) -> bool:
     return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
 
 
-def drop_unsupported(colmap: Any, database: Path, model: Any, trust: Trust) -> bool:
-    """Remove the photographs that matches do not connect to the others of a model.
+def drop_unsupported(
+    colmap: Any, database: Path, model: Any, trust: Trust, confirms: Confirms
+) -> bool:
+    """Remove the photographs that are not connected to the others of a model.
 
     A wrong model can be consistent in itself because the mapper drops matches that disagree; nearly all
-    verified matches agree with a correct one. Two photographs are connected if enough of their matches agree
-    with the cameras, and a third photograph is connected to both or they have very many (`Trust`).
+    verified matches agree with a correct one. Two photographs are connected if at least `LEAST_MATCHES` and
+    `LEAST_SUPPORT` of their matches agree with the cameras and there are very many (`Trust`) or the pictures
+    confirm it, which is tested only between groups that are not connected otherwise.
 
     Returns:
         whether a connected pair is left.
@@ -168,17 +186,39 @@ def drop_unsupported(colmap: Any, database: Path, model: Any, trust: Trust) -> b
     linked = np.zeros((len(images), len(images)), dtype=int)
     counts = _agreeing_matches(colmap, database, model, 2 * MAX_ERROR)
     for (first, second), (agreeing, total) in counts.items():
-        if agreeing >= max(trust.fewest, LEAST_SUPPORT * total):
+        if agreeing >= max(LEAST_MATCHES, LEAST_SUPPORT * total):
             row, column = images.index(first), images.index(second)
             linked[row, column] = linked[column, row] = agreeing
-    in_triangle = (linked > 0).astype(int) @ (linked > 0) > 0
-    groups = connected(linked * (in_triangle | (linked >= trust.alone)))
+    sure = linked >= trust.alone
+    if trust.in_triangle is not None:
+        enough = linked >= trust.in_triangle
+        sure |= enough & (enough.astype(int) @ enough > 0)
+    _connect(sure, linked, lambda row, column: confirms(model, images[row], images[column]))
+    groups = connected(sure)
     for k in {*range(len(images))}.difference(groups[0]):
         model.deregister_frame(model.image(images[k]).frame_id)
     return len(groups[0]) > 1
 
 
-def connected(links: NDArray[np.integer[Any]]) -> list[list[int]]:
+def _connect(
+    sure: NDArray[np.bool_],
+    linked: NDArray[np.integer[Any]],
+    confirms: Callable[[int, int], bool],
+) -> None:
+    """Add confirmed links `[N, N]` between groups that are not connected, those with most matches first."""
+    failures = np.zeros(len(sure), dtype=int)
+    pairs = [(int(a), int(b)) for a, b in zip(*np.nonzero(np.triu(linked)), strict=True)]
+    for a, b in sorted(pairs, key=lambda pair: -int(linked[pair])):
+        together = any(a in group and b in group for group in connected(sure))
+        if together or max(failures[[a, b]]) >= MOST_FAILURES:
+            continue
+        if confirms(a, b):
+            sure[a, b] = sure[b, a] = True
+        else:
+            failures[[a, b]] += 1
+
+
+def connected(links: NDArray[Any]) -> list[list[int]]:
     """Sorted indices of connected groups, the largest and first one first, of a matrix `[N, N]` of links."""
     from scipy.sparse.csgraph import connected_components
 

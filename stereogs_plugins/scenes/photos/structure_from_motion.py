@@ -17,6 +17,7 @@ from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
+from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches, known_files
 from .mapping import (
     LEARNED_TRUST,
@@ -88,6 +89,7 @@ def reconstruct(
         range(len(photos)),
     )
     lenses = _lenses(photos, share_lens)
+    check = DenseCheck(images)
     best: Reconstruction | None = None
     tried: list[str] = []
     for name, trust, fill in _ways(colmap, images, folder):
@@ -100,7 +102,7 @@ def reconstruct(
             _import(colmap, database, images, group, photos[group[0]], decoder)
         fill(database)
         tried.append(name)
-        found = _placed(colmap, database, images, workplace, len(photos), trust)
+        found = _placed(colmap, database, images, workplace, len(photos), trust, check)
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
@@ -137,14 +139,20 @@ def _ways(
 
 
 def _placed(
-    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
+    colmap: Any,
+    database: Path,
+    images: Path,
+    folder: Path,
+    count: int,
+    trust: Trust,
+    check: DenseCheck,
 ) -> Reconstruction:
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches = _verified_matches(colmap, opened, index)
     _log.info("%d pairs match; placing the cameras", len(matches))
-    pieces = place_cameras(colmap, database, images, folder, count, trust)
+    pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
     return Reconstruction(pieces, matches, [features[k] for k in range(count)])
 
 
