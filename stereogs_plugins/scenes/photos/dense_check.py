@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 LEAST_ADVANTAGE = 1.45
 """Least ratio of confirmed pixels to those confirmed by chance. Of 40 pairs with 15 to 250 matches, correct
-ones had 1.5 to 2.8 up to 65 degrees apart (five had 1.0 to 1.4, most of them beyond), wrong ones 1.0 to 1.3."""
+ones had 1.5 to 2.8 up to 65 degrees apart (five 1.0 to 1.4, most of them beyond), wrong ones 1.0 to 1.3."""
 LONGER_SIDE = 240
 """Longer side of the pictures that are compared, in pixels."""
 PLANES = 64

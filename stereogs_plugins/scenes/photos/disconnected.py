@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from registry.toolkit.photos import ColmapModel
 
     from .found_cameras import FoundCameras
+    from .no_depth import Reason
     from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
@@ -26,6 +28,15 @@ ENOUGH_MATCHES = 30
 """Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
 MANY_MATCHES = 200
 """Photographs with this many matches overlap; if they do not connect, there is another reason."""
+_WHY_NO_DEPTH: dict[Reason, str] = {
+    "position": "they were taken from one position, so they contain no depth",
+    "surface": "they show one flat surface, which does not determine the cameras",
+}
+_MORE_DEPTH: dict[Reason, str] = {
+    "position": "take a step to the side between pictures, a tenth of the distance to the subject; "
+    "do not turn on the spot",
+    "surface": "include things in front of the surface or behind it, a quarter of each picture or more",
+}
 _PARTNERS = 3
 
 
@@ -48,7 +59,7 @@ def largest_group(
     found = cameras.reconstruction
     groups = _groups(found, len(names))
     main = groups[0]
-    placed = cameras.model is not None and len(main) >= MIN_PHOTOS
+    placed = cameras.model is not None and len(main) >= min(MIN_PHOTOS, len(names))
     if placed and cameras.model is not None and (len(groups) == 1 or not require_all):
         reasons = {k: _bridge(found, group, main, names) for group in groups[1:] for k in group}
         return cameras.model, reasons
@@ -80,10 +91,20 @@ def _summary(found: Reconstruction, placed: int, count: int) -> str:
         )
     if _most_matches(found) < ENOUGH_MATCHES:
         return f"no camera could be placed: no two of the {count} photographs overlap enough"
+    reason = _usual_reason(found)
+    why = _WHY_NO_DEPTH[reason] if reason else "no depth follows from them"
     return (
         f"no camera could be placed: the {count} photographs share up to {_most_matches(found):,} "
-        "matches, but no depth follows from them"
+        f"matches, but {why}"
     )
+
+
+def _usual_reason(found: Reconstruction) -> Reason | None:
+    """Why most pairs that overlap contain no depth; None if most do or the reason is unknown."""
+    overlapping = [pair for pair, matches in found.matches.items() if matches >= ENOUGH_MATCHES]
+    reasons = [found.no_depth.get(pair) for pair in overlapping]
+    most, count = Counter(reasons).most_common(1)[0] if reasons else (None, 0)
+    return most if 2 * count > len(reasons) else None
 
 
 def _most_matches(found: Reconstruction) -> int:
@@ -137,6 +158,9 @@ def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[
             "photograph the scene again with small steps to the side between pictures, so that two thirds of "
             "each picture are in the next"
         )
+    reason = _usual_reason(found)
+    if reason is not None:
+        return _MORE_DEPTH[reason]
     return (
         "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
         "from one position, or of one flat surface, contain no depth"
@@ -155,6 +179,12 @@ def _bridge(
         )
     links = ((found.matches.get((min(a, b), max(a, b)), 0), -a, -b) for a in group for b in main)
     matches, a, b = max(links)
+    reason = found.no_depth.get((min(-a, -b), max(-a, -b)))
+    if matches >= MANY_MATCHES and reason is not None:
+        return (
+            f"{names[-a]} shares {matches:,} matches with {names[-b]}, but {_WHY_NO_DEPTH[reason]}: "
+            f"{_MORE_DEPTH[reason]}"
+        )
     if matches >= MANY_MATCHES:
         return (
             f"{names[-a]} shares {matches:,} matches with {names[-b]} but does not fit: check if something "

@@ -23,6 +23,7 @@ from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_col
 from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
+from .no_depth import reason_of
 from .structure_from_motion import Reconstruction, reconstruct
 from .unposed_photos import UnposedPhoto
 
@@ -71,6 +72,7 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
             reconstruct,
             place_cameras,
             DenseCheck,
+            reason_of,
             add_learned_matches,
             KeypointNetworks,
             UnposedPhoto,
@@ -92,6 +94,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
         "tried": found.tried,
+        "no_depth": [[*pair, reason] for pair, reason in found.no_depth.items()],
     }
     (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
 
@@ -102,7 +105,10 @@ def _read(folder: Path) -> FoundCameras:
         Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
     ]
     matches = {(first, second): count for first, second, count in summary["matches"]}
-    reconstruction = Reconstruction(pieces, matches, summary["features"], tuple(summary["tried"]))
+    no_depth = {(first, second): reason for first, second, reason in summary["no_depth"]}
+    reconstruction = Reconstruction(
+        pieces, matches, summary["features"], tuple(summary["tried"]), no_depth
+    )
     return FoundCameras(reconstruction, _model(reconstruction))
 
 

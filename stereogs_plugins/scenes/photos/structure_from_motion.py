@@ -10,7 +10,7 @@ threads start, and mapping uses one thread.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from PIL import Image
@@ -29,6 +29,7 @@ from .mapping import (
     place_cameras,
     worth,
 )
+from .no_depth import Reason, reason_of
 from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
@@ -50,12 +51,14 @@ class Reconstruction:
         matches: number of verified matches by pair of indices, first < second.
         features: number of features of each photograph.
         tried: names of the kinds of matches used, for messages.
+        no_depth: why pairs of indices contain no depth.
     """
 
     pieces: list[Piece]
     matches: dict[tuple[int, int], int]
     features: list[int]
     tried: tuple[str, ...] = ("SIFT",)
+    no_depth: dict[tuple[int, int], Reason] = field(default_factory=dict)
 
     @property
     def rank(self) -> tuple[bool, int, int]:
@@ -150,10 +153,10 @@ def _placed(
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
-        matches = _verified_matches(colmap, opened, index)
+        matches, no_depth = _verified_matches(colmap, opened, index)
     _log.info("%d pairs match; placing the cameras", len(matches))
     pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
-    return Reconstruction(pieces, matches, [features[k] for k in range(count)])
+    return Reconstruction(pieces, matches, [features[k] for k in range(count)], no_depth=no_depth)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:
@@ -215,11 +218,21 @@ def _geometry(colmap: Any) -> Any:
 
 def _verified_matches(
     colmap: Any, database: Any, index: dict[int, int]
-) -> dict[tuple[int, int], int]:
+) -> tuple[dict[tuple[int, int], int], dict[tuple[int, int], Reason]]:
+    """Number of verified matches of each pair, and why pairs contain no depth."""
+    cameras = {camera.camera_id: camera for camera in database.read_all_cameras()}
+    sizes = {}
+    for image in database.read_all_images():
+        camera = cameras[image.camera_id]
+        sizes[index[image.image_id]] = (camera.width, camera.height)
     pairs, geometries = database.read_two_view_geometries()
-    found = {}
+    matches: dict[tuple[int, int], int] = {}
+    no_depth: dict[tuple[int, int], Reason] = {}
     for pair, geometry in zip(pairs, geometries, strict=True):
         first, second = sorted(index[image] for image in colmap.pair_id_to_image_pair(pair))
         if len(geometry.inlier_matches):
-            found[first, second] = len(geometry.inlier_matches)
-    return found
+            matches[first, second] = len(geometry.inlier_matches)
+            reason = reason_of(colmap, geometry, sizes[first])
+            if reason is not None and sizes[first] == sizes[second]:
+                no_depth[first, second] = reason
+    return matches, no_depth
