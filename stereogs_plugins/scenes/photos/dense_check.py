@@ -60,15 +60,23 @@ class DenseCheck:
 
     Args:
         images: folder of the photographs, named by index.
+
+    Attributes:
+        rejected: pairs of indices that were not confirmed, first < second.
     """
 
     def __init__(self, images: Path) -> None:
         self._images = images
+        self.rejected: set[tuple[int, int]] = set()
         self._small: dict[int, NDArray[np.uint8]] = {}
 
     def confirms(self, model: Any, first: int, second: int) -> bool:
         """Whether the pictures confirm the cameras of two images of a pycolmap model, by their ids."""
-        return self.advantage(model, first, second) >= LEAST_ADVANTAGE
+        if self.advantage(model, first, second) >= LEAST_ADVANTAGE:
+            return True
+        here, there = sorted(image_index(model.image(k).name) for k in (first, second))
+        self.rejected.add((here, there))
+        return False
 
     def advantage(self, model: Any, first: int, second: int) -> float:
         """Return the number of confirmed pixels divided by the number confirmed by chance.

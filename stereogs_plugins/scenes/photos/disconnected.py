@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from registry.toolkit.photos import ColmapModel
 
     from .found_cameras import FoundCameras
-    from .no_depth import Reason
+    from .no_depth import Doubt
     from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
@@ -28,14 +28,16 @@ ENOUGH_MATCHES = 30
 """Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
 MANY_MATCHES = 200
 """Photographs with this many matches overlap; if they do not connect, there is another reason."""
-_WHY_NO_DEPTH: dict[Reason, str] = {
+_DOUBTS: dict[Doubt, str] = {
     "position": "they were taken from one position, so they contain no depth",
     "surface": "they show one flat surface, which does not determine the cameras",
+    "pictures": "what surrounds the matches differs, as on opposite sides of a symmetric object",
 }
-_MORE_DEPTH: dict[Reason, str] = {
+_REMEDIES: dict[Doubt, str] = {
     "position": "take a step to the side between pictures, a tenth of the distance to the subject; "
     "do not turn on the spot",
     "surface": "include things in front of the surface or behind it, a quarter of each picture or more",
+    "pictures": "take pictures between them, each with two thirds of the previous picture",
 }
 _PARTNERS = 3
 
@@ -91,20 +93,20 @@ def _summary(found: Reconstruction, placed: int, count: int) -> str:
         )
     if _most_matches(found) < ENOUGH_MATCHES:
         return f"no camera could be placed: no two of the {count} photographs overlap enough"
-    reason = _usual_reason(found)
-    why = _WHY_NO_DEPTH[reason] if reason else "no depth follows from them"
+    doubt = _usual_doubt(found)
+    why = _DOUBTS[doubt] if doubt else "no depth follows from them"
     return (
         f"no camera could be placed: the {count} photographs share up to {_most_matches(found):,} "
         f"matches, but {why}"
     )
 
 
-def _usual_reason(found: Reconstruction) -> Reason | None:
-    """Why most pairs that overlap contain no depth; None if most do or the reason is unknown."""
+def _usual_doubt(found: Reconstruction) -> Doubt | None:
+    """Why most pairs with enough matches do not connect; None if there is no such reason."""
     overlapping = [pair for pair, matches in found.matches.items() if matches >= ENOUGH_MATCHES]
-    reasons = [found.no_depth.get(pair) for pair in overlapping]
-    most, count = Counter(reasons).most_common(1)[0] if reasons else (None, 0)
-    return most if 2 * count > len(reasons) else None
+    doubts = [found.doubts.get(pair) for pair in overlapping]
+    most, count = Counter(doubts).most_common(1)[0] if doubts else (None, 0)
+    return most if 2 * count > len(doubts) else None
 
 
 def _most_matches(found: Reconstruction) -> int:
@@ -158,9 +160,9 @@ def _advice(found: Reconstruction, groups: Sequence[list[int]], names: Sequence[
             "photograph the scene again with small steps to the side between pictures, so that two thirds of "
             "each picture are in the next"
         )
-    reason = _usual_reason(found)
-    if reason is not None:
-        return _MORE_DEPTH[reason]
+    doubt = _usual_doubt(found)
+    if doubt is not None:
+        return _REMEDIES[doubt]
     return (
         "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
         "from one position, or of one flat surface, contain no depth"
@@ -179,11 +181,11 @@ def _bridge(
         )
     links = ((found.matches.get((min(a, b), max(a, b)), 0), -a, -b) for a in group for b in main)
     matches, a, b = max(links)
-    reason = found.no_depth.get((min(-a, -b), max(-a, -b)))
-    if matches >= MANY_MATCHES and reason is not None:
+    doubt = found.doubts.get((min(-a, -b), max(-a, -b)))
+    if matches >= ENOUGH_MATCHES and doubt is not None:
         return (
-            f"{names[-a]} shares {matches:,} matches with {names[-b]}, but {_WHY_NO_DEPTH[reason]}: "
-            f"{_MORE_DEPTH[reason]}"
+            f"{names[-a]} shares {matches:,} matches with {names[-b]}, but {_DOUBTS[doubt]}: "
+            f"{_REMEDIES[doubt]}"
         )
     if matches >= MANY_MATCHES:
         return (

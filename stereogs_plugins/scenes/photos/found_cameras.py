@@ -23,7 +23,7 @@ from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_col
 from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
-from .no_depth import reason_of
+from .no_depth import doubt_of
 from .structure_from_motion import Reconstruction, reconstruct
 from .unposed_photos import UnposedPhoto
 
@@ -72,7 +72,7 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
             reconstruct,
             place_cameras,
             DenseCheck,
-            reason_of,
+            doubt_of,
             add_learned_matches,
             KeypointNetworks,
             UnposedPhoto,
@@ -94,7 +94,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
         "tried": found.tried,
-        "no_depth": [[*pair, reason] for pair, reason in found.no_depth.items()],
+        "doubts": [[*pair, doubt] for pair, doubt in found.doubts.items()],
     }
     (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
 
@@ -105,9 +105,9 @@ def _read(folder: Path) -> FoundCameras:
         Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
     ]
     matches = {(first, second): count for first, second, count in summary["matches"]}
-    no_depth = {(first, second): reason for first, second, reason in summary["no_depth"]}
+    doubts = {(first, second): doubt for first, second, doubt in summary["doubts"]}
     reconstruction = Reconstruction(
-        pieces, matches, summary["features"], tuple(summary["tried"]), no_depth
+        pieces, matches, summary["features"], tuple(summary["tried"]), doubts
     )
     return FoundCameras(reconstruction, _model(reconstruction))
 

@@ -14,7 +14,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Reason = Literal["position", "surface"]
+Doubt = Literal["position", "surface", "pictures"]
+"""Why matches of a pair do not connect it: no depth, or the dense check (dense_check.py) failed."""
 LEAST_DEVIATION = 0.015
 """Least deviation of the singular values of K^-1 H K from 1 if H is not from a rotation."""
 _FOCALS = np.geomspace(0.7, 1.6, 10)
@@ -27,7 +28,7 @@ def has_depth(colmap: Any, geometry: Any) -> bool:
     return geometry.config not in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)
 
 
-def reason_of(colmap: Any, geometry: Any, size: tuple[int, int]) -> Reason | None:
+def doubt_of(colmap: Any, geometry: Any, size: tuple[int, int]) -> Doubt | None:
     """Why a pair's verified geometry contains no depth; None if it does.
 
     Args:

@@ -29,7 +29,7 @@ from .mapping import (
     place_cameras,
     worth,
 )
-from .no_depth import Reason, reason_of
+from .no_depth import Doubt, doubt_of
 from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
@@ -51,14 +51,14 @@ class Reconstruction:
         matches: number of verified matches by pair of indices, first < second.
         features: number of features of each photograph.
         tried: names of the kinds of matches used, for messages.
-        no_depth: why pairs of indices contain no depth.
+        doubts: why the matches of pairs of indices do not connect them.
     """
 
     pieces: list[Piece]
     matches: dict[tuple[int, int], int]
     features: list[int]
     tried: tuple[str, ...] = ("SIFT",)
-    no_depth: dict[tuple[int, int], Reason] = field(default_factory=dict)
+    doubts: dict[tuple[int, int], Doubt] = field(default_factory=dict)
 
     @property
     def rank(self) -> tuple[bool, int, int]:
@@ -92,7 +92,6 @@ def reconstruct(
         range(len(photos)),
     )
     lenses = _lenses(photos, share_lens)
-    check = DenseCheck(images)
     best: Reconstruction | None = None
     tried: list[str] = []
     for name, trust, fill in _ways(colmap, images, folder):
@@ -105,7 +104,7 @@ def reconstruct(
             _import(colmap, database, images, group, photos[group[0]], decoder)
         fill(database)
         tried.append(name)
-        found = _placed(colmap, database, images, workplace, len(photos), trust, check)
+        found = _placed(colmap, database, images, workplace, len(photos), trust)
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
@@ -142,21 +141,17 @@ def _ways(
 
 
 def _placed(
-    colmap: Any,
-    database: Path,
-    images: Path,
-    folder: Path,
-    count: int,
-    trust: Trust,
-    check: DenseCheck,
+    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
 ) -> Reconstruction:
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
-        matches, no_depth = _verified_matches(colmap, opened, index)
+        matches, doubts = _verified_matches(colmap, opened, index)
     _log.info("%d pairs match; placing the cameras", len(matches))
+    check = DenseCheck(images)
     pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
-    return Reconstruction(pieces, matches, [features[k] for k in range(count)], no_depth=no_depth)
+    doubts |= dict.fromkeys(check.rejected, "pictures")
+    return Reconstruction(pieces, matches, [features[k] for k in range(count)], doubts=doubts)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:
@@ -218,7 +213,7 @@ def _geometry(colmap: Any) -> Any:
 
 def _verified_matches(
     colmap: Any, database: Any, index: dict[int, int]
-) -> tuple[dict[tuple[int, int], int], dict[tuple[int, int], Reason]]:
+) -> tuple[dict[tuple[int, int], int], dict[tuple[int, int], Doubt]]:
     """Number of verified matches of each pair, and why pairs contain no depth."""
     cameras = {camera.camera_id: camera for camera in database.read_all_cameras()}
     sizes = {}
@@ -227,12 +222,12 @@ def _verified_matches(
         sizes[index[image.image_id]] = (camera.width, camera.height)
     pairs, geometries = database.read_two_view_geometries()
     matches: dict[tuple[int, int], int] = {}
-    no_depth: dict[tuple[int, int], Reason] = {}
+    doubts: dict[tuple[int, int], Doubt] = {}
     for pair, geometry in zip(pairs, geometries, strict=True):
         first, second = sorted(index[image] for image in colmap.pair_id_to_image_pair(pair))
         if len(geometry.inlier_matches):
             matches[first, second] = len(geometry.inlier_matches)
-            reason = reason_of(colmap, geometry, sizes[first])
-            if reason is not None and sizes[first] == sizes[second]:
-                no_depth[first, second] = reason
-    return matches, no_depth
+            doubt = doubt_of(colmap, geometry, sizes[first])
+            if doubt is not None and sizes[first] == sizes[second]:
+                doubts[first, second] = doubt
+    return matches, doubts
