@@ -16,7 +16,7 @@ from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
 from .ready import find_pipeline
-from .schedule import HostSettings, Schedule, in_iterations
+from .schedule import HostSettings, Schedule, in_iterations, with_defaults
 from .settings_check import escape_variables, plain, validate_settings
 from .training_settings import TrainingSettings, iterations_of_a_run, read_training
 from .yaml_source import Node, Place, parse, read, to_yaml
@@ -270,6 +270,11 @@ def component_item(
     except PluginError as error:
         where = f"{place}; {error.where}" if error.where else str(place)
         raise PluginError(error.what, where=where, fix=error.fix) from error
+    if defaults := offer.component.host_defaults:
+        origin = Place(f"host_defaults of {offer}")
+        known = in_iterations({k: Node(v, origin) for k, v in defaults.items()}, iterations)
+        completed = Node(with_defaults(written, known), node.place)
+        host = validate_settings(HostSettings, completed, label)
     own = Node({k: v for k, v in mapping.items() if k not in names}, node.place)
     settings = validate_settings(offer.settings_type, own, label, names)
     return Item(host.name or host.use, settings, host, offer, place)

@@ -20,6 +20,8 @@ class ExpectedOpacitySettings(Settings):
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
     """alpha <- (1 - p) alpha; the optimizer skips opacities in that iteration."""
 
+    host_defaults = {"start": "100%"}
+
     def update(self, step: Step) -> OpacityUpdate:
         """Return the scaled opacities."""
         opacities = (1 - self.settings.rate) * step.model.opacities()
