@@ -14,11 +14,14 @@ from ..contract.hook_points import PIPELINE_POINTS, STAGES
 from ..contract.prior import chosen_prior, usable_priors
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean
-from ..pipeline.pipeline import Item, Pipeline
+from ..pipeline.pipeline import Item, Pipeline, default_schedule
 from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
 """Numbers stored for each parameter: its value, its gradient, Adam's two moments."""
+FAR_MORE_OFTEN = 30
+"""Factor above the calls of a component's default schedule at which `schedule_warnings` warns; published
+methods go up to 27 (DNGaussian's pruning)."""
 _FLOAT_BYTES = 4
 _UNKNOWN_COUNT = 100_000
 
@@ -49,6 +52,21 @@ def faults(pipeline: Pipeline) -> list[str]:
             found.append((item, "is never due"))
     found += [(item, fault.what) for item, fault in _prior_faults(pipeline)]
     return [f"{item.qualified_name}: {fault}" for item, fault in found]
+
+
+def schedule_warnings(pipeline: Pipeline) -> list[str]:
+    """Return a sentence for each component that is called far more often than in any published method."""
+    found, iterations = [], pipeline.training.iterations
+    for item in pipeline:
+        calls = len(item.schedule.due_in(iterations))
+        usual = len(default_schedule(item.offer, iterations).due_in(iterations))
+        if item.point.scheduled and calls > FAR_MORE_OFTEN * max(usual, 1):
+            found.append(
+                f"{item.qualified_name} ({item.place}) is called {calls} times in {iterations} iterations, "
+                f"by its default schedule {usual} times. Calls as frequent as this spoil the result: remove "
+                "its `start`, `stop`, `every` and `phase`"
+            )
+    return found
 
 
 def memory(pipeline: Pipeline) -> str:
@@ -200,3 +218,5 @@ def _help_lines(offer: Offer) -> Iterator[str]:
         for line in inspect.cleandoc(field.description or "").splitlines():
             yield f"      {line}"
     yield f"settings that the host reads: {', '.join(offer.point.host_settings)}"
+    if (defaults := offer.component.host_defaults) != "{}":
+        yield f"their defaults: {defaults.strip('{}')}"

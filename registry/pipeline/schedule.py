@@ -127,9 +127,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
     return result
 
 
-def with_defaults(
-    written: Mapping[str, Node], defaults: Mapping[str, Node]
-) -> dict[str, Node]:
+def with_defaults(written: Mapping[str, Node], defaults: Mapping[str, Node]) -> dict[str, Node]:
     """Return the host's settings, completed by the defaults of a component; both valid and in iterations.
 
     A written `start` is the first due iteration, whatever the default `phase`. A default `start` or `stop`

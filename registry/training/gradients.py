@@ -29,6 +29,8 @@ from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 
+FAINTEST = 1 / 255
+"""Opacity below which a Gaussian is not rendered."""
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -78,6 +80,27 @@ def regularizing_term(
         term = check_loss(part.component.loss(step))
     logged[part.item.qualified_name] = float(term.detach())
     return Term(part.item, part.item.host.weight * term)
+
+
+def without_gradient(model: GaussianModel, rendering: Rendering) -> str | None:
+    """Return the likely cause and a remedy if no Gaussian received a gradient from a render, else None.
+
+    Args:
+        model: after the backward pass.
+        rendering: of the same iteration.
+    """
+    if model.touched().any():
+        return None
+    if float(model.opacities().max()) < FAINTEST:
+        return (
+            "all opacities are below 1/255; let opacity policies and losses act later or less often"
+        )
+    if not rendering.visible.any():
+        return "no Gaussian is in it; `stereogs check` shows the cameras and the initial points"
+    return (
+        "all colours are 0 or less, where they have no gradient, because the initial points have no "
+        "colours; use an initializer that takes colours from the photographs"
+    )
 
 
 def backward(

@@ -19,7 +19,7 @@ class ConstantDecay(OpacityPolicy[ConstantDecaySettings]):
     """alpha <- factor * alpha; the optimizer's moments are kept."""
 
     ablation_baseline = "opacity_reset"
-    host_defaults = {"start": "1.67%"}
+    host_defaults = "{start: 1.67%}"
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the decayed opacities."""

@@ -20,7 +20,7 @@ class ExpectedOpacitySettings(Settings):
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
     """alpha <- (1 - p) alpha; the optimizer skips opacities in that iteration."""
 
-    host_defaults = {"start": "100%"}
+    host_defaults = "{start: 100%}"
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the scaled opacities."""

@@ -44,7 +44,7 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     """alpha <- gamma(gradient) * alpha; the optimizer's moments are kept."""
 
     ablation_baseline = "opacity_reset"
-    host_defaults = {"start": "3.337%"}
+    host_defaults = "{start: 3.337%}"
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
         super().__init__(settings, context)

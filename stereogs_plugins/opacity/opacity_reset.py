@@ -23,7 +23,7 @@ class OpacityResetSettings(Settings):
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
     """alpha <- min(alpha, ceiling); the optimizer's moments of the opacities are reset."""
 
-    host_defaults = {"stop": "49.9%", "every": "10%"}
+    host_defaults = "{stop: 49.9%, every: 10%}"
 
     def update(self, step: Step) -> OpacityUpdate | None:
         """Return the lowered opacities, or None if the reset is skipped."""

@@ -40,7 +40,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
     Gradients flow through the virtual view's colours and depth; the training views' depths only filter.
     """
 
-    host_defaults = {"start": "83.34%"}
+    host_defaults = "{start: 83.34%}"
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera; 0 if no pixel is consistent."""
