@@ -31,7 +31,7 @@ examples:
 
 Lists the components of each stage: package, iterations, inputs, files and priors; then the memory of the
 Gaussians, and the pipeline with every default. Nothing is loaded or trained. The exit status is 1 if a file
-or a prior is missing, or if a component is never due.
+or a prior is missing, or if a component is never due or called far too often.
 """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,7 @@ or a prior is missing, or if a component is never due.
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Print the explanation; return 1 if the pipeline has a fault."""
-        from ..inspection.explanation import explained, faults, memory, schedule_warnings
+        from ..inspection.explanation import explained, faults, memory
         from ..pipeline.pipeline import load_pipeline
         from ..plugins.discovery import Plugins
 
@@ -59,8 +59,6 @@ or a prior is missing, or if a component is never due.
                     output.print(f"    {label:<6} {text}")
         output.print(f"\nmemory, estimated\n  {memory(pipeline)}")
         output.print(f"\nthe pipeline in full\n\n{pipeline.to_yaml()}")
-        for warning in schedule_warnings(pipeline):
-            output.print(f"warning: {warning}")
         found = faults(pipeline)
         for fault in found:
             output.print(f"fault: {fault}")

@@ -39,7 +39,7 @@ examples:
   stereogs train my-photos                           a folder of pictures or data
   stereogs train my-photos --quality best            the best pipeline without networks
   stereogs train my-photos --seconds 30              finish within thirty seconds
-  stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
+  stereogs train 3dgs --scene my-photos              a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
   stereogs train my-photos --view                    show the scene meanwhile (extra `viewer`)
@@ -64,6 +64,12 @@ from it to the same result.
             type=Path,
             metavar="DIR",
             help="the run folder, new or empty (default: runs/<pipeline>-<scene>, numbered if taken)",
+        )
+        parser.add_argument(
+            "--scene",
+            type=Path,
+            metavar="DIR",
+            help="a folder of photographs or data, instead of the pipeline's scene",
         )
         add_changes(parser)
         add_device(parser)
@@ -180,7 +186,7 @@ def _folder_pipeline(options: Sequence[TrainOption]) -> str:
     raise RunError(
         "no installed plugin chooses a pipeline for a folder",
         where="the command line",
-        fix="name a pipeline: `stereogs train PIPELINE --set scene.path=FOLDER`",
+        fix="name a pipeline: `stereogs train PIPELINE --scene FOLDER`",
     )
 
 
@@ -188,14 +194,14 @@ def _loader(arguments: argparse.Namespace, plugins: Plugins) -> Callable[[str], 
     """Return a function that loads a pipeline by name or path, with the changes of the command line."""
     from ..pipeline.pipeline import load_pipeline
 
-    overrides, folder = arguments.set, arguments.pipeline
-    if folder is None:
+    overrides, given = arguments.set, arguments.pipeline
+    if given is None:
         raise RunError(
             "neither a pipeline nor a folder is given",
             where="the command line",
             fix="give a folder of photographs, or a pipeline, for example 3dgs",
         )
-    if folder.is_dir():
+    if folder := arguments.scene or (given if given.is_dir() else None):
         overrides = [_scene(folder, plugins, overrides), *overrides]
 
     def load(name: str) -> Pipeline:

@@ -19,9 +19,9 @@ from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
 """Numbers stored for each parameter: its value, its gradient, Adam's two moments."""
-FAR_MORE_OFTEN = 30
-"""Factor above the calls of a component's default schedule at which `schedule_warnings` warns; published
-methods go up to 27 (DNGaussian's pruning)."""
+FAR_MORE_OFTEN = 50
+"""Largest number of a component's calls, relative to its default schedule; published methods have up to 32
+times as many (DNGaussian's pruning)."""
 _FLOAT_BYTES = 4
 _UNKNOWN_COUNT = 100_000
 
@@ -43,30 +43,29 @@ def explained(pipeline: Pipeline) -> Iterator[tuple[str, list[Explained]]]:
 
 
 def faults(pipeline: Pipeline) -> list[str]:
-    """Return the problems that are known before anything is loaded."""
+    """Return the problems that are known before anything is loaded, each in a sentence."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
         missing = [path for path in _paths(dict(item.settings)) if not path.exists()]
         found += [(item, f"{path} does not exist") for path in missing]
-        if not _is_used(item, pipeline):
-            found.append((item, "is never due"))
-    found += [(item, fault.what) for item, fault in _prior_faults(pipeline)]
+        if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
+            found.append((item, f"{fault} ({item.place})"))
+    found += [(item, error.what) for item, error in _prior_faults(pipeline)]
     return [f"{item.qualified_name}: {fault}" for item, fault in found]
 
 
-def schedule_warnings(pipeline: Pipeline) -> list[str]:
-    """Return a sentence for each component that is called far more often than in any published method."""
-    found, iterations = [], pipeline.training.iterations
-    for item in pipeline:
-        calls = len(item.schedule.due_in(iterations))
-        usual = len(default_schedule(item.offer, iterations).due_in(iterations))
-        if item.point.scheduled and calls > FAR_MORE_OFTEN * max(usual, 1):
-            found.append(
-                f"{item.qualified_name} ({item.place}) is called {calls} times in {iterations} iterations, "
-                f"by its default schedule {usual} times. Calls as frequent as this spoil the result: remove "
-                "its `start`, `stop`, `every` and `phase`"
-            )
-    return found
+def _schedule_fault(item: Item, iterations: int) -> str | None:
+    """Return what is wrong if a component is never called, or far more often than by its default schedule."""
+    calls = len(item.schedule.due_in(iterations)) if item.host.weight else 0
+    if not calls:
+        return f"is never due in {iterations} iterations"
+    usual = len(default_schedule(item.offer, iterations).due_in(iterations))
+    if calls <= FAR_MORE_OFTEN * max(usual, 1):
+        return None
+    return (
+        f"is called {calls} times in {iterations} iterations, by its default schedule {usual} times; "
+        "calls as frequent as this spoil the result: remove its `start`, `stop`, `every` and `phase`"
+    )
 
 
 def memory(pipeline: Pipeline) -> str:

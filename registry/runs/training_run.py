@@ -16,7 +16,7 @@ from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import Scene
-from ..inspection.explanation import refuse_missing_priors, schedule_warnings
+from ..inspection.explanation import faults, refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
@@ -139,7 +139,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
     console.print(summary(scene))
-    for warning in [*warnings(scene), *schedule_warnings(pipeline)]:
+    for warning in [*warnings(scene), *faults(pipeline)]:
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()

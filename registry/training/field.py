@@ -223,7 +223,7 @@ class Field:
             self._no_gradient = without_gradient(self.model, self._rendering)
             if self._no_gradient:
                 where = f"iteration {step.iteration}, view {step.view.name}"
-                _log.warning("%s: the render has no gradient; %s", where, self._no_gradient)
+                _log.warning("%s: the render has no gradient: %s", where, self._no_gradient)
         return loss
 
     def update_opacities(self) -> None:
