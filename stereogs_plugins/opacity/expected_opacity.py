@@ -1,8 +1,8 @@
 """`expected_opacity`: scale the final opacities to their mean under dropout (Chen et al. 2025).
 
 Dropout without compensation trains renders in which a share p of the Gaussians is missing. A render with
-all Gaussians and opacities times 1 - p approximates the mean of many such renders. Set `start: 100%`:
-in earlier iterations it would act as a decay.
+all Gaussians and opacities times 1 - p approximates the mean of many such renders. By default it is called
+in the last iteration only: in earlier ones it would act as a decay.
 """
 
 from __future__ import annotations

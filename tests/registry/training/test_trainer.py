@@ -193,7 +193,7 @@ def test_a_bad_answer_is_refused_before_the_step(
 @pytest.mark.parametrize(
     ("group", "value", "cause"),
     [
-        ("sh", -10.0, "all colours are 0 or less"),
+        ("sh", -10.0, "nearly all colours are 0 or less"),
         ("opacity_logits", -9.0, "all opacities are below 1/255"),
         ("means", 1e3, "no Gaussian is in it"),
     ],

@@ -12,6 +12,7 @@ from registry.contract.hook_points import PIPELINE_POINTS
 from registry.inspection.explanation import faults
 from registry.pipeline.pipeline import load_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
+from tests.stereogs_plugins.scenes.small_scenes import World, write_nerfstudio
 
 Capture = pytest.CaptureFixture[str]
 
@@ -43,13 +44,14 @@ def test_it_is_valid_and_explained_without_fault(written: Path) -> None:
     assert main(["explain", str(written)]) == 0
 
 
-def test_it_trains_as_written_and_on_a_folder(written: Path, capsys: Capture) -> None:
-    short = ["--set", "training.iterations=3"]
-    assert main(["train", "mine.yaml", *short, "--out", "room", "--set", "scene.width=48"]) == 0
-    assert main(["export", "room", "--format", "transforms", "--out", "data"]) == 0
+def test_it_trains_as_written_and_on_another_scene(written: Path, capsys: Capture) -> None:
+    short = ["--set", "training.iterations=3", "--set", "training.seed=1"]
+    assert main(["train", "mine.yaml", *short, "--out", "room", "--set", "scene.width=64"]) == 0
+    write_nerfstudio(written.parent / "garden", World())
     capsys.readouterr()
-    assert main(["train", "mine.yaml", *short, "--out", "mine", "--scene", "data"]) == 0
-    assert "data: " in capsys.readouterr().out
+    other = ["--scene", "garden", "--set", "initializer=random"]
+    assert main(["train", "mine.yaml", *short, *other, "--out", "other"]) == 0
+    assert "garden: 3 training views" in capsys.readouterr().out
 
 
 def test_no_file_is_replaced(written: Path, capsys: Capture) -> None:
