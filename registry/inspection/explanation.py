@@ -63,8 +63,8 @@ def _schedule_fault(item: Item, iterations: int) -> str | None:
     if calls <= FAR_MORE_OFTEN * max(usual, 1):
         return None
     return (
-        f"is called {calls} times in {iterations} iterations, by its default schedule {usual} times; "
-        "calls as frequent as this spoil the result: remove its `start`, `stop`, `every` and `phase`"
+        f"is called {calls} times in {iterations} iterations, but {usual} times by its default schedule; "
+        "so many calls spoil the result: remove its `start`, `stop`, `every` and `phase`"
     )
 
 

@@ -50,13 +50,13 @@ never replaced. To start from a published method, copy its file instead: `stereo
 prints it in full.
 """
 _HEAD = """\
-# A pipeline to start from; it trains on a synthetic room.
+# A pipeline to start from; as written, it trains on a synthetic room.
 #
-#   stereogs train {file} --scene FOLDER   on photographs or a data set instead
-#   stereogs explain {file}                which component is called when, and all settings
-#   stereogs plugins NAME   what a component does, its settings and defaults
+#   {train:{width}}  on photographs or a data set instead
+#   {explain:{width}}  which component is called when, and all settings
+#   {plugins:{width}}  what a component does, its settings and their defaults
 #
-# Each section has its purpose and the other components that it can hold. A bare name takes a component's
+# Above each section are its purpose and the other components that it can hold. A bare name takes a component's
 # defaults, with the schedule as a share of the run; {{use: dropout, rate: 0.2, start: 10%}} changes them.
 """
 
@@ -88,7 +88,15 @@ def text(path: Path, plugins: Plugins) -> str:
     from registry.contract import HOOK_POINTS
     from registry.pipeline import to_yaml
 
-    lines = [_HEAD.format(file=path), to_yaml({"name": path.stem})]
+    verbs = {
+        "train": f"stereogs train {path} --scene FOLDER",
+        "explain": f"stereogs explain {path}",
+        "plugins": "stereogs plugins NAME",
+    }
+    lines = [
+        _HEAD.format(**verbs, width=max(map(len, verbs.values()))),
+        to_yaml({"name": path.stem}),
+    ]
     for point in HOOK_POINTS:
         if point.in_pipeline:
             names = [offer.name for offer in plugins.all() if offer.point is point]

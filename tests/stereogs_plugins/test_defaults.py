@@ -17,7 +17,9 @@ from torch.nn.functional import avg_pool2d
 import stereogs
 from registry import Scene, View
 from registry.inspection.explanation import component_help
+from registry.pipeline.pipeline import default_schedule
 from registry.plugins.discovery import Offer, Plugins
+from registry.runs import evaluate
 from tests.data import data_folder
 
 PLUGINS = Plugins()
@@ -99,8 +101,6 @@ def _halved(view: View) -> View:
 def psnr(scene: Scene, values: dict[str, Any]) -> float:
     pipeline = stereogs.build_pipeline(values, plugins=PLUGINS)
     run = stereogs.train(pipeline, scene=scene, progress=False)
-    from registry.runs.evaluation import evaluate
-
     mean = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"]).mean
     value = mean["psnr"]
     assert value is not None
@@ -132,6 +132,13 @@ def check(offer: Offer) -> None:
     loss = lost(data_folder("llff_fern"), offer)
     print(f"{label(offer)}: {-loss:+.2f} dB")
     assert loss <= MOST or reason(offer), f"{label(offer)} costs {loss:.2f} dB"
+
+
+@pytest.mark.parametrize("iterations", [1, 30, 400, 30_000])
+def test_default_schedules_fit_every_length(iterations: int) -> None:
+    for offer in OFFERS:
+        calls = len(default_schedule(offer, iterations).due_in(iterations))
+        assert calls or iterations < 400, f"{label(offer)} is never due"
 
 
 SAMPLE = ("gradient_aware_decay", "depth_smoothness")

@@ -92,7 +92,7 @@ def test_what_is_called_far_too_often_is_a_fault(
 
     assert fault("toy_growth") == fault("{use: toy_growth, every: 10, stop: 90%}") == []
     (found,) = fault("{use: toy_growth, start: 1, every: 1, stop: null}")
-    assert "is called 1000 times in 1000 iterations, by its default schedule 5 times" in found
+    assert "is called 1000 times in 1000 iterations, but 5 times by its default schedule" in found
     assert "remove its `start`, `stop`, `every`" in found
 
 
