@@ -56,8 +56,9 @@ _HEAD = """\
 #   {explain:{width}}  which component is called when, and all settings
 #   {plugins:{width}}  what a component does, its settings and their defaults
 #
-# Above each section are its purpose and the other components that it can hold. A bare name takes a component's
-# defaults, with the schedule as a share of the run; {{use: dropout, rate: 0.2, start: 10%}} changes them.
+# Above each section are its purpose and the other components that it can hold. A bare name takes the
+# component's defaults, with its published schedule as a share of the run; to change them, write for
+# example {{use: dropout, rate: 0.2, start: 10%}}.
 """
 
 
