@@ -12,6 +12,8 @@ from .device import Device
 from .gaussians import Gaussians
 from .optimization.model import GaussianModel
 
+__all__ = ["Verdict", "self_test"]
+
 TOLERANCE = 1e-3
 """Largest difference of a colour in [0, 1] due to rounding; a visible difference is 1/255."""
 GRADIENT_TOLERANCE = 1e-2

@@ -49,6 +49,7 @@ PLUGIN_FILES = sorted((ROOT / "stereogs_plugins").rglob("*.py"))
 FACES = {
     name: f"{name.replace('.', '/')}.py"
     for name in (
+        "core_rasterizer.self_test",
         "registry.errors",
         "registry.events",
         "registry.runners",
@@ -61,6 +62,7 @@ FACES = {
     name: f"{name.replace('.', '/')}/__init__.py"
     for name in (
         "core_rasterizer",
+        "core_rasterizer.device",
         "core_rasterizer.matching",
         "registry",
         "registry.commands",

@@ -40,7 +40,7 @@ examples:
   stereogs train my-photos --quality best            the best pipeline without networks
   stereogs train my-photos --seconds 30              finish within thirty seconds
   stereogs train clip.mp4                            twelve frames of a video
-  stereogs train 3dgs --set scene.path=my-photos     a ready pipeline, by name
+  stereogs train 3dgs --scene my-photos              a ready pipeline, by name
   stereogs train my.yaml --set training.iterations=5000
   stereogs train 3dgs --disable opacity_reset --out runs/without-reset
   stereogs train my-photos --view                    show the scene meanwhile (extra `viewer`)
@@ -64,6 +64,12 @@ from it to the same result.
             type=Path,
             metavar="DIR",
             help="the run folder, new or empty (default: runs/<pipeline>-<scene>, numbered if taken)",
+        )
+        parser.add_argument(
+            "--scene",
+            type=Path,
+            metavar="DIR",
+            help="a folder of photographs or data, instead of the pipeline's scene",
         )
         add_changes(parser)
         add_device(parser)
@@ -147,7 +153,7 @@ def _folder_pipeline(options: Sequence[TrainOption]) -> str:
     raise RunError(
         "no installed plugin chooses a pipeline for a folder",
         where="the command line",
-        fix="name a pipeline: `stereogs train PIPELINE --set scene.path=FOLDER`",
+        fix="name a pipeline: `stereogs train PIPELINE --scene FOLDER`",
     )
 
 
@@ -173,10 +179,10 @@ def _loader(
     from ..plugins.discovery import recognize
 
     overrides = arguments.set
-    if not named:
-        scene = {"path": escape_variables(str(arguments.pipeline))}
+    if data := arguments.scene or (None if named else arguments.pipeline):
+        scene = {"path": escape_variables(str(data))}
         if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
-            scene["use"] = recognize(arguments.pipeline, plugins).name
+            scene["use"] = recognize(data, plugins).name
         overrides = [f"scene={json.dumps(scene)}", *overrides]
 
     def load(name: str) -> Pipeline:

@@ -83,6 +83,9 @@ class Component(Generic[SettingsType]):
     ablation_baseline: ClassVar[str | None] = None
     """Replacement when an ablation disables it, written as in a pipeline: "name" or "{use: name, ...}";
     None: no replacement."""
+    host_defaults: ClassVar[str] = "{}"
+    """Defaults of settings that the host reads, for example the method's published schedule as shares of the
+    run, written as in a pipeline: "{start: 2%, stop: 50%, every: 100}". A pipeline may change each."""
     needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
     """Capabilities of the priors that it uses; a nested tuple means any of these, the first preferred.
     Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""

@@ -14,11 +14,14 @@ from ..contract.hook_points import PIPELINE_POINTS, STAGES
 from ..contract.prior import chosen_prior, usable_priors
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean
-from ..pipeline.pipeline import Item, Pipeline, leaves
+from ..pipeline.pipeline import Item, Pipeline, default_schedule, leaves
 from ..plugins.discovery import Offer, Plugins
 
 ARRAYS = 4
 """Numbers stored for each parameter: its value, its gradient, Adam's two moments."""
+FAR_MORE_OFTEN = 50
+"""Largest number of a component's calls, relative to its default schedule; published methods have up to 32
+times as many (DNGaussian's pruning)."""
 _FLOAT_BYTES = 4
 _UNKNOWN_COUNT = 100_000
 
@@ -40,15 +43,29 @@ def explained(pipeline: Pipeline) -> Iterator[tuple[str, list[Explained]]]:
 
 
 def faults(pipeline: Pipeline) -> list[str]:
-    """Return the problems that are known before anything is loaded."""
+    """Return the problems that are known before anything is loaded, each in a sentence."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
         missing = [path for path in leaves(dict(item.settings), Path) if not path.exists()]
         found += [(item, f"{path} does not exist") for path in missing]
-        if not _is_used(item, pipeline):
-            found.append((item, "is never due"))
-    found += [(item, fault.what) for item, fault in _prior_faults(pipeline)]
+        if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
+            found.append((item, f"{fault} ({item.place})"))
+    found += [(item, error.what) for item, error in _prior_faults(pipeline)]
     return [f"{item.qualified_name}: {fault}" for item, fault in found]
+
+
+def _schedule_fault(item: Item, iterations: int) -> str | None:
+    """Return what is wrong if a component is never called, or far more often than by its default schedule."""
+    calls = len(item.schedule.due_in(iterations)) if item.host.weight else 0
+    if not calls:
+        return f"is never due in {iterations} iterations"
+    usual = len(default_schedule(item.offer, iterations).due_in(iterations))
+    if calls <= FAR_MORE_OFTEN * max(usual, 1):
+        return None
+    return (
+        f"is called {calls} times in {iterations} iterations, but {usual} times by its default schedule; "
+        "so many calls spoil the result: remove its `start`, `stop`, `every` and `phase`"
+    )
 
 
 def memory(pipeline: Pipeline) -> str:
@@ -185,3 +202,5 @@ def _help_lines(offer: Offer) -> Iterator[str]:
         for line in inspect.cleandoc(field.description or "").splitlines():
             yield f"      {line}"
     yield f"settings that the host reads: {', '.join(offer.point.host_settings)}"
+    if (defaults := offer.component.host_defaults) != "{}":
+        yield f"their defaults: {defaults.strip('{}')}"

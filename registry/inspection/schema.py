@@ -16,6 +16,7 @@ from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..pipeline.protocols import ProtocolChoice, protocol_names
 from ..pipeline.schedule import HostSettings, Schedule
 from ..pipeline.training_settings import PER_VIEW, TrainingSettings
+from ..pipeline.yaml_source import parse
 from ..plugins.discovery import Offer
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -97,7 +98,9 @@ def _settings(point: HookPoint, offer: Offer, key: str, definitions: dict[str, S
     described = _described(HostSettings, "host", definitions)["properties"]
     others = {"type": "array", "items": {"$ref": f"#/$defs/{point.section}"}}
     described["fallbacks"] = {**others, "description": "Used if a file is missing; best first."}
-    properties = {name: described[name] for name in point.host_settings}
+    properties = {name: dict(described[name]) for name in point.host_settings}
+    for name, default in parse(offer.component.host_defaults, str(offer)).as_written().items():
+        properties[name]["default"] = default
     properties["use"].pop("type")
     for name in properties.keys() & Schedule.model_fields.keys():
         properties[name] = _or_text(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .ready import find_pipeline, ready_pipelines
     from .schedule import HostSettings
     from .settings_check import escape_variables, plain, validate_settings
-    from .training_settings import iterations_of_a_run
+    from .training_settings import TrainingSettings, iterations_of_a_run
     from .yaml_source import Node, Place, parse, read, resolve, to_yaml
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -37,6 +37,7 @@ __all__ = [
     "Parts",
     "Pipeline",
     "Place",
+    "TrainingSettings",
     "apply_override",
     "blamed",
     "build_part",

@@ -16,7 +16,7 @@ from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
 from .ready import find_pipeline
-from .schedule import HostSettings, Schedule, in_iterations
+from .schedule import HostSettings, Schedule, in_iterations, with_defaults
 from .settings_check import escape_variables, plain, validate_settings
 from .training_settings import TrainingSettings, iterations_of_a_run, read_training
 from .yaml_source import Node, Place, parse, read, to_yaml
@@ -322,9 +322,24 @@ def component_item(
     except PluginError as error:
         where = f"{place}; {error.where}" if error.where else str(place)
         raise PluginError(error.what, where=where, fix=error.fix) from error
+    completed = with_defaults(written, host_defaults(offer, iterations))
+    host = validate_settings(HostSettings, Node(completed, node.place), label)
     own = Node({k: v for k, v in mapping.items() if k not in names}, node.place)
     settings = validate_settings(offer.settings_type, own, label, names)
     return Item(host.name or host.use, settings, host, offer, place)
+
+
+def host_defaults(offer: Offer, iterations: int) -> dict[str, Node]:
+    """Return a component's defaults of settings that the host reads, in iterations."""
+    written = parse(offer.component.host_defaults, f"host_defaults of {offer}", has_lines=False)
+    return in_iterations(expand(written), iterations)
+
+
+def default_schedule(offer: Offer, iterations: int) -> Schedule:
+    """Return the schedule of a component whose pipeline gives none."""
+    known = host_defaults(offer, iterations)
+    names = known.keys() & Schedule.model_fields.keys()
+    return Schedule.model_validate({name: known[name].content for name in names})
 
 
 def _written(item: Item) -> dict[str, Any]:

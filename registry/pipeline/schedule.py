@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
@@ -124,6 +125,20 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
         del result["start"], result["stop"]
         result["enabled"] = Node(False, shares[0].place)
     return result
+
+
+def with_defaults(written: Mapping[str, Node], defaults: Mapping[str, Node]) -> dict[str, Node]:
+    """Return the host's settings, completed by the defaults of a component; both valid and in iterations.
+
+    A written `start` is the first due iteration, whatever the default `phase`. A default `start` or `stop`
+    does not apply if it contradicts a written one.
+    """
+    both = {**defaults, **written}
+    numbers = {name: n.content for name, n in both.items() if isinstance(n.content, int)}
+    unused = {"phase"} if "start" in written else set()
+    if numbers.get("start", 1) > numbers.get("stop", math.inf):
+        unused |= {"start", "stop"}
+    return {**{name: n for name, n in defaults.items() if name not in unused}, **written}
 
 
 def active_sh_degree(iteration: int, sh_degree: int, every: int) -> int:

@@ -21,8 +21,6 @@ _BUILT_IN = {
     "resume": "running:Resume",
     "explain": "inspecting:Explain",
     "plugins": "inspecting:Plugins",
-    "schema": "inspecting:Schema",
-    "doctor": "inspecting:Doctor",
 }
 """The host's own verbs, and their classes in `registry.commands`."""
 

@@ -19,7 +19,7 @@ from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..inspection.explanation import refuse_missing_priors
+from ..inspection.explanation import faults, refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
@@ -160,8 +160,10 @@ def _initialized(
     parts = parts.following(pipeline)
     STAGES.begin(None)
     console.print(summary(scene))
-    fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
-    for warning in [*warnings(scene), *(f"fallback: the prior {text}" for text in fallbacks)]:
+    fallbacks = [
+        f"fallback: the prior {i.fallback}" for i in pipeline.items["priors"] if i.fallback
+    ]
+    for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
         console.print(f"warning: {warning}")
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()

@@ -51,6 +51,7 @@ from .gradients import (
     backward,
     photometric_term,
     regularizing_term,
+    without_gradient,
     zero_gradients,
 )
 from .growth_limit import limited, without_growth
@@ -62,6 +63,8 @@ OPACITY_MARGIN = 1e-6
 HOST_NUMBERS = frozenset(("iteration", "seconds", "gaussians", "loss", "photometric", "test"))
 """Names in metrics.jsonl that components must not log; nor may they log names of loss terms."""
 
+LOOK_EVERY = 50
+"""Iterations between two checks that the render has a gradient."""
 _log = logging.getLogger(__name__)
 
 
@@ -112,6 +115,7 @@ class Field:
         self._extent, self._reader = scene.extent, model.reader()
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
+        self._no_gradient: str | None = None
         self._limit_logged = self._edited = self._reset = False
 
     def begin(self, iteration: int, view: TrainingView) -> None:
@@ -214,7 +218,13 @@ class Field:
         terms = [photometric]
         for part in self._regularizers("together"):
             terms.append(regularizing_term(part, step, self.lent, self.logged))
-        return backward(terms, step.iteration, self.model, self.parameters, colors)
+        loss = backward(terms, step.iteration, self.model, self.parameters, colors)
+        if step.iteration % LOOK_EVERY == 1 and not self._no_gradient:
+            self._no_gradient = without_gradient(self.model, self._rendering)
+            if self._no_gradient:
+                where = f"iteration {step.iteration}, view {step.view.name}"
+                _log.warning("%s: the render has no gradient: %s", where, self._no_gradient)
+        return loss
 
     def update_opacities(self) -> None:
         """Apply the opacity policies, in the order of the pipeline."""

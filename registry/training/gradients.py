@@ -18,6 +18,7 @@ from torch import Tensor
 
 from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometric_loss
 from core_rasterizer.gaussians import undefined_places
+from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.read_only_guard import ReadOnlyGuard
 from ..contract.checks.answers import check_loss
@@ -29,6 +30,10 @@ from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
 
+FEW = 0.01
+"""Share of the visible Gaussians; nearly all have a gradient in a usual training."""
+FAINTEST = 1 / 255
+"""Opacity below which a Gaussian is not rendered."""
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -78,6 +83,29 @@ def regularizing_term(
         term = check_loss(part.component.loss(step))
     logged[part.item.qualified_name] = float(term.detach())
     return Term(part.item, part.item.host.weight * term)
+
+
+def without_gradient(model: GaussianModel, rendering: Rendering) -> str | None:
+    """Return the likely cause and a remedy if almost no visible Gaussian's colour has a gradient, else None.
+
+    Args:
+        model: after the backward pass.
+        rendering: of the same iteration.
+    """
+    visible = int(rendering.visible.sum())
+    colors = model.gradients.of_renders(*PARAMETER_GROUPS["sh_constant"])
+    if int(colors[:, : model.count].any(dim=0).sum()) > FEW * visible:
+        return None
+    if visible:
+        return (
+            "nearly all colours are 0 or less, where they have no gradient, probably because the points have "
+            "no colours; use an initializer that takes them from the photographs"
+        )
+    if float(model.opacities().max()) < FAINTEST:
+        return (
+            "all opacities are below 1/255; let opacity policies and losses act later or less often"
+        )
+    return "no Gaussian is in it; `stereogs check` shows the cameras and the initial points"
 
 
 def backward(

@@ -7,7 +7,6 @@ progress, observers, evaluation and checkpoints.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,8 +25,6 @@ from .checkpoint import Checkpoint
 from .field import Field
 from .gradients import in_iteration
 from .initial_model import new_model
-
-_log = logging.getLogger("stereogs")
 
 
 @dataclass(frozen=True)
@@ -80,11 +77,6 @@ class Trainer:
         for index in range(1, settings.fields):
             twin = new_model(model.gaussians(), settings, model.device)
             self.fields.append(self._new_field(parts.for_field(index), twin, index, kinds))
-        last, items = settings.iterations, [part.item for part in parts]
-        for item in items:
-            if item.point.scheduled and not item.schedule.due_in(last):
-                where = f"{item.offer} at {item.place}"
-                _log.warning("%s is never due in %d iterations", where, last)
         self._train = known.train
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
 

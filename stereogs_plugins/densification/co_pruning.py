@@ -32,6 +32,7 @@ class CoPruning(Densification[CoPruningSettings]):
     """
 
     needs_fields = 2
+    host_defaults = "{start: 10%, every: 5%}"
 
     def refine(self, step: Step) -> Edit:
         """Return the pruning mask.

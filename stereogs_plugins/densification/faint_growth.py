@@ -28,6 +28,8 @@ class FaintGrowthSettings(Settings):
 class FaintGrowth(Densification[FaintGrowthSettings]):
     """Adds invisible copies of Gaussians, for another policy to use."""
 
+    host_defaults = "{start: 2%, stop: 83.3%, every: 100, phase: 0}"
+
     def refine(self, step: Step) -> Edit | None:
         """Return the additions; None if the share is less than one Gaussian."""
         import torch

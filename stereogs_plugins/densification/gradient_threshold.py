@@ -46,6 +46,8 @@ class GradientThresholdSettings(Settings):
 class GradientThreshold(Densification[GradientThresholdSettings]):
     """The rules of 3DGS for which Gaussians to clone, split and prune; the pipeline sets the schedule."""
 
+    host_defaults = "{start: 2%, stop: 49.9%, every: 100, phase: 0}"
+
     @property
     def absolute_gradients(self) -> bool:
         """Whether splits use absolute gradients."""

@@ -24,6 +24,8 @@ class RelocationSettings(Settings):
 class DeadRelocation(Densification[RelocationSettings]):
     """Makes each dead Gaussian a copy of a living one, drawn in proportion to its opacity."""
 
+    host_defaults = "{start: 2%, stop: 83.3%, every: 100, phase: 0}"
+
     def refine(self, step: Step) -> Edit | None:
         """Return the relocation; None if none or all are dead. Logs the number of moves."""
         import torch

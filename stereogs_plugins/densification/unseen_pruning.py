@@ -27,6 +27,8 @@ class UnseenPruningSettings(Settings):
 class UnseenPruning(Densification[UnseenPruningSettings]):
     """Prunes Gaussians that touch no training image, or whose centre is too close to a camera."""
 
+    host_defaults = "{every: 16.7%}"
+
     def refine(self, step: Step) -> Edit:
         """Return the pruning mask.
 

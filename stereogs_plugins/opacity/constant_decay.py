@@ -18,8 +18,8 @@ class ConstantDecaySettings(Settings):
 class ConstantDecay(OpacityPolicy[ConstantDecaySettings]):
     """alpha <- factor * alpha; the optimizer's moments are kept."""
 
-    # 3DGS resets every 3,000 of 30,000 iterations, in the first half.
-    ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
+    ablation_baseline = "opacity_reset"
+    host_defaults = "{start: 1.67%}"
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the decayed opacities."""

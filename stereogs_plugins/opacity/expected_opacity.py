@@ -1,8 +1,8 @@
 """`expected_opacity`: scale the final opacities to their mean under dropout (Chen et al. 2025).
 
 Dropout without compensation trains renders in which a share p of the Gaussians is missing. A render with
-all Gaussians and opacities times 1 - p approximates the mean of many such renders. Set `start: 100%`:
-in earlier iterations it would act as a decay.
+all Gaussians and opacities times 1 - p approximates the mean of many such renders. By default it is called
+in the last iteration only: in earlier ones it would act as a decay.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ class ExpectedOpacitySettings(Settings):
 
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
     """alpha <- (1 - p) alpha; the optimizer skips opacities in that iteration."""
+
+    host_defaults = "{start: 100%}"
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the scaled opacities."""

@@ -43,8 +43,8 @@ class GradientAwareDecaySettings(Settings):
 class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     """alpha <- gamma(gradient) * alpha; the optimizer's moments are kept."""
 
-    # 3DGS resets every 3,000 of 30,000 iterations, in the first half.
-    ablation_baseline = "{use: opacity_reset, every: 10%, stop: 49.9%}"
+    ablation_baseline = "opacity_reset"
+    host_defaults = "{start: 3.337%}"
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -23,6 +23,8 @@ class OpacityResetSettings(Settings):
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
     """alpha <- min(alpha, ceiling); the optimizer's moments of the opacities are reset."""
 
+    host_defaults = "{stop: 49.9%, every: 10%}"
+
     def update(self, step: Step) -> OpacityUpdate | None:
         """Return the lowered opacities, or None if the reset is skipped."""
         if self.settings.only_on_white and min(step.scene.background) < 1:

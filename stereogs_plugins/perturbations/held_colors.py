@@ -28,6 +28,8 @@ class HeldColorsSettings(Settings):
 class HeldColors(Perturbation[HeldColorsSettings]):
     """sh <- sh of the first iteration in which this is due, for descendants of some kinds of points."""
 
+    host_defaults = "{every: 10}"
+
     _first: Tensor | None = None
     """`[N, K, 3]`, of all Gaussians."""
 

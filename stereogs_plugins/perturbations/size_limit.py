@@ -28,6 +28,8 @@ class SizeLimitSettings(Settings):
 class SizeLimit(Perturbation[SizeLimitSettings]):
     """scale <- min(scale, angle * distance to the nearest training camera), for each axis."""
 
+    host_defaults = "{every: 10}"
+
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
         """Return the offsets of the logarithms of the scales, `[N, 3]`, at most 0."""
         import torch

@@ -24,6 +24,8 @@ class NearOcclusionSettings(Settings):
 class NearOcclusion(Regularizer[NearOcclusionSettings]):
     """Mean alpha of the Gaussians with z < near + share (far - near), in the iteration's view."""
 
+    host_defaults = "{weight: 0.01}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss; 0 if no Gaussian is in the range."""
         import torch

@@ -22,6 +22,8 @@ class ParameterL1Settings(Settings):
 class ParameterL1(Regularizer[ParameterL1Settings]):
     """mean alpha over the Gaussians, or mean sigma over the Gaussians and their three axes."""
 
+    host_defaults = "{weight: 0.01}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the mean, in autograd."""
         return step.parameter(self.settings.parameter).mean()

@@ -48,6 +48,7 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """
 
     needs_priors = ("monocular_depth",)
+    host_defaults = "{weight: 0.05}"
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)

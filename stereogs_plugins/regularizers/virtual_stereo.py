@@ -35,6 +35,8 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
     are ignored.
     """
 
+    host_defaults = "{start: 66.67%}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss for this iteration's view."""
         import torch

@@ -76,7 +76,7 @@ def label(offer: Offer) -> str:
 
 
 def pipeline(*offers: Offer, **common: Any) -> Pipeline:
-    """The base with some components, all of the same settings."""
+    """The base with some components of the same settings, called in each iteration."""
     values = dict(BASE)
     for offer in offers if common.get("enabled", True) else ():
         needed = NEEDS.get(offer.name, {})
@@ -84,7 +84,8 @@ def pipeline(*offers: Offer, **common: Any) -> Pipeline:
         priors += [prior for prior in needed.get("priors", []) if prior not in priors]
         values |= needed | ({"priors": priors} if priors else {})
     for offer in offers:
-        written = {"use": offer.name, **SETTINGS.get(offer.name, {}), **common}
+        always = {"start": 1, "stop": None, "every": 1} if offer.point.scheduled else {}
+        written = {"use": offer.name, **always, **SETTINGS.get(offer.name, {}), **common}
         values[offer.point.section] = [*values.get(offer.point.section, []), written]
     return stereogs.build_pipeline(values, plugins=PLUGINS)
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 class DepthFromInitializer(Regularizer[Settings]):
     """mean |D - z| / z over the pixels with a known depth z; D is depth as blended, as in the paper."""
 
+    host_defaults = "{weight: 0.1}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss for the iteration's view; 0 if its depth is unknown.
 

@@ -45,6 +45,7 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
     """
 
     needs_priors = (("monocular_depth", "multi_view_depth"),)
+    host_defaults = "{weight: 0.5}"
 
     def __init__(self, settings: DepthRankingSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -56,6 +56,7 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
     """
 
     needs_priors = (("monocular_depth", "multi_view_depth"),)
+    host_defaults = "{step: alone}"
 
     def __init__(self, settings: PatchDepthSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -69,6 +69,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     """
 
     needs_priors = ("stereo_disparity",)
+    host_defaults = "{start: 66.67%}"
 
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
         from .lazy_refresh import LazyRefresh

@@ -33,6 +33,8 @@ class DepthSmoothnessSettings(Settings):
 class DepthSmoothness(Regularizer[DepthSmoothnessSettings]):
     """mean (D[i, j] - D[i, j+1])^2 + (D[i, j] - D[i+1, j])^2, D as blended over sqrt(near far)."""
 
+    host_defaults = "{weight: 0.1}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera."""
         camera = virtual_views.draw(self.settings.views, step.scene, self.generator)

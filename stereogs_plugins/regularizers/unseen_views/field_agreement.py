@@ -33,6 +33,7 @@ class FieldAgreement(Regularizer[FieldAgreementSettings]):
     """
 
     needs_fields = 2
+    host_defaults = "{start: 5%}"
 
     def loss(self, step: Step) -> Tensor:
         """Return the sum over the other fields (`training.fields`).

@@ -39,6 +39,8 @@ class ForwardWarping(Regularizer[ForwardWarpingSettings]):
     Holes are white in both.
     """
 
+    host_defaults = "{every: 3}"
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera; 0 if no warped pixel is in its view.
 

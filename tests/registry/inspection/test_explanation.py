@@ -19,6 +19,7 @@ from registry.priors import (
     OpticalFlowPrior,
     StereoPrior,
 )
+from tests.registry.toy_plugin import ToyGrowth
 
 ROOT = Path(__file__).parents[3]
 TEXT = """\
@@ -74,9 +75,38 @@ def test_files_are_looked_for(toys: Plugins, tmp_path: Path) -> None:
 
 def test_what_is_never_due_is_a_fault(toys: Plugins, tmp_path: Path) -> None:
     assert faults(toy_pipeline(toys, tmp_path)) == [
-        "regularizers.late: is never due",
-        "regularizers.nothing: is never due",
+        "regularizers.late: is never due in 10 iterations (small.yaml:8)",
+        "regularizers.nothing: is never due in 10 iterations (small.yaml:9)",
     ]
+
+
+def test_what_is_called_far_too_often_is_a_fault(
+    toys: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ToyGrowth, "host_defaults", "{stop: 50%, every: 100}")
+
+    def fault(written: str) -> list[str]:
+        text = f"name: t\nscene: toy_scene\ninitializer: toy_points\ndensification: {written}\n"
+        pipeline = parse_pipeline(text, toys, overrides=["training.iterations=1000"])
+        return [fault for fault in faults(pipeline) if "called" in fault]
+
+    assert fault("toy_growth") == fault("{use: toy_growth, every: 10, stop: 90%}") == []
+    (found,) = fault("{use: toy_growth, start: 1, every: 1, stop: null}")
+    assert "is called 1000 times in 1000 iterations, but 5 times by its default schedule" in found
+    assert "remove its `start`, `stop`, `every`" in found
+
+
+SHIPPED = [*(ROOT / "pipelines").glob("*.yaml"), *(ROOT / "pipelines/methods").glob("*.yaml")]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_no_shipped_schedule_is_a_fault(
+    shipped: Plugins, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEREOGS_MODELS", "nowhere")
+    pipeline = load_pipeline(path, shipped)
+    for one in (pipeline, pipeline.scaled(30), pipeline.scaled(3000), pipeline.for_views(24)):
+        assert not [fault for fault in faults(one) if "is called" in fault]
 
 
 def test_memory_counts_four_arrays_of_each_field(toys: Plugins, tmp_path: Path) -> None:
@@ -125,4 +155,4 @@ def test_the_command_says_it_and_fails_at_a_fault(
     assert "exporters.ply" not in said
     assert "max_reprojection_error: 2.0" in said
     assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == FAULT
-    assert "fault: modifiers.dropout: is never due" in capsys.readouterr().out
+    assert "fault: modifiers.dropout: is never due in 600 iterations" in capsys.readouterr().out

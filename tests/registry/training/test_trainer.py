@@ -190,15 +190,29 @@ def test_a_bad_answer_is_refused_before_the_step(
     assert trainer.iteration == 2
 
 
-def test_a_component_that_is_never_due_is_logged(
+@pytest.mark.parametrize(
+    ("group", "value", "cause"),
+    [
+        ("sh", -10.0, "nearly all colours are 0 or less"),
+        ("opacity_logits", -9.0, "all opacities are below 1/255"),
+        ("means", 1e3, "no Gaussian is in it"),
+    ],
+)
+def test_a_render_without_gradient_is_warned_of_once(
+    make: Any, caplog: pytest.LogCaptureFixture, group: str, value: float, cause: str
+) -> None:
+    trainer = make("", "training.iterations=101")
+    trainer.model.write(group, torch.full_like(trainer.model.read(group), value))
+    train(trainer)
+    (warning,) = caplog.messages
+    assert warning.startswith("iteration 1, view ")
+    assert f"the render has no gradient: {cause}" in warning
+
+
+def test_a_render_with_gradient_is_not_warned_of(
     make: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    make("regularizers: [{use: toy_term, start: 5000}]\n")
-    assert caplog.messages == [
-        "regularizer 'toy_term' (unknown package ?) at p.yaml:4 is never due in 12 iterations"
-    ]
-    caplog.clear()
-    make("regularizers: [{use: toy_term, start: 12}]\n")
+    train(make(""))
     assert not caplog.messages
 
 

@@ -43,7 +43,7 @@ def stopped_and_resumed(name: str, out: Path) -> tuple[stereogs.Run, Path]:
 
 def failed(name: str, out: Path) -> Path:
     """The folder in which the logger wrote while a run fails in its third iteration."""
-    growth = {"use": "gradient_threshold", "every": 1}
+    growth = {"use": "gradient_threshold", "every": 1, "stop": None}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "stereogs_plugins.densification.gradient_threshold.GradientThreshold.refine", _fail
