@@ -19,7 +19,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
 
-from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
+from ..calls.copies import copied
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.parts import Part, Parts
@@ -312,8 +312,7 @@ class Run:
         place = folder.folder(EXPORTS) if exporters else folder.path
         results.exports, failures = self._outputs(
             exporters,
-            of_scene(self.scene) + ReadOnlyGuard(models=(self.model,)),
-            lambda exporter: exporter.export(self.model.reader(), self.scene, place),
+            lambda exporter: exporter.export(self.model.reader(), copied(self.scene), place),
         )
         results.failures += failures
         folder.write_results(results)  # for the reports
@@ -322,16 +321,15 @@ class Run:
         folder.write_results(results)
 
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
-        path, scene = self.folder_or_refuse().path, self.scene
-        return self._outputs(reports, of_scene(scene), lambda report: report.write(path, scene))
+        path = self.folder_or_refuse().path
+        return self._outputs(reports, lambda report: report.write(path, copied(self.scene)))
 
     def _outputs(
-        self, parts: Sequence[Part], lent: ReadOnlyGuard, write: Callable[[Any], Any]
+        self, parts: Sequence[Part], write: Callable[[Any], Any]
     ) -> tuple[list[str], list[Failure]]:
         """Return the files that components wrote, relative to the folder where possible, and failures.
 
         Args:
-            lent: data that the components receive.
             write: calls a component, and returns its answer.
         """
         root = self.folder_or_refuse().path
@@ -339,10 +337,8 @@ class Run:
         failures: list[Failure] = []
         for part in parts:
             try:
-                with part.at_work(lent=lent):
+                with part.at_work():
                     written = existing_files(write(part.component))
-            except Overwritten:
-                raise
             except ExplainedError as error:
                 failures.append(Failure.of(part.item.qualified_name, error))
             else:
