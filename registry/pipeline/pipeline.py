@@ -12,6 +12,7 @@ from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..errors import PluginError
 from ..messages.suggestions import did_you_mean, listing
+from ..messages.visible_text import is_plain_name
 from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
@@ -195,9 +196,9 @@ def build_pipeline(
     }
     named = sections.get("name", absent)
     name = plain(named)
-    if not isinstance(name, str) or not name.strip():
+    if not is_plain_name(name):
         raise named.place.error(
-            "the pipeline needs a name, a text",
+            "the pipeline needs a name, a visible text of at most 200 characters",
             fix="write for example `name: my-experiment` at the top",
         )
     return Pipeline(name, items, training, protocol, each)

@@ -109,7 +109,7 @@ class RunFolder:
         try:
             with new_folder(self.path) as folder:
                 write_text(folder / PIPELINE, pipeline_yaml)
-                write_json(folder / PROVENANCE, provenance)
+                write_json(folder / PROVENANCE, jsonable(provenance))
                 write_json(folder / INPUTS, {"digests": inputs, "changed": []})
                 fill(RunFolder(folder))
             remove_leftovers(self.path.parent, of=self.path.name)
@@ -139,7 +139,7 @@ class RunFolder:
         """Add the circumstances of a resumption to provenance.json."""
         origin = _read_json(self.path / PROVENANCE, _Provenance)
         if origin:
-            origin["resumed"] = [*origin.get("resumed", []), facts]
+            origin["resumed"] = [*origin.get("resumed", []), jsonable(facts)]
             write_json(self.path / PROVENANCE, origin)
 
     @property
@@ -182,7 +182,7 @@ class RunFolder:
         from ..toolkit.drawing.pictures import save_png
 
         folder = self.folder(INITIALIZATION)
-        write_json(folder / "facts.json", facts)
+        write_json(folder / "facts.json", jsonable(facts))
         in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:

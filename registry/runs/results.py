@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from core_rasterizer import ExplainedError
 
 from ..errors import PluginError, RunError
+from ..messages.visible_text import visible
 from ..system.files import jsonable
 
 if TYPE_CHECKING:
@@ -93,7 +94,8 @@ class Failure(Record):
     @staticmethod
     def of(component: str, error: ExplainedError) -> Failure:
         """Return the record of an error."""
-        return Failure(component=component, what=error.what, where=error.where, fix=error.fix)
+        texts = {name: visible(getattr(error, name)) for name in ("what", "where", "fix")}
+        return Failure(component=component, **texts)
 
 
 class Results(Record):
@@ -121,8 +123,8 @@ class Results(Record):
     unavailable: dict[Name, str] = {}
     infinite: dict[Name, dict[Name, list[Name]]] = {}
     failures: list[Failure] = []
-    exports: list[Name] = []
-    reports: list[Name] = []
+    exports: list[str] = []
+    reports: list[str] = []
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that are set, as JSON values."""
@@ -197,6 +199,8 @@ def existing_files(answer: Any) -> list[Path]:
     """Return the answer of an exporter or a report if it is a list of paths of files that exist."""
     if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
         raise PluginError(f"the answer is {answer!r}, expected a list of paths")
+    if hidden := [file for file in answer if visible(file.name) != file.name]:
+        raise PluginError(f"it returned {str(hidden[0])!r}, which has control characters")
     missing = [file for file in answer if not file.is_file()]
     if missing:
         raise PluginError(f"it returned {missing[0]}, but there is no such file")
@@ -250,7 +254,7 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 def _problems(results: Results, content: Any) -> Iterator[str]:
     for text in _texts(content):
-        if any(not c.isprintable() and c not in "\n\t" for c in text):
+        if visible(text) != text:
             yield f"the text {text[:100]!r} has control characters"
     for split in ("train", "test"):
         rows: dict[str, ScoresByMetric] = getattr(results.views, split)

@@ -30,7 +30,7 @@ from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
-from .origin import circumstances, input_digests
+from .origin import changed_inputs, circumstances, input_digests, listed
 from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
 Floats = NDArray[np.float32]
@@ -236,6 +236,7 @@ class Run:
         If a metric, an exporter or a report fails, the others still run; the results list the failures.
         """
         folder = self.folder_or_refuse()
+        self._check_inputs(folder)
         before = folder.results().get("hash")
         results = self._scored({})
         if before not in (None, results.hash):
@@ -250,6 +251,18 @@ class Run:
         self.seconds.outputs = monotonic() - begin
         self._add_times(results)
         folder.write_results(results)
+
+    def _check_inputs(self, folder: RunFolder) -> None:
+        """Refuse to score with photographs or cameras that a component overwrote, unseen by the guards."""
+        before, _ = folder.inputs()
+        changed = changed_inputs(before or {}, input_digests(self.scene, self.pipeline))
+        if before and changed:
+            folder.write_inputs(before, changed)  # results of `eval` list them
+            raise RunError(
+                f"a component wrote into the inputs during training: {listed(changed)}",
+                where=str(folder.path),
+                fix="train again with --check-plugins, which names the component",
+            )
 
     def renew(self) -> dict[str, Any]:
         """Score the run again, renew its results.json and pictures, and return the results.

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
-from ..contract.checks.scene import validate
+from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
 from ..inspection.explanation import refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
@@ -145,6 +145,7 @@ def _initialized(pipeline: Pipeline, options: RunOptions, console: Console) -> t
     initializer, known = parts.one("initializer"), scene.for_training()
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
+        check_maps(points.maps, known)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     initial = InitialState(pipeline, parts, scene, points, gaussians, device)

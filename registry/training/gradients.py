@@ -20,7 +20,7 @@ from torch import Tensor
 from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometric_loss
 from core_rasterizer.gaussians import undefined_places
 
-from ..calls.read_only_guard import ReadOnlyGuard
+from ..calls.read_only_guard import ReadOnlyGuard, are_checked
 from ..calls.watchdog import Hang
 from ..contract.checks.answers import check_loss
 from ..contract.component import ParameterGroup
@@ -120,7 +120,7 @@ def backward(
     with in_iteration(iteration):
         parameters.check_untouched(iteration)
         try:
-            with kept.kept():
+            with kept.kept(every_bit=are_checked()):
                 loss.backward(retain_graph=True)
             parameters.check_gradients(iteration)
         except (KeyboardInterrupt, Hang):
@@ -176,13 +176,16 @@ def _differentiate_each(
             continue
         zero_gradients(model, parameters)
         for item, before in reversed(colors) if term.item is None else ():
-            with blame(item, iteration), kept.kept():
+            with blame(item, iteration), kept.kept(every_bit=are_checked()):
                 (gradient,) = torch.autograd.grad(
                     term.value, before, retain_graph=True, allow_unused=True
                 )
                 what = "the colours have an undefined gradient"
                 check_finite(gradient, what, "pixel and channel")
-        with nullcontext() if term.item is None else blame(term.item, iteration), kept.kept():
+        with (
+            nullcontext() if term.item is None else blame(term.item, iteration),
+            kept.kept(every_bit=are_checked()),
+        ):
             term.value.backward(retain_graph=True)
             parameters.check_gradients(iteration)
 

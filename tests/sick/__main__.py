@@ -1,4 +1,4 @@
-"""python -m tests.sick: run every case by default, with --check-plugins, and through `registry.testing.check`."""
+"""python -m tests.sick: run every case by default, with --check-plugins, and in `registry.testing.check`."""
 
 from __future__ import annotations
 

@@ -63,7 +63,12 @@ def writes_of_others() -> Iterator[Case]:
             yield Case("metrics", way.format(target))
     yield Case("metrics", "rendered.copy_(photograph)")
     for target in (
-        *("done.target", "done.rendering.rgb", "done.view.image", "done.view.camera.world_to_camera"),
+        *(
+            "done.target",
+            "done.rendering.rgb",
+            "done.view.image",
+            "done.view.camera.world_to_camera",
+        ),
     ):
         yield Case("observers", WAYS["torch"].format(target))
         yield Case("observers", WAYS["numpy"].format(target))

@@ -29,9 +29,9 @@ from registry.testing.scenes import pipeline_item, pipeline_of
 from .cases import Case
 
 Verdict = Literal["named", "warned", "refused", "crash", "harmless", "silent"]
-"""named: an error, or a failure in the results, names the component. warned: a warning does. refused: an error
-without its name. crash: another exception. harmless: the numbers are those of the run without the fault.
-silent: they differ, or a faulty answer was accepted."""
+"""named: an error, or a failure in the results, names the component. warned: a warning does. refused: an
+error without its name. crash: another exception. harmless: the numbers are those of the run without the
+fault. silent: they differ."""
 
 NAME = "sick_one"
 _TRAINING = TrainingSettings(iterations=12, sh_degree=0, evaluate_every=6)
@@ -133,8 +133,6 @@ def verdict(case: Case, device: Device, *, checked: bool = False) -> Verdict:
         return "named"
     if any(NAME in line for line in lines):
         return "warned"
-    if case.compared == "twin" and case.answer:
-        return "silent"
     expected = _trained(component(case, healthy=True), device, checked)
     return "harmless" if expected.items() >= numbers.items() else "silent"
 
