@@ -266,6 +266,8 @@ def open_run(
 ) -> Run:
     """Read a run folder: its pipeline, scene and Gaussians.
 
+    Components that cannot be loaded are left out (`run.pipeline.missing`), except the scene's loader.
+
     Args:
         folder: the run folder.
         scene: needed if the run was trained on a scene made in Python.
@@ -285,6 +287,7 @@ def open_run(
             device=find_device(device),
             scene=scene,
             accept_changed_inputs=accept_changed_inputs,
+            to_train=False,
         )
 
 

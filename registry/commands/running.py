@@ -15,6 +15,7 @@ from ..contract.command import Command, TrainOption, TrainRequest
 from ..errors import RunError
 from ..plugins.commands import train_options
 from .arguments import (
+    add_accept_changed_plugins,
     add_changes,
     add_device,
     add_run,
@@ -111,6 +112,7 @@ a kill, a crash or a full disk. A finished run is scored and exported again.
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add_run(parser)
+        add_accept_changed_plugins(parser)
         add_run_options(parser, "resume")
 
     def run(self, arguments: argparse.Namespace) -> int:
@@ -141,13 +143,15 @@ stopped is scored at its checkpoint.
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add_run(parser)
+        add_accept_changed_plugins(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Evaluate and print."""
         run = open_given(arguments)
         from ..runs.results import RENDERS
 
-        output, results = console(), run.renew()
+        accept = arguments.accept_changed_plugins
+        output, results = console(), run.renew(accept_changed_plugins=accept)
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
             output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")

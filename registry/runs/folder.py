@@ -45,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 class _Provenance(Record):
     run: str = ""
+    plugins: dict[str, str] = Field(default_factory=dict)
     resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
@@ -134,6 +135,12 @@ class RunFolder:
     def identity(self) -> str:
         """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))
+
+    @property
+    def plugins(self) -> dict[str, str]:
+        """The package of each component when training began or was last resumed."""
+        origin = _read_json(self.path / PROVENANCE, _Provenance)
+        return dict([origin, *origin.get("resumed", [])][-1].get("plugins", {}))
 
     def note_resumption(self, facts: dict[str, Any]) -> None:
         """Add the circumstances of a resumption to provenance.json."""

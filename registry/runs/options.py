@@ -71,6 +71,7 @@ class RunOptions:
             does not react ends the process. Works in the main thread only. None: no limit.
         fit: chooses the pipeline that continues from the first Gaussians; None: the same pipeline.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
+        accept_changed_plugins: resumes even if the package of a component has another version or code.
     """
 
     scene: Scene | None = None
@@ -82,6 +83,7 @@ class RunOptions:
     hang_after: float | None = None
     fit: Fit | None = None
     accept_changed_inputs: bool = False
+    accept_changed_plugins: bool = False
 
     def console(self) -> Console:
         """Return the console for progress, silent if `progress` is False."""

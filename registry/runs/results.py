@@ -105,6 +105,7 @@ class Results(Record):
     protocol: Annotated[dict[str, Any], AfterValidator(_checked_protocol)] | None = None
     scene: SceneRecord | None = None
     metrics: dict[Name, dict[str, Any]] = {}
+    packages: dict[Name, str] = {}
     device: dict[Name, str] = {}
     seed: int = 0
     iterations: Count = 0
@@ -133,13 +134,15 @@ class Results(Record):
 
 def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: int) -> Results:
     """Return results with what was trained on what, without scores and times."""
-    from .origin import describe_device
+    from .origin import describe_device, foreign_package
 
+    packages = {item.qualified_name: foreign_package(item.offer) for item in pipeline}
     return Results(
         pipeline=pipeline.name,
         protocol=pipeline.protocol.record() if pipeline.protocol else None,
         scene=_scene(scene),
         metrics=_metrics(pipeline.items["metrics"]),
+        packages={name: package for name, package in packages.items() if package},
         device=describe_device(model.device),
         seed=pipeline.training.seed,
         iterations=iteration,
@@ -178,10 +181,14 @@ def _metrics(items: Sequence[Item]) -> dict[str, Any]:
 
 
 def _metric(item: Item) -> dict[str, Any]:
-    """Return the settings that scores depend on: the hash of a file, but not its path."""
+    """Return what scores depend on: the package, the settings, the hash of a file, but not its path."""
+    from .origin import foreign_package
+
     settings = item.settings.model_dump(mode="json")
     paths = [name for name, value in item.settings if isinstance(value, Path)]
-    return {"use": item.offer.name, **{k: v for k, v in settings.items() if k not in paths}}
+    kept = {k: v for k, v in settings.items() if k not in paths}
+    package = foreign_package(item.offer)
+    return {"use": item.offer.name, **({"package": package} if package else {}), **kept}
 
 
 def add_scores(results: Results, test: Scores, train: Scores) -> None:

@@ -30,7 +30,14 @@ from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
-from .origin import changed_inputs, circumstances, input_digests, listed
+from .origin import (
+    changed_inputs,
+    circumstances,
+    input_digests,
+    listed,
+    refuse_changed_plugins,
+    with_packages,
+)
 from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
 Floats = NDArray[np.float32]
@@ -264,14 +271,21 @@ class Run:
                 fix="train again with --check-plugins, which names the component",
             )
 
-    def renew(self) -> dict[str, Any]:
+    def renew(self, *, accept_changed_plugins: bool = False) -> dict[str, Any]:
         """Score the run again, renew its results.json and pictures, and return the results.
 
-        For a finished run, export and report again too. Refuses a results.json of a later iteration.
+        For a finished run, export and report again too. Refuses a results.json of a later iteration, and
+        metrics that are missing, or that have changed unless `accept_changed_plugins`.
         """
         folder = self.folder_or_refuse()
         with folder.locked():
             before = folder.results()
+            packages = {**folder.plugins, **before.get("packages", {})}
+            for name, error in self.pipeline.missing.items():
+                if name.startswith("metrics."):
+                    raise with_packages(error, packages)
+            metrics = self.pipeline.items["metrics"]
+            refuse_changed_plugins(packages, metrics, folder.path, accept=accept_changed_plugins)
             recorded = before.get("iterations", 0)
             if recorded > self.iteration:
                 raise RunError(
@@ -306,6 +320,7 @@ class Run:
         """Score both splits, draw the test views into the folder, and return updated results."""
         folder = self.folder_or_refuse()
         results = Results.model_validate({**before, **self.describe().plain()})
+        results.packages = {**before.get("packages", {}), **results.packages}
         results.changed_inputs = folder.inputs()[1]
         scores = self.evaluate(folder.folder(RENDERS) if self.scene.test else None)
         add_scores(results, **scores)

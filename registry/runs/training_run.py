@@ -31,7 +31,7 @@ from .evaluation import evaluate, quick
 from .folder import RunFolder
 from .opening import keep_failure, open_run
 from .options import InitialState, RunOptions, find_device
-from .origin import circumstances
+from .origin import circumstances, refuse_changed_plugins
 from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
 from .run import Run, Stages
 
@@ -39,6 +39,9 @@ AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
+
+_OUTPUTS = ("exporters", "reports", "observers")
+"""Sections whose packages may change before a run is resumed: no number depends on them."""
 
 _log = logging.getLogger(__name__)
 
@@ -101,6 +104,9 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             accept_changed_inputs=options.accept_changed_inputs,
         )
         refuse_missing_priors(run.pipeline)
+        used = [item for item in run.pipeline if item.point.section not in _OUTPUTS]
+        accept = options.accept_changed_plugins
+        refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
             trainer = resumed(checkpoint, run.pipeline.training, run.parts, run.scene, run.model)
