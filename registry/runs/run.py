@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -215,14 +216,34 @@ class Run:
         if self.changed and self.folder is not None:
             self.folder.write_inputs(input_digests(self.scene, self.pipeline), self.changed)
 
+    def check_folder(self) -> None:
+        """Refuse to write into a folder that was moved or removed; the run is kept in a new one beside it.
+
+        Raises:
+            RunError: names the new folder.
+        """
+        if self.folder is None or self.folder.pipeline.is_file():
+            return
+        lost, self.folder = self.folder.path, None
+        names = (lost.with_name(f"{lost.name}-kept-{number}") for number in count(1))
+        self.keep_in(kept := next(path for path in names if not path.exists()))
+        raise RunError(
+            f"the run folder was moved or removed during training; iteration {self.iteration} is kept "
+            f"in {kept}",
+            where=str(lost),
+            fix=f"stereogs resume {kept}",
+        )
+
     def add_metrics(self, line: dict[str, Any]) -> None:
         """Add a line of metrics, also to the folder."""
+        self.check_folder()
         self.metrics.append(line)
         if self.folder is not None:
             self.folder.append_metrics(line)
 
     def save_checkpoint(self) -> None:
         """Write a checkpoint to the folder, unless its newest is of this iteration."""
+        self.check_folder()
         if self.folder is not None and self.saved_iteration != self.iteration:
             save_checkpoint(self.checkpoint(), self.folder.folder(CHECKPOINT))
             self.saved_iteration = self.iteration

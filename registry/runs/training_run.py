@@ -40,8 +40,8 @@ AUTOSAVE_SECONDS = 30.0
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
 
-_OUTPUTS = ("exporters", "reports", "observers")
-"""Sections whose packages may change before a run is resumed: no number depends on them."""
+_NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
+"""Sections whose packages may change before a run is resumed; digests of the inputs cover the scene."""
 
 _log = logging.getLogger(__name__)
 
@@ -104,7 +104,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             accept_changed_inputs=options.accept_changed_inputs,
         )
         refuse_missing_priors(run.pipeline)
-        used = [item for item in run.pipeline if item.point.section not in _OUTPUTS]
+        used = [item for item in run.pipeline if item.point.section not in _NOT_RESUMED]
         accept = options.accept_changed_plugins
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
