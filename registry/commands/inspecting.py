@@ -1,4 +1,4 @@
-"""The verbs `explain`, `plugins`, `schema` and `doctor`."""
+"""The verbs `explain`, `plugins` and `doctor`."""
 
 from __future__ import annotations
 
@@ -206,31 +206,6 @@ def _as_json(offer: Offer) -> dict[str, Any]:
         "summary": summary(offer),
         "settings": offer.settings_type.model_json_schema(),
     }
-
-
-class Schema(Command):
-    """Print the JSON schema of pipelines, for editors."""
-
-    epilog = """\
-examples:
-  stereogs schema > pipeline.schema.json
-
-The schema contains the settings of every installed plugin. An editor with YAML support (in VS Code the
-extension YAML by Red Hat) completes and checks a pipeline whose first line is
-
-  # yaml-language-server: $schema=pipeline.schema.json
-"""
-
-    def run(self, arguments: argparse.Namespace) -> int:
-        """Print the schema, without plugins that cannot be loaded, and their errors."""
-        from ..inspection.schema import pipeline_schema
-        from ..plugins.discovery import Plugins
-
-        plugins = Plugins()
-        print(json.dumps(pipeline_schema(plugins.all()), indent=1))
-        for fault in plugins.broken.values():
-            console(stderr=True).print(str(fault))
-        return 0
 
 
 class Doctor(Command):

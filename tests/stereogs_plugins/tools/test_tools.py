@@ -19,7 +19,7 @@ from registry.plugins.commands import COMMANDS, TRAIN_OPTIONS, verbs
 TOOLS = [(COMMANDS, e.name) for e in importlib.metadata.entry_points(group=COMMANDS)] + [
     (TRAIN_OPTIONS, e.name) for e in importlib.metadata.entry_points(group=TRAIN_OPTIONS)
 ]
-HOST = ("train", "resume", "eval", "explain", "plugins", "schema", "doctor")
+HOST = ("train", "resume", "eval", "explain", "plugins", "doctor")
 EXAMPLES = {
     "train": ["train", "3dgs"],
     "resume": ["resume", "runs/x"],
@@ -35,6 +35,7 @@ EXAMPLES = {
     "render": ["render", "runs/x"],
     "replay": ["replay", "runs/x/failures/y"],
     "report": ["report", "runs/x"],
+    "schema": ["schema"],
     "view": ["view", "runs/x"],
 }
 

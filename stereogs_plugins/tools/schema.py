@@ -1,22 +1,31 @@
-"""JSON schema of pipeline files, with which editors complete and check YAML.
+"""Print the JSON schema of pipelines, for editors.
 
-The dialect is JSON Schema 2020-12 (https://json-schema.org/draft/2020-12). Rules that involve several
-components are not part of it; `stereogs train` checks them.
+With it editors complete and check YAML. The dialect is JSON Schema 2020-12
+(https://json-schema.org/draft/2020-12). Rules that involve several components are not part of it; `stereogs
+train` checks them.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 from collections.abc import Iterable
 from typing import Any
 
 from pydantic.errors import PydanticInvalidForJsonSchema
 
-from ..contract.component import Settings
-from ..contract.hook_points import PIPELINE_POINTS, HookPoint
-from ..pipeline.protocols import ProtocolChoice, protocol_names
-from ..pipeline.schedule import HostSettings, Schedule
-from ..pipeline.training_settings import PER_VIEW, TrainingSettings
-from ..plugins.discovery import Offer
+from registry import Command, Register, Settings, hookimpl
+from registry.commands import console
+from registry.contract import PIPELINE_POINTS, HookPoint
+from registry.pipeline import (
+    PER_VIEW,
+    HostSettings,
+    ProtocolChoice,
+    Schedule,
+    TrainingSettings,
+    protocol_names,
+)
+from registry.plugins import Offer, Plugins
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 HEADER = "# yaml-language-server: $schema="
@@ -26,6 +35,33 @@ _NOTES = ("description", "default", "title")
 """Keys of a schema that do not restrict the value."""
 
 Schema = dict[str, Any]
+
+_EPILOG = """\
+examples:
+  stereogs schema > pipeline.schema.json
+
+The schema contains the settings of every installed plugin. An editor with YAML support (in VS Code the
+extension YAML by Red Hat) completes and checks a pipeline whose first line is
+
+  # yaml-language-server: $schema=pipeline.schema.json
+"""
+
+
+class PrintSchema(Command):
+    epilog = _EPILOG
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Print the schema, without plugins that cannot be loaded, and their errors."""
+        plugins = Plugins()
+        print(json.dumps(pipeline_schema(plugins.all()), indent=1))
+        for fault in plugins.broken.values():
+            console(stderr=True).print(str(fault))
+        return 0
+
+
+@hookimpl
+def stereogs_register_commands(register: Register[Command]) -> None:
+    register("schema", PrintSchema)
 
 
 def pipeline_schema(offers: Iterable[Offer]) -> Schema:
