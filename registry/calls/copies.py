@@ -52,14 +52,5 @@ def _class_of_copies(kind: type[Any]) -> type[Any]:
         return kind, tuple(getattr(copy, name) for name in names)  # for pickle and deepcopy
 
     content = {name: field_of(name) for name in names}
-    return type(
-        kind.__name__,
-        (kind,),
-        {
-            **content,
-            _ORIGINAL: None,
-            "__module__": kind.__module__,
-            "__qualname__": kind.__qualname__,
-            "__reduce__": reduced,
-        },
-    )
+    own = {_ORIGINAL: None, "__module__": kind.__module__, "__reduce__": reduced}
+    return type(kind.__name__, (kind,), {**content, **own})

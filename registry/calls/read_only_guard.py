@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import GaussianModel, Rendering
 
-    from ..contract.scene import DepthMap, Scene, TrainingScene, TrainingView
+    from ..contract.scene import DepthMap, Scene, TrainingScene
 
 _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 
@@ -113,29 +113,20 @@ def are_checked() -> bool:
     return _CHECKED.get()
 
 
-def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
-    """Guard the views and points of a scene, including test views if it has any."""
-    tensors: dict[str, Tensor] = {}
-    for view in (*scene.train, *vars(scene).get("test", ())):
-        tensors |= of_view(view).tensors
-    for name, value in vars(scene.points).items() if scene.points else ():
-        if name in ("positions", "colors", "scales", "opacities") and value is not None:
-            tensors[f"the {name} of the scene's points"] = value
-    return ReadOnlyGuard(tensors)
-
-
 _VIEW_TENSORS = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
 """Attributes of views, and their names in messages."""
 
 
-def of_view(view: TrainingView) -> ReadOnlyGuard:
-    """Guard a view's photograph, mask, alpha, depth and camera."""
-    tensors = {f"the camera of {view.name}": view.camera.world_to_camera}
-    for attribute, title in _VIEW_TENSORS.items():
-        value = vars(view).get(attribute)
-        if value is not None:
-            tensors[f"the {title} of {view.name}"] = value
-    return ReadOnlyGuard(tensors)
+def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
+    """Guard the views and points of a scene, including test views if it has any."""
+    found: dict[str, Tensor | None] = {}
+    for view in (*scene.train, *vars(scene).get("test", ())):
+        found[f"the camera of {view.name}"] = view.camera.world_to_camera
+        for attribute, title in _VIEW_TENSORS.items():
+            found[f"the {title} of {view.name}"] = vars(view).get(attribute)
+    for name in ("positions", "colors", "scales", "opacities"):
+        found[f"the {name} of the scene's points"] = getattr(scene.points, name, None)
+    return ReadOnlyGuard({name: value for name, value in found.items() if value is not None})
 
 
 def of_rendering(rendering: Rendering) -> ReadOnlyGuard:

@@ -251,8 +251,8 @@ def _section(
         except ExplainedError as error:
             if missing is None:
                 raise
-            written_as = expand(component)
-            name = plain(written_as["name" if "name" in written_as else "use"])
+            keys = expand(component)
+            name = next((plain(keys[key]) for key in ("name", "use") if key in keys), "?")
             missing[f"{point.section}.{name}"] = error
             continue
         if item is None:

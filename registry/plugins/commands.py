@@ -22,7 +22,6 @@ _BUILT_IN = {
     "eval": "running:Eval",
     "explain": "inspecting:Explain",
     "plugins": "inspecting:Plugins",
-    "doctor": "inspecting:Doctor",
 }
 """The host's own verbs, and their classes in `registry.commands`."""
 

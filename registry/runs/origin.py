@@ -178,7 +178,7 @@ def with_packages(error: ExplainedError, packages: Mapping[str, str]) -> Explain
     used = dict.fromkeys(text.partition(_CODE)[0] for text in packages.values())
     written = listed(tuple(name for name in used if name.partition(" ")[0] != _OURS) or tuple(used))
     if written:
-        error.fix = f"install what wrote the run: {written}; or: {error.fix}"
+        error.fix = f"{error.fix}; the run was written with {written}"
     return error
 
 

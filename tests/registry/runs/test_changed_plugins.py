@@ -138,9 +138,9 @@ def test_a_finished_run_is_used_without_the_plugins_that_trained_it(
     assert run.render(run.scene.test[0].camera).rgb.any()
     with pytest.raises(ExplainedError, match="no plugin offers the metric 'acme_score'") as caught:
         run.renew()
-    assert "install what wrote the run" in caught.value.fix
+    assert "the run was written with" in caught.value.fix
     assert "acme 1.0" in caught.value.fix
     with pytest.raises(ExplainedError, match="no plugin offers the regularizer") as caught:
         resume(out, quiet(device), toys)
-    assert "install what wrote the run" in caught.value.fix
+    assert "the run was written with" in caught.value.fix
     assert "acme 1.0" in caught.value.fix

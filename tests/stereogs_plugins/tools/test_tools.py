@@ -19,7 +19,7 @@ from registry.plugins.commands import COMMANDS, TRAIN_OPTIONS, verbs
 TOOLS = [(COMMANDS, e.name) for e in importlib.metadata.entry_points(group=COMMANDS)] + [
     (TRAIN_OPTIONS, e.name) for e in importlib.metadata.entry_points(group=TRAIN_OPTIONS)
 ]
-HOST = ("train", "resume", "eval", "explain", "plugins", "doctor")
+HOST = ("train", "resume", "eval", "explain", "plugins")
 EXAMPLES = {
     "train": ["train", "3dgs"],
     "resume": ["resume", "runs/x"],
@@ -30,6 +30,7 @@ EXAMPLES = {
     "check": ["check", "folder"],
     "compare": ["compare", "runs/x", "runs/y"],
     "completion": ["completion", "bash"],
+    "doctor": ["doctor"],
     "export": ["export", "runs/x", "--format", "ply"],
     "priors": ["priors", "check", "model.onnx"],
     "render": ["render", "runs/x"],
