@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	stress kills fuzz lint types check docs site flight viewer-bundle methods parts results curve profile \
+	stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
 	bench-engine bench-peer bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
@@ -48,6 +48,9 @@ kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed
 
 fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
 	$(BIN)/python -m tests.fuzzing 100000
+
+sick: $(VENV)/.dev ## 200 components with one fault each, and what the host says about them; minutes
+	$(BIN)/python -m tests.sick
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
 	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs_plugins/tools/test_new_plugin.py

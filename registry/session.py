@@ -266,6 +266,8 @@ def open_run(
 ) -> Run:
     """Read a run folder: its pipeline, scene and Gaussians.
 
+    Components that cannot be loaded are left out (`run.pipeline.missing`), except the scene's loader.
+
     Args:
         folder: the run folder.
         scene: needed if the run was trained on a scene made in Python.
@@ -285,6 +287,7 @@ def open_run(
             device=find_device(device),
             scene=scene,
             accept_changed_inputs=accept_changed_inputs,
+            to_train=False,
         )
 
 
@@ -331,7 +334,7 @@ def export(
         ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
             exporter failed.
     """
-    from .calls.read_only_guard import ReadOnlyGuard, of_scene
+    from .calls.copies import copied
     from .pipeline.parts import build_part
     from .runs.results import EXPORTS, existing_files
     from .training.trainer import one_torch_thread
@@ -342,8 +345,9 @@ def export(
         model = _model_without(run, without)
         place.mkdir(parents=True, exist_ok=True)
         part = build_part(item, run.pipeline.training.seed, run.model.device)
-        with part.at_work(lent=of_scene(run.scene) + ReadOnlyGuard(models=(model,))):
-            return existing_files(part.component.export(model.reader(), run.scene, place))
+        with part.at_work():
+            scene = copied(run.scene)
+            return existing_files(part.component.export(model.reader(), scene, place))
 
 
 def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:

@@ -18,3 +18,9 @@ for name in ("COLUMNS", "LINES"):
 def _priors_answer_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     """No test reads or fills the user's cache of prior answers; one that wants a cache names its own."""
     monkeypatch.setenv("STEREOGS_CACHE", "")
+
+
+@pytest.fixture(autouse=True)
+def _components_are_checked_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes take seconds to start; the test that needs them sets their hash seeds."""
+    monkeypatch.setattr("registry.testing.processes.SEEDS", ())

@@ -22,10 +22,12 @@ class Gradients:
 
     Attributes:
         rows: `[rows, capacity]` on the device.
+        writes: number of backward passes that have written here.
     """
 
     def __init__(self, device: Device, shape: tuple[int, ...], dtype: torch.dtype) -> None:
         self.rows = DeviceArray(device, shape, dtype)
+        self.writes = 0
         self._forgotten = False
         self._written_degree = 0
         self._waiting: dict[tuple[int, int], Tensor] = {}
@@ -48,6 +50,7 @@ class Gradients:
 
     def written(self, sh_degree: int) -> None:
         """Record that a backward pass has written SH bands up to a degree."""
+        self.writes += 1
         before = 0 if self._forgotten else self._written_degree
         self._written_degree = max(sh_degree, before)
         self._forgotten = False
@@ -84,6 +87,7 @@ class Gradients:
                 where="backward of a loss on parameters",
                 fix="look for a division by zero or a square root of zero in the loss",
             )
+        self.writes += 1
         rows = (first, first + values.shape[0])
         if rows not in self._waiting:
             self._waiting[rows] = torch.zeros(

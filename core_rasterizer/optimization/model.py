@@ -31,6 +31,9 @@ class GaussianModel(GaussianStorage):
             of Mip-Splatting (Yu et al. 2024, eq. 10). Both settings hold for every render of the model,
             so that Gaussians are viewed as they were trained.
 
+    Attributes:
+        anchor: a scalar leaf that every render and parameter in autograd is computed from.
+
     Raises:
         GaussianError: a parameter or the dilation is not finite, or the dilation is negative.
     """
@@ -48,7 +51,7 @@ class GaussianModel(GaussianStorage):
         count, device = len(gaussians), device or open_device()
         self.footprint = Footprint(dilation, compensate_dilation)
         self.renderer = Renderer(device, dtype, footprint=self.footprint)
-        self._anchor = torch.zeros((), requires_grad=True)
+        self.anchor = torch.zeros((), requires_grad=True)
         rows = pack(gaussians, dtype, padded(count))
         super().__init__(device, dtype, gaussians.sh_degree, rows, count)
 
@@ -75,7 +78,7 @@ class GaussianModel(GaussianStorage):
         Raises:
             GaussianError: unknown name.
         """
-        values: Tensor = ParameterFunction.apply(self._anchor, self, name)
+        values: Tensor = ParameterFunction.apply(self.anchor, self, name)
         return values
 
     def gaussians(self) -> Gaussians:
@@ -143,7 +146,7 @@ class GaussianModel(GaussianStorage):
         request = RenderRequest(camera, tuple(background), degree, near, opacity_scale, smoothing)
         return Rendering.on_device(
             *RenderFunction.apply(
-                self._anchor,
+                self.anchor,
                 camera.world_to_camera,
                 self,
                 self.renderer,

@@ -1,7 +1,7 @@
 """Data that components may read but not write.
 
 torch counts the writes into a tensor, so checking each call is cheap. Writes that bypass torch, through numpy
-or `.data`, are only found within `checked_plugins`, which compares every bit.
+or `.data`, are only found by comparing every bit: in a component's first call, and within `checked_plugins`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
     from core_rasterizer import GaussianModel, Rendering
 
-    from ..contract.scene import DepthMap, Scene, TrainingScene, TrainingView
+    from ..contract.scene import DepthMap, Scene, TrainingScene
 
 _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
-
-
-class Overwritten(PluginError):
-    """A component wrote into data that it may only read: the results of others would be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +30,7 @@ class ReadOnlyGuard:
 
     Args:
         tensors: by their names in messages.
-        models: Gaussians, compared before and after each call.
+        models: Gaussians, which must get no gradient either.
         renderings: renders; the guard does not fetch images that nobody else fetches.
     """
 
@@ -50,25 +46,40 @@ class ReadOnlyGuard:
         )
 
     @contextmanager
-    def kept(self) -> Iterator[None]:
-        """Refuse a block that writes into the data.
+    def kept(self, *, every_bit: bool = False) -> Iterator[None]:
+        """Refuse a block that writes into the data, runs a backward pass or registers a hook.
+
+        Args:
+            every_bit: also find writes that bypass torch, and writes into the Gaussians.
 
         Raises:
-            Overwritten: names the first.
+            PluginError: names the first.
         """
-        checked = are_checked()
-        tensors = {**self.tensors, **self._images(fetch=checked)}
+        tensors = {**self.tensors, **self._images(fetch=every_bit)}
         marks = {name: _mark(tensor) for name, tensor in tensors.items()}
-        copies = {name: t.detach().clone() for name, t in tensors.items()} if checked else {}
-        gaussians = [model.parameters.read().clone() for model in self.models]
+        passes = [model.gradients.writes for model in self.models]
+        copies = {name: t.detach().clone() for name, t in tensors.items()} if every_bit else {}
+        compared = self.models if every_bit else ()
+        gaussians = [model.parameters.read().clone() for model in compared]
         yield
+        if passes != [model.gradients.writes for model in self.models]:
+            raise PluginError(
+                "it ran a backward pass into the Gaussians: others' gradients would be wrong",
+                fix="return the loss, and leave `backward` to the host",
+            )
         for name, tensor in {**self.tensors, **self._images()}.items():
             # An image that was fetched within the block has had no writes before.
-            mark = marks.get(name, (0, tensor.requires_grad))
-            if _mark(tensor) != mark or (copies and not _same(tensor, copies[name])):
+            before = marks.get(name, (0, tensor.requires_grad, 0))
+            after = _mark(tensor)
+            if after[2] > before[2]:
+                raise PluginError(
+                    f"it registered a hook on {name}: others' gradients would be wrong",
+                    fix="register hooks on tensors of its own, for example `tensor.clone()`",
+                )
+            if after != before or (copies and not _same(tensor, copies[name])):
                 raise _overwritten(name)
-        for model, before in zip(self.models, gaussians, strict=True):
-            if not _same(model.parameters.read(), before):
+        for model, parameters in zip(compared, gaussians, strict=True):
+            if not _same(model.parameters.read(), parameters):
                 raise _overwritten("the Gaussians")
 
     def _images(self, fetch: bool = False) -> dict[str, Tensor]:
@@ -102,29 +113,20 @@ def are_checked() -> bool:
     return _CHECKED.get()
 
 
-def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
-    """Guard the views and points of a scene, including test views if it has any."""
-    tensors: dict[str, Tensor] = {}
-    for view in (*scene.train, *vars(scene).get("test", ())):
-        tensors |= of_view(view).tensors
-    for name, value in vars(scene.points).items() if scene.points else ():
-        if name in ("positions", "colors", "scales", "opacities") and value is not None:
-            tensors[f"the {name} of the scene's points"] = value
-    return ReadOnlyGuard(tensors)
-
-
 _VIEW_TENSORS = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
 """Attributes of views, and their names in messages."""
 
 
-def of_view(view: TrainingView) -> ReadOnlyGuard:
-    """Guard a view's photograph, mask, alpha, depth and camera."""
-    tensors = {f"the camera of {view.name}": view.camera.world_to_camera}
-    for attribute, title in _VIEW_TENSORS.items():
-        value = vars(view).get(attribute)
-        if value is not None:
-            tensors[f"the {title} of {view.name}"] = value
-    return ReadOnlyGuard(tensors)
+def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
+    """Guard the views and points of a scene, including test views if it has any."""
+    found: dict[str, Tensor | None] = {}
+    for view in (*scene.train, *vars(scene).get("test", ())):
+        found[f"the camera of {view.name}"] = view.camera.world_to_camera
+        for attribute, title in _VIEW_TENSORS.items():
+            found[f"the {title} of {view.name}"] = vars(view).get(attribute)
+    for name in ("positions", "colors", "scales", "opacities"):
+        found[f"the {name} of the scene's points"] = getattr(scene.points, name, None)
+    return ReadOnlyGuard({name: value for name, value in found.items() if value is not None})
 
 
 def of_rendering(rendering: Rendering) -> ReadOnlyGuard:
@@ -148,9 +150,10 @@ def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
     )
 
 
-def _mark(tensor: Tensor) -> tuple[int, bool]:
-    """Return values that change with every write through torch."""
-    return (0 if tensor.is_inference() else tensor._version), tensor.requires_grad
+def _mark(tensor: Tensor) -> tuple[int, bool, int]:
+    """Return values that change with every write through torch, and the number of hooks."""
+    version = 0 if tensor.is_inference() else tensor._version
+    return version, tensor.requires_grad, len(tensor._backward_hooks or ())
 
 
 def _same(tensor: Tensor, copy: Tensor) -> bool:
@@ -164,8 +167,8 @@ def _same(tensor: Tensor, copy: Tensor) -> bool:
     )
 
 
-def _overwritten(name: str) -> Overwritten:
-    return Overwritten(
+def _overwritten(name: str) -> PluginError:
+    return PluginError(
         f"it wrote into {name}, which it may only read",
         fix="work on a copy (`tensor.clone()`), and return the changed values",
     )

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from ..contract.command import TrainRequest
     from .arguments import (
         add_accept_changed_inputs,
+        add_accept_changed_plugins,
         add_device,
         add_run,
         open_given,
@@ -21,6 +22,7 @@ __all__ = [
     "ABSENT",
     "TrainRequest",
     "add_accept_changed_inputs",
+    "add_accept_changed_plugins",
     "add_device",
     "add_run",
     "conclude",

@@ -85,6 +85,15 @@ def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_accept_changed_plugins(parser: argparse.ArgumentParser) -> None:
+    """Add the option --accept-changed-plugins."""
+    parser.add_argument(
+        "--accept-changed-plugins",
+        action="store_true",
+        help="continue even if a plugin's package has another version or code than when the run was written",
+    )
+
+
 def positive_seconds(text: str) -> float:
     """Parse a positive number of seconds."""
     try:
@@ -126,6 +135,7 @@ def run_options(
         device=arguments.device,
         check_plugins=arguments.check_plugins,
         accept_changed_inputs=getattr(arguments, "accept_changed_inputs", False),
+        accept_changed_plugins=getattr(arguments, "accept_changed_plugins", False),
     )
     with ExitStack() as stack:
         for option in extra:

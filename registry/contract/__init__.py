@@ -6,9 +6,16 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .components import AverageErrorRole
-    from .hook_points import HOOK_POINTS, HookPoint
+    from .hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
     from .scene import SOLID, camera_extent
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
-__all__ = ["HOOK_POINTS", "SOLID", "AverageErrorRole", "HookPoint", "camera_extent"]
+__all__ = [
+    "HOOK_POINTS",
+    "PIPELINE_POINTS",
+    "SOLID",
+    "AverageErrorRole",
+    "HookPoint",
+    "camera_extent",
+]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from ..errors import PluginError
@@ -25,8 +28,18 @@ class Prior(Component[SettingsType], ABC):
     """What it estimates."""
 
     def fingerprint(self) -> str:
-        """Return what estimates depend on besides settings and code: a model file's hash, a device."""
-        return ""
+        """Return what estimates depend on besides settings and code: a model file's hash, a device.
+
+        By default hashes of the files that the settings name, and of models that are attributes
+        (`registry.toolkit.networks.OnnxModel`).
+        """
+        hashes = [
+            _file_hash(value, value.stat().st_mtime_ns)
+            for _, value in self.settings
+            if isinstance(value, Path) and value.is_file()
+        ]
+        opened = (getattr(value, "sha256", None) for value in vars(self).values())
+        return " ".join([*hashes, *(digest for digest in opened if isinstance(digest, str))])
 
     @classmethod
     def settings_for(cls, model: Any) -> Sequence[Mapping[str, Any]]:
@@ -56,6 +69,12 @@ class Prior(Component[SettingsType], ABC):
         known = {key: prior.capability for key, prior in priors.items()}
         prior: Self = priors[chosen_prior(known, (cls.capability,), name)]  # type: ignore[assignment]
         return prior
+
+
+@cache
+def _file_hash(path: Path, modified: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def chosen_prior(

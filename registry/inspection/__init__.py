@@ -7,8 +7,7 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from .scene_facts import image_sizes, points_in_view, warnings
     from .scene_source import find_loader, load
-    from .schema import pipeline_schema
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
-__all__ = ["find_loader", "image_sizes", "load", "pipeline_schema", "points_in_view", "warnings"]
+__all__ = ["find_loader", "image_sizes", "load", "points_in_view", "warnings"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import unicodedata
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from textwrap import wrap
@@ -17,24 +16,10 @@ from rich.segment import Segment
 from core_rasterizer.errors import ExplainedError
 
 from .suggestions import did_you_mean
+from .visible_text import visible
 
-_INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode's categories of control and format characters, lone surrogates and other line breaks."""
 WIDTH = "COLUMNS"
 """Environment variable: the number of characters per line, even without a terminal."""
-
-
-def visible(text: str) -> str:
-    """Escape control characters, as in \\x1b, so that names cannot send commands to the terminal.
-
-    Line breaks and tabs stay.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        ascii(c)[1:-1] if c not in "\n\t" and unicodedata.category(c) in _INVISIBLE else c
-        for c in text
-    )
 
 
 def wrapped(line: str, width: int) -> list[str]:

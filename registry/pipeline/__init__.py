@@ -18,16 +18,17 @@ if TYPE_CHECKING:
     from .parts import Part, Parts, build_part
     from .pipeline import Item, Pipeline, component_item, load_pipeline, parse_pipeline
     from .pipeline import build_pipeline as checked_pipeline
-    from .protocols import load_protocol, protocol_names
+    from .protocols import ProtocolChoice, load_protocol, protocol_names
     from .ready import find_pipeline, ready_pipelines
-    from .schedule import HostSettings
+    from .schedule import HostSettings, Schedule
     from .settings_check import escape_variables, plain, validate_settings
-    from .training_settings import TrainingSettings, iterations_of_a_run
+    from .training_settings import PER_VIEW, TrainingSettings, iterations_of_a_run
     from .yaml_source import Node, Place, parse, read, resolve, to_yaml
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
+    "PER_VIEW",
     "SECTIONS",
     "TOP_LEVEL",
     "HostSettings",
@@ -37,6 +38,8 @@ __all__ = [
     "Parts",
     "Pipeline",
     "Place",
+    "ProtocolChoice",
+    "Schedule",
     "TrainingSettings",
     "apply_override",
     "blamed",

@@ -11,7 +11,7 @@ from core_rasterizer.errors import ExplainedError
 
 from ..calls.memory import LEDGER
 from ..calls.process_state import left_as_found, no_global_random_numbers, own_random_numbers
-from ..calls.read_only_guard import NOTHING, ReadOnlyGuard
+from ..calls.read_only_guard import NOTHING, ReadOnlyGuard, are_checked
 from ..calls.watchdog import WATCHDOG, Hang
 from ..contract.prior import Prior
 from ..errors import PluginError
@@ -41,13 +41,6 @@ def blame(item: Item, iteration: int | None = None) -> Iterator[None]:
         error.where = f"{error.where}; in {culprit}" if error.where else culprit
         error.fix = error.fix or _advice(item)
         raise
-    except (Exception, SystemExit) as error:
-        raise PluginError(
-            f"the {item.offer.point.title} {item.offer.name!r} failed: "
-            f"{type(error).__name__}: {error}",
-            where=culprit,
-            fix=f"{_advice(item)}; STEREOGS_TRACE=1 shows the whole traceback",
-        ) from error
     except KeyboardInterrupt as stop:
         stop.add_note(f"while {culprit} was at work")
         raise
@@ -55,6 +48,12 @@ def blame(item: Item, iteration: int | None = None) -> Iterator[None]:
         if hang.call.who != name:
             raise  # another component hangs, which this one called or was called by
         raise hang.explained() from None
+    except BaseException as error:  # SystemExit and panics of compiled libraries too
+        raise PluginError(
+            f"the {item.offer.point.title} {item.offer.name!r} failed: {_text(error)}",
+            where=culprit,
+            fix=f"{_advice(item)}; STEREOGS_TRACE=1 shows the whole traceback",
+        ) from error
 
 
 class _Call(NamedTuple):
@@ -76,6 +75,7 @@ def at_work(
     lent: ReadOnlyGuard = NOTHING,
     *,
     look: bool = True,
+    every_bit: bool = False,
 ) -> Iterator[None]:
     """The context of a call into a component.
 
@@ -86,7 +86,8 @@ def at_work(
     Args:
         iteration: of training; None outside the loop, or for the iteration of the calling component.
         lent: tensors that it receives, besides those of the calling component.
-        look: check the global generators within an iteration, which takes longer than all other checks.
+        look: check the global generators within an iteration, which takes longer than most checks.
+        every_bit: find writes that bypass torch, as in every call if plugins are checked.
     """
     outer = _CALL.get(_Call())
     if iteration is None:
@@ -106,11 +107,18 @@ def at_work(
             LEDGER.watching(name),
             left_as_found(name, threads=not item.point.observes),
             random_numbers,
-            call.lent.kept(),
+            call.lent.kept(every_bit=every_bit or are_checked()),
         ):
             yield
     finally:
         _CALL.reset(token)
+
+
+def _text(error: BaseException) -> str:
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # its __str__ fails
+        return type(error).__name__
 
 
 def _name(item: Item) -> str:

@@ -26,7 +26,7 @@ from .pipeline import Item, Pipeline
 TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
 """The sections whose components take part in the training loop; each field has its own."""
 _LOOK_EVERY = 10
-"""Iterations between two checks of the global random generators."""
+"""Iterations between two checks that take longer, see `Part.looks`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,18 @@ class Part:
     ) -> AbstractContextManager[None]:
         """Return a context for calls into the component; see `registry.pipeline.blame.at_work`.
 
-        Its use of global random generators is checked in its first call of the loop and in every tenth
-        iteration; in every call if plugins are checked.
+        In its first call of the loop every bit of the data is compared; for other calls see `looks`.
         """
-        schedule, number = self.item.schedule, iteration or 0
-        first = number < schedule.start + schedule.every
-        look = first or number % _LOOK_EVERY == 0 or are_checked()
-        return at_work(self.item, self.component.context.seed, iteration, lent, look=look)
+        number, seed = iteration or 0, self.component.context.seed
+        look, first = self.looks(number), self._first(number)
+        return at_work(self.item, seed, iteration, lent, look=look, every_bit=first)
+
+    def looks(self, iteration: int) -> bool:
+        """Whether to make checks that take longer: in the first call, each tenth iteration, or if checked."""
+        return self._first(iteration) or iteration % _LOOK_EVERY == 0 or are_checked()
+
+    def _first(self, iteration: int) -> bool:
+        return iteration < self.item.schedule.start + self.item.schedule.every
 
 
 class Parts:

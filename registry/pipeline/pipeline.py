@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from core_rasterizer.errors import ExplainedError
+
 from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
+from ..messages.visible_text import is_plain_name
 from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
@@ -65,6 +68,7 @@ class Pipeline:
         items: the enabled components of each section, in the order of the file.
         protocol: fixes the split, the images and the metrics; None leaves them to the pipeline.
         iterations_per_view: for `for_views`; None if the length does not depend on the scene.
+        missing: components that were left out because they cannot be loaded, see `build_pipeline`.
     """
 
     name: str
@@ -72,6 +76,7 @@ class Pipeline:
     training: TrainingSettings
     protocol: AppliedProtocol | None = None
     iterations_per_view: int | None = None
+    missing: Mapping[str, ExplainedError] = field(default_factory=dict, compare=False)
 
     def __iter__(self) -> Iterator[Item]:
         """All components, section by section."""
@@ -145,12 +150,18 @@ class Pipeline:
 
 
 def load_pipeline(
-    path: Path, plugins: Plugins, *, overrides: Sequence[str] = (), disabled: Sequence[str] = ()
+    path: Path,
+    plugins: Plugins,
+    *,
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
+    needed: Collection[str] | None = None,
 ) -> Pipeline:
     """Read and check a pipeline file.
 
     Args:
         path: the file, or the name of a ready pipeline.
+        needed: sections whose components must be installed; None: all.
         overrides: `a.b=value`, as for `--set`; applied before `disabled`.
         disabled: names of components to disable, as for `--disable`.
 
@@ -158,7 +169,7 @@ def load_pipeline(
         PipelineError: the file or a change is wrong; with the line.
         PluginError: a component that it names cannot be loaded.
     """
-    return build_pipeline(read(find_pipeline(path)), plugins, overrides, disabled)
+    return build_pipeline(read(find_pipeline(path)), plugins, overrides, disabled, needed)
 
 
 def parse_pipeline(
@@ -174,7 +185,11 @@ def parse_pipeline(
 
 
 def build_pipeline(
-    root: Node, plugins: Plugins, overrides: Sequence[str] = (), disabled: Sequence[str] = ()
+    root: Node,
+    plugins: Plugins,
+    overrides: Sequence[str] = (),
+    disabled: Sequence[str] = (),
+    needed: Collection[str] | None = None,
 ) -> Pipeline:
     """`load_pipeline` for a tree that is already read; changes it in place."""
     if not isinstance(root.content, dict):
@@ -191,23 +206,35 @@ def build_pipeline(
     protocol = apply_protocol(sections)
     absent = Node(None, root.place)
     training, each = read_training(sections.get("training", absent))
+    missing: dict[str, ExplainedError] = {}
     items = {
-        point.section: _section(point, sections.get(point.section, absent), plugins, training)
+        point.section: _section(
+            point,
+            sections.get(point.section, absent),
+            plugins,
+            training,
+            None if needed is None or point.section in needed else missing,
+        )
         for point in PIPELINE_POINTS
     }
     named = sections.get("name", absent)
     name = plain(named)
-    if not isinstance(name, str) or not name.strip():
+    if not is_plain_name(name):
         raise named.place.error(
-            "the pipeline needs a name, a text",
+            "the pipeline needs a name, a visible text of at most 200 characters",
             fix="write for example `name: my-experiment` at the top",
         )
-    return Pipeline(name, items, training, protocol, each)
+    return Pipeline(name, items, training, protocol, each, missing)
 
 
 def _section(
-    point: HookPoint, node: Node, plugins: Plugins, training: TrainingSettings
+    point: HookPoint,
+    node: Node,
+    plugins: Plugins,
+    training: TrainingSettings,
+    missing: dict[str, ExplainedError] | None,
 ) -> tuple[Item, ...]:
+    """Return the items of a section; `missing` receives those that cannot be loaded; None: refuse them."""
     if point.holds == "one" and isinstance(node.content, list):
         raise node.place.error(
             f"{point.section} holds a single {point.title}, not a list",
@@ -221,7 +248,15 @@ def _section(
     written = [] if node.content is None else [node]
     items: dict[str, Item] = {}
     for component in node.content if isinstance(node.content, list) else written:
-        item = _first_complete(point, component, plugins.find, training.iterations)
+        try:
+            item = _first_complete(point, component, plugins.find, training.iterations)
+        except ExplainedError as error:
+            if missing is None:
+                raise
+            keys = expand(component)
+            name = next((plain(keys[key]) for key in ("name", "use") if key in keys), "?")
+            missing[f"{point.section}.{name}"] = error
+            continue
         if item is None:
             continue
         if item.name in items:
@@ -232,7 +267,7 @@ def _section(
                 fix="give one of them a `name` of its own",
             )
         items[item.name] = item
-    if point.required and not items:
+    if point.required and not items and missing is None:
         raise node.place.error(
             f"the pipeline has no {point.title}; one is required",
             fix=f"write {point.section}: {{use: ...}}; `stereogs plugins` lists all components",

@@ -11,7 +11,7 @@ from typing import get_args
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
-from ..calls.read_only_guard import Overwritten, of_rendering, of_view
+from ..calls.copies import copied
 from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
@@ -69,26 +69,21 @@ def evaluate(
     """Render views and score them, colours clamped to [0, 1].
 
     A view with a score in each role of the average error also gets `avge` (`average_error`). If a metric
-    fails, the others are still measured.
+    fails, the others are still measured. Each metric receives copies.
 
     Args:
         pictures: folder for `save_view_pictures`; None writes none.
-
-    Raises:
-        Overwritten: a metric wrote into the render or the photograph, so other scores would be wrong.
     """
     scores = Scores({})
     for view in views:
         rendering = clamped_render(model, view.camera, scene.background)
-        lent = of_view(view) + of_rendering(rendering)
         row: dict[str, float | None] = {}
         for part in metrics:
             name = part.item.name
             try:
-                with part.at_work(lent=lent):
-                    score = check_score(part.component.measure_view(rendering, view, scene))
-            except Overwritten:
-                raise
+                with part.at_work():
+                    given = copied((rendering, view, scene))
+                    score = check_score(part.component.measure_view(*given))
             except ExplainedError as error:
                 scores.failures.setdefault(part.item.qualified_name, error)
                 score = Unavailable(error.what)

@@ -45,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 class _Provenance(Record):
     run: str = ""
+    plugins: dict[str, str] = Field(default_factory=dict)
     resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
@@ -109,7 +110,7 @@ class RunFolder:
         try:
             with new_folder(self.path) as folder:
                 write_text(folder / PIPELINE, pipeline_yaml)
-                write_json(folder / PROVENANCE, provenance)
+                write_json(folder / PROVENANCE, jsonable(provenance))
                 write_json(folder / INPUTS, {"digests": inputs, "changed": []})
                 fill(RunFolder(folder))
             remove_leftovers(self.path.parent, of=self.path.name)
@@ -136,11 +137,17 @@ class RunFolder:
         """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))
 
+    @property
+    def plugins(self) -> dict[str, str]:
+        """The package of each component when training began or was last resumed."""
+        origin = _read_json(self.path / PROVENANCE, _Provenance)
+        return dict([origin, *origin.get("resumed", [])][-1].get("plugins", {}))
+
     def note_resumption(self, facts: dict[str, Any]) -> None:
         """Add the circumstances of a resumption to provenance.json."""
         origin = _read_json(self.path / PROVENANCE, _Provenance)
         if origin:
-            origin["resumed"] = [*origin.get("resumed", []), facts]
+            origin["resumed"] = [*origin.get("resumed", []), jsonable(facts)]
             write_json(self.path / PROVENANCE, origin)
 
     @property
@@ -183,7 +190,7 @@ class RunFolder:
         from ..toolkit.progress.parallel import in_parallel
 
         folder = self.folder(INITIALIZATION)
-        write_json(folder / "facts.json", facts)
+        write_json(folder / "facts.json", jsonable(facts))
         in_parallel(lambda name: save_png(pictures[name], folder / f"{name}.png"), [*pictures])
 
     def initialization(self) -> dict[str, Any]:

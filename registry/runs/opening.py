@@ -22,7 +22,8 @@ from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
-from ..pipeline.pipeline import Pipeline, build_pipeline, load_pipeline
+from ..pipeline.pipeline import Pipeline, load_pipeline
+from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import parse
 from ..plugins.discovery import Plugins
 from ..training.checkpoint import (
@@ -36,11 +37,12 @@ from ..training.checkpoint import (
 from ..training.initial_model import new_model
 from ..training.trainer import Trainer, resumed
 from .folder import PIPELINE, RunFolder
-from .origin import compare_inputs, input_digests
+from .origin import compare_inputs, input_digests, with_packages
 from .run import Run, Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]
 """Sections that may change before a run is resumed: no bit depends on them."""
+_SCORING = ("metrics", "exporters", "reports")
 FAILURES = "failures"
 _log = logging.getLogger(__name__)
 
@@ -52,18 +54,27 @@ def open_run(
     device: Device,
     scene: Scene | None = None,
     accept_changed_inputs: bool = False,
+    to_train: bool = True,
 ) -> Run:
     """Read a run folder: its pipeline, scene and newest checkpoint.
 
     Args:
         scene: used instead of the scene that the pipeline loads.
+        to_train: whether all components must be installed; otherwise only the scene's loader.
 
     Raises:
         ExplainedError: one of them cannot be read; the pipeline or the checkpoint belongs to another run; or
             the scene or a model file has changed, and `accept_changed_inputs` is False.
     """
     folder = RunFolder.existing(path)
-    pipeline = load_pipeline(folder.pipeline, plugins)
+    try:
+        needed = None if to_train else ("scene",)
+        pipeline = load_pipeline(folder.pipeline, plugins, needed=needed)
+    except ExplainedError as error:
+        raise with_packages(error, folder.plugins) from None
+    for name, missing in pipeline.missing.items():
+        if name.partition(".")[0] in _SCORING:
+            _log.warning("%s is left out: %s", name, missing.what)
     place = path / CHECKPOINT
     checkpoint = load_checkpoint(place)
     if "" not in (folder.identity, checkpoint.run) and folder.identity != checkpoint.run:
@@ -72,7 +83,7 @@ def open_run(
             where=str(place),
             fix="restore the run's own checkpoint; provenance.json and manifest.json name the run",
         )
-    _check_unedited(folder.pipeline, checkpoint.pipeline, plugins)
+    _check_unedited(folder.pipeline, checkpoint.pipeline)
     if checkpoint.iteration > pipeline.training.iterations:
         raise RunError(
             f"the checkpoint is of iteration {checkpoint.iteration}, "
@@ -123,10 +134,10 @@ def _check_hash(folder: RunFolder, iteration: int, digest: str) -> None:
         )
 
 
-def _check_unedited(file: Path, before: str, plugins: Plugins) -> None:
+def _check_unedited(file: Path, before: str) -> None:
     """Refuse changes of the pipeline since training, except of comments, layout and observers."""
     text = file.read_text("utf-8")
-    if text == before or _values(text, plugins) == _values(before, plugins):
+    if text == before or _values(text) == _values(before):
         return
     number, written, was = _first_change(before.splitlines(), text.splitlines())
     raise RunError(
@@ -136,13 +147,10 @@ def _check_unedited(file: Path, before: str, plugins: Plugins) -> None:
     )
 
 
-def _values(text: str, plugins: Plugins) -> dict[str, Any]:
-    """Return a pipeline without its observers, whose packages may be uninstalled."""
-    root = parse(text, "pipeline")
-    if isinstance(root.content, dict):
-        for section in _OBSERVED:
-            root.content.pop(section, None)
-    return build_pipeline(root, plugins).plain()
+def _values(text: str) -> dict[str, Any]:
+    """Return the values of a pipeline without its observers; plugins may be uninstalled."""
+    values = plain(parse(text, "pipeline"))
+    return {name: value for name, value in values.items() if name not in _OBSERVED}
 
 
 def _first_change(before: list[str], now: list[str]) -> tuple[int, str, str]:

@@ -82,6 +82,7 @@ class RunOptions:
             does not react ends the process. Works in the main thread only. None: no limit.
         fit: chooses the size of photographs, the pipeline and its length; by default the given ones.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
+        accept_changed_plugins: resumes even if the package of a component has another version or code.
     """
 
     scene: Scene | None = None
@@ -93,6 +94,7 @@ class RunOptions:
     hang_after: float | None = None
     fit: Plan = field(default_factory=Plan)
     accept_changed_inputs: bool = False
+    accept_changed_plugins: bool = False
 
     def console(self) -> Console:
         """Return the console for progress, silent if `progress` is False."""

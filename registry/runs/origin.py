@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import platform
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
@@ -20,20 +21,24 @@ from urllib.request import url2pathname
 
 from torch import Tensor
 
-from core_rasterizer import Device
+from core_rasterizer import Device, ExplainedError
 
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..pipeline.pipeline import Pipeline
+from ..pipeline.pipeline import Item, Pipeline
+from ..plugins.discovery import GROUP, Offer
+from ..toolkit.cache import code_digest
 
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
 _SHOWN = 5
 _OURS = "stereogs-plugins"
+_CODE = ", code "
 _NAME = re.compile(r"[A-Za-z0-9._-]+")
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("core_rasterizer", "registry", "stereogs", "stereogs_plugins")
 _GIT_SECONDS = 10.0
+_log = logging.getLogger("stereogs")
 
 
 def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
@@ -122,11 +127,59 @@ def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
         "python": sys.version.split()[0],
         "source": checkout(),
         "packages": {name: _version(name) for name in packages},
-        "plugins": {
-            name: f"{offer.distribution} {offer.version}" for name, offer in offers.items()
-        },
+        "plugins": {name: package_of(offer) for name, offer in offers.items()},
         "plugin_sources": {name: package_source(name) for name in authors if name != _OURS},
     }
+
+
+def package_of(offer: Offer) -> str:
+    """Return the package of a component: name and version, and for others than ours a hash of its code."""
+    return foreign_package(offer) or f"{offer.distribution} {offer.version}"
+
+
+def foreign_package(offer: Offer) -> str:
+    """`package_of` for components of other packages than ours; "" for ours."""
+    if offer.distribution == _OURS:
+        return ""
+    code = code_digest(offer.component, GROUP)[:16]
+    return f"{offer.distribution} {offer.version}{_CODE}{code}"
+
+
+def refuse_changed_plugins(
+    before: Mapping[str, str], items: Iterable[Item], where: Path, *, accept: bool
+) -> None:
+    """Refuse components whose package, or its code, is not the one that was recorded.
+
+    Args:
+        before: results of `package_of` by qualified name; unknown components are accepted.
+        accept: log a warning instead.
+
+    Raises:
+        RunError: names the components, their packages and the recorded ones.
+    """
+    changed = []
+    for item in items:
+        now = package_of(item.offer)
+        was = before.get(item.qualified_name, now)
+        if was not in (now, now.partition(_CODE)[0]):  # older versions recorded no code
+            changed.append(f"{item.qualified_name} is now of {now}, and was of {was}")
+    if changed and accept:
+        _log.warning("%s", listed(tuple(changed)))
+    elif changed:
+        raise RunError(
+            f"plugins have changed since the run: {listed(tuple(changed))}",
+            where=str(where),
+            fix="install the version that was used, or continue with --accept-changed-plugins",
+        )
+
+
+def with_packages(error: ExplainedError, packages: Mapping[str, str]) -> ExplainedError:
+    """Add the packages that wrote a run, results of `package_of`, to the fix of an error."""
+    used = dict.fromkeys(text.partition(_CODE)[0] for text in packages.values())
+    written = listed(tuple(name for name in used if name.partition(" ")[0] != _OURS) or tuple(used))
+    if written:
+        error.fix = f"{error.fix}; the run was written with {written}"
+    return error
 
 
 def describe_device(device: Device) -> dict[str, str]:

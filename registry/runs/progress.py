@@ -11,7 +11,7 @@ from typing import Any
 
 from core_rasterizer import ExplainedError
 
-from ..calls.read_only_guard import of_scene
+from ..calls.copies import copied
 from ..events import RunEnded, RunStarted, ViewsScored
 from ..pipeline.parts import Part
 from ..system.files import jsonable
@@ -127,9 +127,9 @@ class Observers:
                 iterations=run.pipeline.training.iterations,
                 pipeline=run.pipeline.plain(),
                 facts=copy.deepcopy(facts),
-                scene=scene,
+                scene=copied(scene),
             )
-            with part.at_work(lent=of_scene(scene)):
+            with part.at_work():
                 part.component.started(event)
             self._started.append(part)
 
@@ -137,8 +137,8 @@ class Observers:
         """Notify those that are due of a complete iteration."""
         field, seconds = self._trainer.fields[0], self._run.seconds.training
         for part in self._run.parts.due("observers", done.number):
-            event = field.done(done.loss, done.logged, seconds)
-            with part.at_work(done.number, field.lent):
+            event = copied(field.done(done.loss, done.logged, seconds))
+            with part.at_work(done.number):
                 part.component.iterated(event)
 
     def evaluated(self, scores: Mapping[str, Scores]) -> None:

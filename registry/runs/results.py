@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from core_rasterizer import ExplainedError
 
 from ..errors import PluginError, RunError
+from ..messages.visible_text import visible
 from ..system.files import jsonable
 
 if TYPE_CHECKING:
@@ -93,7 +94,8 @@ class Failure(Record):
     @staticmethod
     def of(component: str, error: ExplainedError) -> Failure:
         """Return the record of an error."""
-        return Failure(component=component, what=error.what, where=error.where, fix=error.fix)
+        texts = {name: visible(getattr(error, name)) for name in ("what", "where", "fix")}
+        return Failure(component=component, **texts)
 
 
 class Results(Record):
@@ -103,6 +105,7 @@ class Results(Record):
     protocol: Annotated[dict[str, Any], AfterValidator(_checked_protocol)] | None = None
     scene: SceneRecord | None = None
     metrics: dict[Name, dict[str, Any]] = {}
+    packages: dict[Name, str] = {}
     device: dict[Name, str] = {}
     seed: int = 0
     iterations: Count = 0
@@ -121,8 +124,8 @@ class Results(Record):
     unavailable: dict[Name, str] = {}
     infinite: dict[Name, dict[Name, list[Name]]] = {}
     failures: list[Failure] = []
-    exports: list[Name] = []
-    reports: list[Name] = []
+    exports: list[str] = []
+    reports: list[str] = []
 
     def plain(self) -> dict[str, Any]:
         """Return the fields that are set, as JSON values."""
@@ -131,13 +134,15 @@ class Results(Record):
 
 def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: int) -> Results:
     """Return results with what was trained on what, without scores and times."""
-    from .origin import describe_device
+    from .origin import describe_device, foreign_package
 
+    packages = {item.qualified_name: foreign_package(item.offer) for item in pipeline}
     return Results(
         pipeline=pipeline.name,
         protocol=pipeline.protocol.record() if pipeline.protocol else None,
         scene=_scene(scene),
         metrics=_metrics(pipeline.items["metrics"]),
+        packages={name: package for name, package in packages.items() if package},
         device=describe_device(model.device),
         seed=pipeline.training.seed,
         iterations=iteration,
@@ -176,10 +181,14 @@ def _metrics(items: Sequence[Item]) -> dict[str, Any]:
 
 
 def _metric(item: Item) -> dict[str, Any]:
-    """Return the settings that scores depend on: the hash of a file, but not its path."""
+    """Return what scores depend on: the package, the settings, the hash of a file, but not its path."""
+    from .origin import foreign_package
+
     settings = item.settings.model_dump(mode="json")
     paths = [name for name, value in item.settings if isinstance(value, Path)]
-    return {"use": item.offer.name, **{k: v for k, v in settings.items() if k not in paths}}
+    kept = {k: v for k, v in settings.items() if k not in paths}
+    package = foreign_package(item.offer)
+    return {"use": item.offer.name, **({"package": package} if package else {}), **kept}
 
 
 def add_scores(results: Results, test: Scores, train: Scores) -> None:
@@ -197,6 +206,8 @@ def existing_files(answer: Any) -> list[Path]:
     """Return the answer of an exporter or a report if it is a list of paths of files that exist."""
     if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
         raise PluginError(f"the answer is {answer!r}, expected a list of paths")
+    if hidden := [file for file in answer if visible(file.name) != file.name]:
+        raise PluginError(f"it returned {str(hidden[0])!r}, which has control characters")
     missing = [file for file in answer if not file.is_file()]
     if missing:
         raise PluginError(f"it returned {missing[0]}, but there is no such file")
@@ -250,7 +261,7 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 def _problems(results: Results, content: Any) -> Iterator[str]:
     for text in _texts(content):
-        if any(not c.isprintable() and c not in "\n\t" for c in text):
+        if visible(text) != text:
             yield f"the text {text[:100]!r} has control characters"
     for split in ("train", "test"):
         rows: dict[str, ScoresByMetric] = getattr(results.views, split)

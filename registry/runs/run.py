@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
 
-from ..calls.read_only_guard import Overwritten, ReadOnlyGuard, of_scene
+from ..calls.copies import copied
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..pipeline.parts import Part, Parts
@@ -32,7 +32,14 @@ from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
 from .evaluation import Scores, clamped_render, evaluate, quick
 from .folder import RunFolder
-from .origin import circumstances, input_digests
+from .origin import (
+    changed_inputs,
+    circumstances,
+    input_digests,
+    listed,
+    refuse_changed_plugins,
+    with_packages,
+)
 from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
 Floats = NDArray[np.float32]
@@ -213,14 +220,34 @@ class Run:
         if self.changed and self.folder is not None:
             self.folder.write_inputs(input_digests(self.scene, self.pipeline), self.changed)
 
+    def check_folder(self) -> None:
+        """Refuse to write into a folder that was moved or removed; the run is kept in a new one beside it.
+
+        Raises:
+            RunError: names the new folder.
+        """
+        if self.folder is None or self.folder.pipeline.is_file():
+            return
+        lost, self.folder = self.folder.path, None
+        names = (lost.with_name(f"{lost.name}-kept-{number}") for number in count(1))
+        self.keep_in(kept := next(path for path in names if not path.exists()))
+        raise RunError(
+            f"the run folder was moved or removed during training; iteration {self.iteration} is kept "
+            f"in {kept}",
+            where=str(lost),
+            fix=f"stereogs resume {kept}",
+        )
+
     def add_metrics(self, line: dict[str, Any]) -> None:
         """Add a line of metrics, also to the folder."""
+        self.check_folder()
         self.metrics.append(line)
         if self.folder is not None:
             self.folder.append_metrics(line)
 
     def save_checkpoint(self) -> None:
         """Write a checkpoint to the folder, unless its newest is of this iteration."""
+        self.check_folder()
         if self.folder is not None and self.saved_iteration != self.iteration:
             save_checkpoint(self.checkpoint(), self.folder.folder(CHECKPOINT))
             self.saved_iteration = self.iteration
@@ -241,6 +268,7 @@ class Run:
         If a metric, an exporter or a report fails, the others still run; the results list the failures.
         """
         folder = self.folder_or_refuse()
+        self._check_inputs(folder)
         before = folder.results().get("hash")
         results = self._scored({})
         if before not in (None, results.hash):
@@ -256,14 +284,33 @@ class Run:
         self._add_times(results)
         folder.write_results(results)
 
-    def renew(self) -> dict[str, Any]:
+    def _check_inputs(self, folder: RunFolder) -> None:
+        """Refuse to score with photographs or cameras that a component overwrote, unseen by the guards."""
+        before, _ = folder.inputs()
+        changed = changed_inputs(before or {}, input_digests(self.scene, self.pipeline))
+        if before and changed:
+            folder.write_inputs(before, changed)  # results of `eval` list them
+            raise RunError(
+                f"a component wrote into the inputs during training: {listed(changed)}",
+                where=str(folder.path),
+                fix="train again with --check-plugins, which names the component",
+            )
+
+    def renew(self, *, accept_changed_plugins: bool = False) -> dict[str, Any]:
         """Score the run again, renew its results.json and pictures, and return the results.
 
-        For a finished run, export and report again too. Refuses a results.json of a later iteration.
+        For a finished run, export and report again too. Refuses a results.json of a later iteration, and
+        metrics that are missing, or that have changed unless `accept_changed_plugins`.
         """
         folder = self.folder_or_refuse()
         with folder.locked():
             before = folder.results()
+            packages = {**folder.plugins, **before.get("packages", {})}
+            for name, error in self.pipeline.missing.items():
+                if name.startswith("metrics."):
+                    raise with_packages(error, packages)
+            metrics = self.pipeline.items["metrics"]
+            refuse_changed_plugins(packages, metrics, folder.path, accept=accept_changed_plugins)
             recorded = before.get("iterations", 0)
             if recorded > self.iteration:
                 raise RunError(
@@ -298,6 +345,7 @@ class Run:
         """Score both splits, draw pictures into the folder (`evaluate`), and return updated results."""
         folder = self.folder_or_refuse()
         results = Results.model_validate({**before, **self.describe().plain()})
+        results.packages = {**before.get("packages", {}), **results.packages}
         results.changed_inputs = folder.inputs()[1]
         scores = self.evaluate(folder.folder(RENDERS))
         add_scores(results, **scores)
@@ -318,8 +366,7 @@ class Run:
         progress("files")
         results.exports, failures = self._outputs(
             exporters,
-            of_scene(self.scene) + ReadOnlyGuard(models=(self.model,)),
-            lambda exporter: exporter.export(self.model.reader(), self.scene, place),
+            lambda exporter: exporter.export(self.model.reader(), copied(self.scene), place),
         )
         results.failures += failures
         folder.write_results(results)  # for the reports
@@ -328,17 +375,16 @@ class Run:
         folder.write_results(results)
 
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
-        path, scene = self.folder_or_refuse().path, self.scene
+        path = self.folder_or_refuse().path
         progress("page")
-        return self._outputs(reports, of_scene(scene), lambda report: report.write(path, scene))
+        return self._outputs(reports, lambda report: report.write(path, copied(self.scene)))
 
     def _outputs(
-        self, parts: Sequence[Part], lent: ReadOnlyGuard, write: Callable[[Any], Any]
+        self, parts: Sequence[Part], write: Callable[[Any], Any]
     ) -> tuple[list[str], list[Failure]]:
         """Return the files that components wrote, relative to the folder where possible, and failures.
 
         Args:
-            lent: data that the components receive.
             write: calls a component, and returns its answer.
         """
         root = self.folder_or_refuse().path
@@ -346,10 +392,8 @@ class Run:
         failures: list[Failure] = []
         for part in parts:
             try:
-                with part.at_work(lent=lent):
+                with part.at_work():
                     written = existing_files(write(part.component))
-            except Overwritten:
-                raise
             except ExplainedError as error:
                 failures.append(Failure.of(part.item.qualified_name, error))
             else:

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from ..calls.read_only_guard import checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
-from ..contract.checks.scene import validate
+from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.explanation import faults, refuse_missing_priors
@@ -36,7 +36,7 @@ from .evaluation import evaluate, quick
 from .folder import RunFolder
 from .opening import keep_failure, open_run
 from .options import InitialState, RunOptions, find_device
-from .origin import circumstances
+from .origin import circumstances, refuse_changed_plugins
 from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
 from .run import Run, Stages
 
@@ -44,6 +44,9 @@ AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
+
+_NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
+"""Sections whose packages may change before a run is resumed; digests of the inputs cover the scene."""
 
 _log = logging.getLogger(__name__)
 
@@ -114,6 +117,9 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             accept_changed_inputs=options.accept_changed_inputs,
         )
         refuse_missing_priors(run.pipeline)
+        used = [item for item in run.pipeline if item.point.section not in _NOT_RESUMED]
+        accept = options.accept_changed_plugins
+        refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
             trainer = resumed(checkpoint, run.pipeline.training, run.parts, run.scene, run.model)
@@ -170,6 +176,7 @@ def _initialized(
     progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
         points = initializer.component.initialize(known, parts.priors)
+        check_maps(points.maps, known)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     initial = InitialState(pipeline, parts, scene, points, gaussians, device)

@@ -15,6 +15,8 @@ from typing import Any
 
 from pydantic_core import to_jsonable_python
 
+from ..messages.visible_text import visible
+
 _LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.partial")
 """Temporary names: the final name and the number of the writing process."""
 
@@ -63,8 +65,16 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def jsonable(value: Any) -> Any:
-    """Convert to plain values, infinities and NaN to None."""
-    return to_jsonable_python(value, inf_nan_mode="null")
+    """Convert to plain values: infinities and NaN to None, control characters in texts to escapes."""
+    return _visible(to_jsonable_python(value, inf_nan_mode="null"))
+
+
+def _visible(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {visible(str(key)): _visible(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_visible(inner) for inner in value]
+    return visible(value) if isinstance(value, str) else value
 
 
 @contextmanager

@@ -70,8 +70,13 @@ def first_difference(first: Any, second: Any) -> str | None:
 
     Compares tensors, numbers, text, and dataclasses, mappings and sequences of them.
     """
-    one, other = dict(_digests("", first)), dict(_digests("", second))
+    one, other = digests(first), digests(second)
     return next((name for name in one | other if one.get(name) != other.get(name)), None)
+
+
+def digests(value: Any) -> dict[str, str]:
+    """Return a digest of every part of a value, by its path."""
+    return dict(_digests("", value))
 
 
 def _digests(name: str, value: Any) -> Iterator[tuple[str, str]]:

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -26,9 +27,10 @@ from ..pipeline.yaml_source import parse, to_yaml
 from ..plugins.commands import COMMANDS, Verb
 from ..plugins.discovery import GROUP, Plugins, check_offer
 from ..training.gradients import check_groups
-from .assertions import first_difference, require
+from .assertions import digests, first_difference, require
 from .bench import Bench, Refused
 from .component_calls import CALLS
+from .processes import in_other_processes
 from .scenes import EMPTY, PIXEL, REAL, SMALL, UNDER_TEST, hook_point
 from .training_runs import observe_and_resume, train_and_resume
 
@@ -97,6 +99,13 @@ def check(
         first_difference(*answers) is None,
         f"two {point.title}s with one seed gave different answers to the same call",
     )
+    kinds = {name: (type(prior), prior.settings) for name, prior in bench.priors.items()}
+    elsewhere = in_other_processes(_digests_of_answer, component, chosen, kinds)
+    require(
+        all(digest == elsewhere[0] for digest in elsewhere),
+        "two processes gave different answers to the same call; does it iterate over a set, or use "
+        "hash(), id(), the process's number or its start? (sort the set)",
+    )
     real = Bench(bench.device, bench.priors, REAL)
     trains = point.section in TRAINING_SECTIONS
     _call(component, chosen, real)
@@ -121,6 +130,17 @@ def _check_entry_points(component: type[Component[Any]]) -> None:
     plugins.all()
     for error in plugins.broken.values():
         raise error
+
+
+def _digests_of_answer(
+    component: type[Component[Any]],
+    settings: Settings,
+    kinds: Mapping[str, tuple[type[Prior[Any]], Settings]],
+) -> dict[str, str]:
+    """Return digests of the answer with new priors, for `in_other_processes`."""
+    device = open_device()
+    priors = {name: kind(own, Context(name, 0, device)) for name, (kind, own) in kinds.items()}
+    return digests(_answer(component, settings, Bench(device, priors)))
 
 
 def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -> Any:

@@ -20,14 +20,7 @@ from torch import Tensor
 from core_rasterizer import Adam, Edit, GaussianModel, Rendering, apply_edit
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.read_only_guard import (
-    ReadOnlyGuard,
-    are_checked,
-    of_kinds,
-    of_maps,
-    of_rendering,
-    of_scene,
-)
+from ..calls.read_only_guard import ReadOnlyGuard, of_kinds, of_maps, of_rendering, of_scene
 from ..contract.checks.answers import (
     check_colors,
     check_edit,
@@ -49,6 +42,7 @@ from ..pipeline.training_settings import TrainingSettings
 from .gradients import (
     ComponentParameters,
     backward,
+    check_path,
     photometric_term,
     regularizing_term,
     without_gradient,
@@ -112,6 +106,7 @@ class Field:
             with part.at_work(lent=self._inputs):
                 part.component.begin_training(scene)
         self.parameters = ComponentParameters(parts)
+        self._trained = [model.anchor, *self.parameters.tensors]
         self._extent, self._reader = scene.extent, model.reader()
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
@@ -124,8 +119,7 @@ class Field:
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)
-        self.lent = self._inputs + of_kinds(self.kinds)
-        self.lent += ReadOnlyGuard(models=(self.model,) if are_checked() else ())
+        self.lent = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -157,9 +151,9 @@ class Field:
             step.rendered(cache(lambda: step.render(step.sample.camera)))
             with part.at_work(step.iteration, self.lent):
                 moves = check_moves(part.component.moves, PARAMETER_GROUPS)
-            term = regularizing_term(part, step, self.lent, self.logged)
+            term = regularizing_term(part, step, self.lent, self.logged, self._trained)
             if term.value.requires_grad:  # a term of zero may have none
-                backward([term], step.iteration, self.model, self.parameters)
+                backward([term], step.iteration, self.model, self.parameters, self.lent)
                 moved = PARAMETER_GROUPS if moves is None else moves
                 fixed = tuple(name for name in PARAMETER_GROUPS if name not in moved)
                 self.optimizer.step(step.learning_rates, self._bands, skip=fixed)
@@ -210,15 +204,17 @@ class Field:
         colors: list[tuple[Item, Tensor]] = []
         for part in self.parts.due("appearances", step.iteration):
             before = shown if colors else shown.rgb
-            with part.at_work(step.iteration, self.lent):
+            with part.at_work(step.iteration, self.lent + ReadOnlyGuard({"the colours": before})):
                 shown = check_colors(part.component.colors(step, before), before.shape)
+                if part.looks(step.iteration):
+                    check_path("the image", shown, [self.model.anchor])
             colors.append((part.item, before))
         photometric = photometric_term(self._settings, shown, step, self.model)
         self.logged["photometric"] = float(photometric.value.detach())
         terms = [photometric]
         for part in self._regularizers("together"):
-            terms.append(regularizing_term(part, step, self.lent, self.logged))
-        loss = backward(terms, step.iteration, self.model, self.parameters, colors)
+            terms.append(regularizing_term(part, step, self.lent, self.logged, self._trained))
+        loss = backward(terms, step.iteration, self.model, self.parameters, self.lent, colors)
         if step.iteration % LOOK_EVERY == 1 and not self._no_gradient:
             self._no_gradient = without_gradient(self.model, self._rendering)
             if self._no_gradient:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,7 +21,8 @@ from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometri
 from core_rasterizer.gaussians import undefined_places
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.read_only_guard import ReadOnlyGuard
+from ..calls.read_only_guard import ReadOnlyGuard, are_checked
+from ..calls.watchdog import Hang
 from ..contract.checks.answers import check_loss
 from ..contract.component import ParameterGroup
 from ..contract.step import Step
@@ -76,11 +78,21 @@ def photometric_term(
 
 
 def regularizing_term(
-    part: Part, step: Step, lent: ReadOnlyGuard, logged: dict[str, float]
+    part: Part,
+    step: Step,
+    lent: ReadOnlyGuard,
+    logged: dict[str, float],
+    trained: Sequence[Tensor],
 ) -> Term:
-    """Return the term of a regularizer times its weight, and log it without the weight."""
+    """Return the term of a regularizer times its weight, and log it without the weight.
+
+    Args:
+        trained: leaves; a gradient of the term must reach one of them.
+    """
     with part.at_work(step.iteration, lent):
         term = check_loss(part.component.loss(step))
+        if term.requires_grad and part.looks(step.iteration):
+            check_path("the loss", term, trained)
     logged[part.item.qualified_name] = float(term.detach())
     return Term(part.item, part.item.host.weight * term)
 
@@ -113,6 +125,7 @@ def backward(
     iteration: int,
     model: GaussianModel,
     parameters: ComponentParameters,
+    lent: ReadOnlyGuard,
     colors: Sequence[tuple[Item, Tensor]] = (),
 ) -> float:
     """Run the backward pass, and return the loss.
@@ -120,6 +133,7 @@ def backward(
     Args:
         terms: terms of the loss, in order of summation.
         model, parameters: receive the gradients.
+        lent: data that hooks of components must not write into.
         colors: each appearance, in order, with its input.
 
     Raises:
@@ -130,13 +144,20 @@ def backward(
     total = float(loss.detach())
     if not math.isfinite(total):
         _refuse_loss(terms, iteration)
+    kept = replace(lent, models=())
     with in_iteration(iteration):
+        parameters.check_untouched(iteration)
         try:
-            loss.backward(retain_graph=True)
+            with kept.kept(every_bit=are_checked()):
+                loss.backward(retain_graph=True)
             parameters.check_gradients(iteration)
-        except Exception:
-            _differentiate_each(terms, iteration, model, parameters, colors)
+        except (KeyboardInterrupt, Hang):
             raise
+        except BaseException as error:  # a hook may raise SystemExit
+            _differentiate_each(terms, iteration, model, parameters, kept, colors)
+            if isinstance(error, Exception):
+                raise
+            raise RunError(f"the backward pass ended with {type(error).__name__}") from error
     return total
 
 
@@ -174,6 +195,7 @@ def _differentiate_each(
     iteration: int,
     model: GaussianModel,
     parameters: ComponentParameters,
+    kept: ReadOnlyGuard,
     colors: Sequence[tuple[Item, Tensor]],
 ) -> None:
     """Differentiate the terms one by one; the first that fails raises with the name of its component."""
@@ -182,13 +204,16 @@ def _differentiate_each(
             continue
         zero_gradients(model, parameters)
         for item, before in reversed(colors) if term.item is None else ():
-            with blame(item, iteration):
+            with blame(item, iteration), kept.kept(every_bit=are_checked()):
                 (gradient,) = torch.autograd.grad(
                     term.value, before, retain_graph=True, allow_unused=True
                 )
                 what = "the colours have an undefined gradient"
                 check_finite(gradient, what, "pixel and channel")
-        with nullcontext() if term.item is None else blame(term.item, iteration):
+        with (
+            nullcontext() if term.item is None else blame(term.item, iteration),
+            kept.kept(every_bit=are_checked()),
+        ):
             term.value.backward(retain_graph=True)
             parameters.check_gradients(iteration)
 
@@ -213,6 +238,21 @@ class ComponentParameters:
                     check_groups(groups)
                     options = [{"params": list(g.tensors), "lr": g.learning_rate} for g in groups]
                     self._trained.append((part, groups, torch.optim.Adam(options)))
+
+    @property
+    def tensors(self) -> Iterator[Tensor]:
+        """All parameters."""
+        return (tensor for _, tensor, _ in self._named())
+
+    def check_untouched(self, iteration: int) -> None:
+        """Refuse gradients that a component made before the host's backward pass."""
+        for part, groups, _ in self._trained:
+            if any(tensor.grad is not None for group in groups for tensor in group.tensors):
+                with blame(part.item, iteration):
+                    raise PluginError(
+                        "its parameters have a gradient before the backward pass",
+                        fix="return the loss, and leave `backward` to the host",
+                    )
 
     def zero_gradients(self) -> None:
         """Clear the gradients."""
@@ -257,6 +297,25 @@ class ComponentParameters:
             for group in groups:
                 for index, tensor in enumerate(group.tensors):
                     yield f"{part.item.qualified_name}/{group.name}/{index}", tensor, optimizer
+
+
+def check_path(what: str, value: Tensor, leaves: Sequence[Tensor]) -> None:
+    """Refuse a value from which no gradient reaches any of the leaves; `what` names it in the message."""
+    wanted = {id(leaf) for leaf in leaves}
+    pending, seen = [value.grad_fn], set[Any]()
+    found = id(value) in wanted
+    while pending and not found:
+        node = pending.pop()
+        if node is not None and node not in seen:
+            seen.add(node)
+            found = id(getattr(node, "variable", None)) in wanted
+            pending += [following for following, _ in node.next_functions]
+    if not found:
+        raise PluginError(
+            f"{what} has no gradient path to what is trained: it would change nothing",
+            fix="compute it with torch from step.rendering, step.render(...) or step.parameter(...); "
+            "numpy, float(...), .detach() and torch.no_grad() cut gradients off",
+        )
 
 
 def check_finite(gradient: Tensor | None, what: str, place: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import torch
 from torch import Tensor
 
@@ -10,12 +12,16 @@ from core_rasterizer import Device, GaussianModel, Gaussians
 from ..contract.checks.scene import check_points, is_file_name
 from ..contract.scene import PointCloud
 from ..errors import SceneError
+from ..messages.visible_text import is_plain_name
 from ..pipeline.training_settings import TrainingSettings
+from ..system.files import jsonable
 
 NEIGHBOURS = 3
 """Number of nearest points whose distance gives the initial size of a Gaussian (3DGS)."""
 MIN_SQUARED_DISTANCE = 1e-7
 """Square world units, so that coincident points get a size (3DGS)."""
+_MOST_FACTS = 1_000_000
+"""Characters of the initializer's facts as JSON."""
 
 
 def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussians:
@@ -92,3 +98,12 @@ def _check(points: PointCloud) -> None:
                 f"expected a bool for each of {count} points"
             )
     check_points(points)
+    try:
+        size = len(json.dumps(jsonable(dict(points.facts))))
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"the initializer's facts are not plain values: {error}") from error
+    if size > _MOST_FACTS or not all(is_plain_name(name) for name in points.facts):
+        raise SceneError(
+            "the initializer's facts do not have plain names, or take more than a megabyte",
+            fix="use printable texts of at most 200 characters as names",
+        )

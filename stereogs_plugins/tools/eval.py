@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 
 from registry import Command, Register, hookimpl
-from registry.commands import add_run, console, open_given, print_failures, results_table
+from registry.commands import (
+    add_accept_changed_plugins,
+    add_run,
+    console,
+    open_given,
+    print_failures,
+    results_table,
+)
+from registry.toolkit.progress import showing
 
 _EPILOG = """\
 examples:
@@ -22,13 +30,16 @@ class Eval(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add_run(parser)
+        add_accept_changed_plugins(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Evaluate and print; return 1 if a metric, an exporter or a report failed."""
-        run = open_given(arguments)
+        output, accept = console(), arguments.accept_changed_plugins
+        with showing(output):
+            run = open_given(arguments)
+            results = run.renew(accept_changed_plugins=accept)
         from registry.runs import RENDERS
 
-        output, results = console(), run.renew()
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
             output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pydantic
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from core_rasterizer import ExplainedError, load_ply, load_points
+from registry.contract.checks.scene import validate
+from registry.errors import PipelineError, SceneError
+from registry.messages.visible_text import is_plain_name
+from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
-from registry.runs.results import read_results
+from registry.plugins.discovery import Plugins
+from registry.runs.folder import RunFolder
+from registry.runs.results import Failure, Results, SceneRecord, read_results
+from registry.system.files import jsonable
+from registry.testing import tiny_scene
 from registry.toolkit.networks.model_file import check_content
 from registry.toolkit.photos import Decoder, Finite, read_array, read_arrays, read_document
+from tests.registry.conftest import TOYS
 
 quick = settings(
     max_examples=40,
@@ -91,3 +102,42 @@ def test_files_of_any_bytes(start: bytes, rest: bytes, tmp_path: Path) -> None:
     ):
         with suppress(ExplainedError):
             read(path)
+
+
+HOSTILE = st.one_of(
+    st.text(max_size=20),
+    st.sampled_from(["\x1b[31m", "\u202e", "\udc80", "\u2028", "a\rb", "\xa0", "\x00", ""]),
+)
+
+
+@quick
+@given(HOSTILE, HOSTILE)
+def test_the_host_reads_what_it_writes(tmp_path: Path, text: str, name: str) -> None:
+    """Texts of components, of photographs and of the command line may hold any character."""
+    folder = RunFolder(tmp_path)
+    initial = {"a": text, "numbers": [float("inf")]}
+    results = Results(scene=SceneRecord(name="s", facts=jsonable({"fact": text})))
+    error = ExplainedError(text, where=name, fix=text)
+    results.failures = [Failure.of("metrics.psnr", error)]
+    results.unavailable = {"psnr": text}
+    results.initialization = jsonable(initial)
+    folder.write_results(results)
+    assert read_results(tmp_path / "results.json") == folder.results()
+    folder.write_initialization(initial, {})
+    assert len(folder.initialization()) == len(initial)
+
+
+@quick
+@given(HOSTILE)
+def test_names_of_pipelines_and_scenes_are_validated_before_training(name: str) -> None:
+    scene = replace(tiny_scene(), name=name)
+    text = to_yaml({"name": name, "scene": "toy_scene", "initializer": "toy_points"})
+    for read, error in (
+        (lambda: validate(scene), SceneError),
+        (lambda: parse_pipeline(text, Plugins(TOYS)), PipelineError),
+    ):
+        if is_plain_name(name):
+            read()
+        else:
+            with pytest.raises(error):
+                read()

@@ -202,7 +202,9 @@ class ToyDiary(r.Observer[ToyDiarySettings]):
         if self.settings.fault == "draws":
             torch.rand(())
         if self.settings.fault == "writes":
-            done.rendering.rgb.zero_()
+            for image in (done.target, done.rendering.rgb, done.view.image):
+                image.numpy()[:] = 255
+            done.view.camera.world_to_camera.zero_()
 
     def evaluated(self, scored: ViewsScored) -> None:
         self._note("evaluated", scored.iteration, *scored.mean)

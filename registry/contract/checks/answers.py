@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import torch
@@ -50,6 +51,7 @@ def check_opacity_update(update: Any, count: int) -> OpacityUpdate | None:
     if update is None:
         return None
     checked: OpacityUpdate = _instance("the answer", update, OpacityUpdate, "an OpacityUpdate")
+    _instance("reset_moments", checked.reset_moments, bool, "True or False")
     tensor = _floats("the opacity", checked.opacities, (count,))
     _refuse_any((tensor < 0) | (tensor > 1), "an opacity is outside [0, 1]")
     return checked
@@ -81,6 +83,9 @@ def check_sample(sample: Any, count: int) -> Sample:
     low, high = target.aminmax()  # one pass; a NaN becomes both and compares as false
     if not 0 <= low <= high <= 1:
         raise PluginError("the target has values outside [0, 1] or not finite")
+    numbers = [float(_instance("the background", n, Real, "numbers")) for n in checked.background]
+    if len(numbers) != 3 or not all(0 <= number <= 1 for number in numbers):
+        raise PluginError(f"the background is {numbers}, expected three numbers in [0, 1]")
     if not (math.isfinite(checked.sh_degree) and checked.sh_degree >= 0):
         raise PluginError(f"the SH degree is {checked.sh_degree}, expected 0 or more")
     if checked.smoothing is not None:
@@ -154,8 +159,11 @@ def check_carried(
 def check_score(score: Any) -> float | Unavailable:
     """Check a metric's score: a number, which may be infinite, or `Unavailable`."""
     if isinstance(score, Unavailable):
+        _instance("the reason", score.reason, str, "a text")
         return score
     try:
+        if isinstance(score, str | bool):
+            raise TypeError
         number = float(score)
     except (TypeError, ValueError) as error:
         raise PluginError(

@@ -9,12 +9,13 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...errors import SceneError
-from ..scene import Fact, PointCloud, Scene, View
+from ...messages.visible_text import is_plain_name
+from ..scene import DepthMap, Fact, PointCloud, Scene, TrainingScene, View
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -50,6 +51,9 @@ def validate(scene: Scene) -> Scene:
     if not scene.train:
         fix = "check the folder and the split"
         raise SceneError("the scene has no training view", where=scene.name, fix=fix)
+    if not is_plain_name(scene.name):
+        fix = "give it a visible name of at most 200 characters"
+        raise SceneError(f"the scene's name is {scene.name!r}", fix=fix)
     seen: set[str] = set()
     for view in (*scene.train, *scene.test):
         _raise_first(_view_faults(view), f"{scene.name}, view {view.name!r}")
@@ -70,6 +74,24 @@ def check_points(points: PointCloud, where: str = "") -> None:
             not in (0, 1).
     """
     _raise_first(_point_faults(points), where)
+
+
+def check_maps(maps: Mapping[str, DepthMap], scene: TrainingScene) -> None:
+    """Check that depth maps are of training views, in their size.
+
+    Raises:
+        SceneError: a view is unknown, a map has another size, or a depth is negative or not finite.
+    """
+    sizes = {view.name: view.image.shape[:2] for view in scene.train}
+    for name, known in maps.items():
+        if name not in sizes:
+            raise SceneError(f"there is a depth map of {name!r}, which is not a training view")
+        if any(value.shape != sizes[name] for value in vars(known).values()):
+            raise SceneError(
+                f"the depth map of {name!r} does not have the size of its view, {tuple(sizes[name])}"
+            )
+        if not (known.depth.isfinite().all() and known.depth.min() >= 0):
+            raise SceneError(f"the depth map of {name!r} has values below 0 or not finite")
 
 
 def is_file_name(name: str) -> bool:

@@ -14,6 +14,13 @@ least recently used entries are removed first. It is safe to delete any of them.
 """
 
 from .entries import FOLDER_VARIABLE, Cache
-from .keys import content_key, package_digest, source_digest
+from .keys import code_digest, content_key, package_digest, source_digest
 
-__all__ = ["FOLDER_VARIABLE", "Cache", "content_key", "package_digest", "source_digest"]
+__all__ = [
+    "FOLDER_VARIABLE",
+    "Cache",
+    "code_digest",
+    "content_key",
+    "package_digest",
+    "source_digest",
+]

@@ -54,9 +54,15 @@ def package_digest(component: type, group: str) -> str:
     Args:
         group: the entry-point group in which its package may be listed.
     """
-    modules = {*_package_modules(component.__module__, group), "registry", "core_rasterizer"}
-    digests = map(module_digest, sorted(modules))
-    return content_key(component.__qualname__, component.__module__, *digests)
+    host = map(module_digest, ("core_rasterizer", "registry"))
+    own = code_digest(component, group)
+    return content_key(component.__qualname__, component.__module__, own, *host)
+
+
+def code_digest(component: type, group: str) -> str:
+    """Return a hash of all code of a class's package, as in `package_digest`."""
+    modules = _package_modules(component.__module__, group)
+    return content_key(*map(module_digest, sorted(modules)))
 
 
 def _package_modules(module: str, group: str) -> frozenset[str]:

@@ -9,7 +9,6 @@ from core_rasterizer import Device, GaussianModel
 from registry import PluginError, Scene
 from registry.calls.read_only_guard import (
     ReadOnlyGuard,
-    checked_plugins,
     of_maps,
     of_rendering,
     of_scene,
@@ -52,19 +51,19 @@ def test_writes_through_torch_are_refused(name: str, write: Write) -> None:
 
 
 @pytest.mark.parametrize(("name", "write"), BYPASSING_TORCH)
-def test_writes_that_bypass_torch_are_refused_if_plugins_are_checked(
+def test_writes_that_bypass_torch_are_refused_if_every_bit_is_compared(
     name: str, write: Write
 ) -> None:
     scene = tiny_scene()
     guard = of_scene(scene)
-    with checked_plugins(), pytest.raises(PluginError, match=f"wrote into {name}"), guard.kept():
+    with pytest.raises(PluginError, match=f"wrote into {name}"), guard.kept(every_bit=True):
         write(scene)
 
 
 def test_reading_is_accepted() -> None:
     scene = tiny_scene()
     scene.train[0].image[0, 0, 0] = float("nan")
-    with checked_plugins(), of_scene(scene).kept():
+    with of_scene(scene).kept(every_bit=True):
         (scene.train[0].image * 2).mean()
         torch.from_numpy(scene.train[0].image.numpy()).sum()
 
@@ -90,7 +89,7 @@ def test_inference_tensors_can_be_guarded() -> None:
     guard = ReadOnlyGuard({"it": tensor})
     with guard.kept():
         pass
-    with checked_plugins(), pytest.raises(PluginError), guard.kept(), torch.inference_mode():
+    with pytest.raises(PluginError), guard.kept(every_bit=True), torch.inference_mode():
         tensor.zero_()
 
 
@@ -101,7 +100,7 @@ def test_gaussians_are_compared(device: Device) -> None:
     guard = ReadOnlyGuard(models=(model,))
     with guard.kept():
         model.read("means").clone()
-    with pytest.raises(PluginError, match="wrote into the Gaussians"), guard.kept():
+    with pytest.raises(PluginError, match="the Gaussians"), guard.kept(every_bit=True):
         model.write("opacity_logits", torch.zeros(model.count))
 
 
@@ -117,5 +116,5 @@ def test_images_are_guarded_once_they_are_fetched(device: Device) -> None:
     for name in ("rgb", "depth"):  # fetched before, and within the block
         with pytest.raises(PluginError, match=f"the rendered {name}"), guard.kept():
             getattr(rendering, name).detach().zero_()
-    with checked_plugins(), pytest.raises(PluginError, match="rendered alpha"), guard.kept():
+    with pytest.raises(PluginError, match="rendered alpha"), guard.kept(every_bit=True):
         rendering.alpha.detach().numpy().fill(0)

@@ -12,6 +12,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from core_rasterizer import Device
+from registry import Context, Settings
+from registry.priors import MonocularDepthPrior
 from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.testing import tiny_scene
 
@@ -105,3 +108,30 @@ def test_estimates_for_images_are_not_cached(cache: Path) -> None:
     assert torch.equal(prior.inverse_depth(image), prior.inverse_depth(image))
     assert prior.calls == 2
     assert not cache.exists() or not list(cache.rglob("*.safetensors"))
+
+
+class FileSettings(Settings):
+    file: Path
+
+
+class Filed(MonocularDepthPrior[FileSettings]):
+    """Has no fingerprint of its own."""
+
+    calls = 0
+
+    def estimate(self, image: torch.Tensor) -> torch.Tensor:
+        self.calls += 1
+        return image.mean(dim=2)
+
+
+def test_a_model_file_with_other_content_is_noticed(
+    cache: Path, tmp_path: Path, device: Device
+) -> None:
+    file = tmp_path / "model.onnx"
+    calls = []
+    for content in (b"one", b"one", b"other"):
+        file.write_bytes(content)
+        prior = Filed(FileSettings(file=file), Context("filed", 0, device))
+        prior.inverse_depth_of(tiny_scene().train[0])
+        calls.append(prior.calls)
+    assert calls == [1, 0, 1]

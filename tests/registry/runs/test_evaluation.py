@@ -82,6 +82,29 @@ def scored(device: Device, *parts: Part, scene: r.Scene | None = None) -> Scores
     return evaluate(model, scene, scene.train, parts)
 
 
+class Scaling(r.ViewMetric[r.Settings]):
+    """Scales all that it receives through numpy, as ordinary code for 8-bit images does."""
+
+    def measure_view(self, rendering: Rendering, view: r.View, scene: r.Scene) -> float:
+        for image in (rendering.rgb, view.image, scene.train[0].image, scene.test[0].image):
+            image.numpy()[:] *= 255
+        return float(rendering.rgb.max())
+
+
+class Difference(r.Metric[r.Settings]):
+    def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
+        return float((rendered - photograph).abs().mean())
+
+
+def test_no_metric_can_change_the_score_of_another(device: Device) -> None:
+    good = part("difference", Difference, device)
+    alone = scored(device, good).mean["difference"]
+    mean = scored(device, part("scaling", Scaling, device), good).mean
+    assert mean["difference"] == alone
+    assert mean["scaling"] is not None
+    assert 1 < mean["scaling"] <= 255
+
+
 def test_an_unavailable_metric_has_no_score_but_a_reason(device: Device) -> None:
     scores = scored(device, answering("lost", r.Unavailable("no file"), device))
     assert scores.views == {"view0": {"lost": None}, "view2": {"lost": None}}

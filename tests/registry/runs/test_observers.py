@@ -138,7 +138,7 @@ def test_observers_receive_the_first_of_several_fields(toys: Plugins, device: De
     assert {"photometric", "field1/photometric"} <= iteration.numbers.keys()
 
 
-@pytest.mark.parametrize("when", ["started", "iterated", "evaluated", "ended", "draws", "writes"])
+@pytest.mark.parametrize("when", ["started", "iterated", "evaluated", "ended", "draws"])
 def test_an_observer_that_fails_ends_the_run_and_is_named(
     toys: Plugins, device: Device, tmp_path: Path, when: str
 ) -> None:
@@ -146,9 +146,9 @@ def test_an_observer_that_fails_ends_the_run_and_is_named(
     with pytest.raises(ExplainedError) as caught:
         trained(failing(when), toys, device, out)
     error = caught.value
-    iteration = ", iteration 3" if when in ("iterated", "draws", "writes") else ""
+    iteration = ", iteration 3" if when in ("iterated", "draws") else ""
     assert error.where == f"observer 'toy_diary' (unknown package ?) at p.yaml:8{iteration}"
-    assert "--disable toy_diary" in error.fix or when in ("draws", "writes")
+    assert "--disable toy_diary" in error.fix or when == "draws"
     reached = {"started": 0, "evaluated": 2, "ended": 6}.get(when, 2)
     assert open_run(out, plugins=toys, device=device).iteration == reached
     assert ((out / "results.json").is_file()) == (when == "ended")
@@ -157,6 +157,10 @@ def test_an_observer_that_fails_ends_the_run_and_is_named(
     assert len(told) == (0 if when == "started" else 1)
     if when not in ("started", "ended"):
         assert "None" not in told[0]
+
+
+def test_an_observer_writes_into_copies(toys: Plugins, device: Device, alone: Run) -> None:
+    assert trained(failing("writes"), toys, device, None).hash == alone.hash
 
 
 def test_observers_receive_the_error_and_a_second_error_is_logged(

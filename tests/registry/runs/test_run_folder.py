@@ -35,7 +35,7 @@ def test_a_run_folder_has_its_files_or_does_not_exist(tmp_path: Path) -> None:
     assert run.inputs() == ({"the points": "ab"}, [])
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["run"]
     other = RunFolder(tmp_path / "other")
-    with pytest.raises(TypeError):
+    with pytest.raises(ValueError, match="unknown type"):
         other.create("name: x\n", {"seed": object()}, {}, fill)
     assert [p.name for p in tmp_path.iterdir()] == ["deep"]
 

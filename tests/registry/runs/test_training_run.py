@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,8 @@ from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
 from registry.runs.training_run import start
-from tests.registry.runs.toy_run import pipeline, run
+from registry.training.trainer import Iteration
+from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
 
@@ -54,7 +56,7 @@ def test_files_of_a_run(toys: Plugins, device: Device, tmp_path: Path) -> None:
     assert facts["packages"].keys() >= {"stereogs-plugins", "numpy", "pyopencl", "safetensors"}
     assert "not installed" not in facts["packages"].values()
     assert facts["plugin_sources"] == {"unknown package": None}
-    assert facts["plugins"]["regularizers.toy_term"] == "unknown package ?"
+    assert facts["plugins"]["regularizers.toy_term"].startswith("unknown package ?, code ")
     assert facts["command"] == sys.argv
     assert facts["source"] == checkout()
     # PyPI's file for Linux says 2.13.0, the library in it 2.13.0+cu130.
@@ -204,3 +206,28 @@ def test_the_demo_pipeline_trains_with_the_installed_plugins(
     assert results["train"]["psnr"] > 22
     assert 0 < results["test"]["ssim"] < 1
     assert len(load_ply(folder.path / "exports" / "scene.ply")) == results["gaussians"]
+
+
+@pytest.mark.parametrize("removed", [True, False])
+def test_a_folder_that_disappears_stops_the_run_which_is_kept(
+    toys: Plugins, device: Device, tmp_path: Path, removed: bool
+) -> None:
+    out = tmp_path / "run"
+
+    def disappear(done: Iteration) -> None:
+        if done.number == 12 and removed:
+            shutil.rmtree(out)
+        elif done.number == 12:
+            out.rename(tmp_path / "elsewhere")
+
+    text = pipeline(toys, "training.checkpoint_every=5")
+    options = RunOptions(device=device, progress=False, callback=disappear)
+    with pytest.raises(RunError, match="moved or removed during training") as caught:
+        start(text, options, out)
+    kept = tmp_path / "run-kept-1"
+    assert str(kept) in caught.value.what
+    assert caught.value.fix == f"stereogs resume {kept}"
+    assert not out.exists()
+    again = resumed(kept, toys, device)
+    assert again.finished
+    assert again.hash == start(text, RunOptions(device=device, progress=False)).hash

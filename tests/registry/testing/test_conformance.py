@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import mmap
+import os
 import re
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import numpy as np
 import pydantic
 import pytest
 import torch
+from torch import Tensor
 
 import registry as r
 from core_rasterizer import ExplainedError
@@ -364,6 +366,16 @@ class Once(toys.ToyDiary):
         assert not run.resumed, "it has started before"
 
 
+class Ordered(toys.ToyTerm):
+    def loss(self, step: r.Step) -> Tensor:
+        return super().loss(step) * (1 + list({"a", "b", "c", "d", "e"}).index("a"))
+
+
+class Numbered(toys.ToyTerm):
+    def loss(self, step: r.Step) -> Tensor:
+        return super().loss(step) * (1 + os.getpid() % 1000)
+
+
 class ListState(toys.ToyTerm):
     def state(self) -> Any:
         return {"calls": [1.0]}
@@ -414,3 +426,10 @@ def test_faults_are_found(component: Any, settings: dict[str, Any], message: str
     kinds = (AssertionError, AttributeError, IndexError, ValueError, ExplainedError)
     with pytest.raises(kinds, match=re.compile(message, re.DOTALL)):
         check(component, **settings)
+
+
+def test_answers_that_depend_on_the_process_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("registry.testing.processes.SEEDS", (1, 2))
+    for component in (Ordered, Numbered):
+        with pytest.raises(AssertionError, match="two processes gave different answers"):
+            check(component)

@@ -30,11 +30,13 @@ EXAMPLES = {
     "check": ["check", "folder"],
     "compare": ["compare", "runs/x", "runs/y"],
     "completion": ["completion", "bash"],
+    "doctor": ["doctor"],
     "export": ["export", "runs/x", "--format", "ply"],
     "priors": ["priors", "check", "model.onnx"],
     "render": ["render", "runs/x"],
     "replay": ["replay", "runs/x/failures/y"],
     "report": ["report", "runs/x"],
+    "schema": ["schema"],
     "view": ["view", "runs/x"],
 }
 

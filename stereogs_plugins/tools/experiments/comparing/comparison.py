@@ -16,6 +16,7 @@ from registry.runs import RESULTS, RunFolder, read_results
 COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
 """Costs in results.json, with their headings."""
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
+_NOT_TRAINED = ("metrics", "exporters", "reports", "observers")
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class FinishedRun:
     Args:
         folder: the run folder.
         results: the content of results.json.
-        tree: its pipeline as plain values.
+        tree: its pipeline as plain values, and `packages` of plugins that trained it.
         method: the pipeline without the scene's path, the seed, and sections that do not affect training.
     """
 
@@ -103,12 +104,17 @@ def read_run(path: Path) -> FinishedRun:
             fix=f"stereogs eval {path}",
         )
     tree = plain(read(run.pipeline))
+    tree["packages"] = {  # those of metrics separate tables, see `check_comparable`
+        name: package
+        for name, package in results.get("packages", {}).items()
+        if name.partition(".")[0] not in _NOT_TRAINED
+    }
     return FinishedRun(path, results, tree, _method(tree))
 
 
 def _method(pipeline: Mapping[str, Any]) -> str:
     tree = copy.deepcopy(dict(pipeline))
-    for section in ("metrics", "exporters", "reports", "observers"):
+    for section in _NOT_TRAINED:
         tree.pop(section, None)
     tree["scene"].pop("path", None)
     tree["training"].pop("seed", None)

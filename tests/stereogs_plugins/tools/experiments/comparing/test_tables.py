@@ -137,7 +137,8 @@ def test_real_runs_are_compared(
         assert main(["train", "toy.yaml", "--out", name, "--set", change]) == 0
     facts = json.loads(Path("a/results.json").read_text())
     assert facts["protocol"] is None
-    assert facts["metrics"] == {"psnr": {"use": "psnr"}}
+    assert facts["metrics"]["psnr"]["use"] == "psnr"
+    assert facts["metrics"]["psnr"]["package"].startswith("toys 1.5, code ")
     assert facts["scene"]["background"] == [0.0, 0.0, 0.0]
     capsys.readouterr()
     assert main(["compare", "a", "b", "c"]) == 0

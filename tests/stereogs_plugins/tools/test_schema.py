@@ -15,11 +15,11 @@ import pytest
 import registry
 from registry.cli import main
 from registry.errors import PipelineError
-from registry.inspection.schema import HEADER, pipeline_schema
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.settings_check import plain
 from registry.pipeline.yaml_source import parse
 from registry.plugins.discovery import GROUP, Offer, Plugins
+from stereogs_plugins.tools.schema import HEADER, pipeline_schema
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "pipelines" / "pipeline.schema.json"

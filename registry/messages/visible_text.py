@@ -1,0 +1,32 @@
+"""Text without control characters, and names that can be shown and recorded."""
+
+from __future__ import annotations
+
+import unicodedata
+
+_INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode's categories of control and format characters, lone surrogates and other line breaks."""
+
+
+def visible(text: str) -> str:
+    """Escape control characters, as in \\x1b, so that names cannot send commands to the terminal.
+
+    Line breaks and tabs stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        ascii(c)[1:-1] if c not in "\n\t" and unicodedata.category(c) in _INVISIBLE else c
+        for c in text
+    )
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether a name can be shown and recorded: a visible text of at most 200 characters on one line."""
+    return (
+        isinstance(name, str)
+        and bool(name.strip())
+        and len(name) <= 200
+        and visible(name) == name
+        and len(name.splitlines()) == 1
+    )

@@ -1,0 +1,4 @@
+"""Components with one fault each, made from templates, and what the host says about them.
+
+`make sick` prints the table. `tests/faulty_packages` holds packages that are installed; these are not.
+"""
