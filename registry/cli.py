@@ -17,7 +17,6 @@ from typing import Any
 from core_rasterizer.errors import ExplainedError
 
 from .commands.arguments import add_verb
-from .commands.inspecting import with_verb
 from .commands.output import INTERRUPTED, LogLines, console
 from .errors import PluginError
 from .messages.suggestions import did_you_mean, listing
@@ -133,7 +132,7 @@ def parse(given: Sequence[str]) -> argparse.Namespace:
     Raises:
         ExplainedError: the command line is wrong, or the plugin that offers its verb cannot be imported.
     """
-    return build_parser(given).parse_args(with_verb(list(given)))
+    return build_parser(given).parse_args(list(given))
 
 
 def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:

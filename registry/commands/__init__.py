@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from .arguments import (
         add_accept_changed_inputs,
         add_accept_changed_plugins,
+        add_changes,
         add_device,
         add_run,
         open_given,
@@ -23,6 +24,7 @@ __all__ = [
     "TrainRequest",
     "add_accept_changed_inputs",
     "add_accept_changed_plugins",
+    "add_changes",
     "add_device",
     "add_run",
     "conclude",

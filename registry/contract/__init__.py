@@ -6,7 +6,8 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .components import AverageErrorRole
-    from .hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
+    from .hook_points import HOOK_POINTS, PIPELINE_POINTS, STAGES, HookPoint
+    from .prior import usable_priors
     from .scene import SOLID, camera_extent
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -15,7 +16,9 @@ __all__ = [
     "HOOK_POINTS",
     "PIPELINE_POINTS",
     "SOLID",
+    "STAGES",
     "AverageErrorRole",
     "HookPoint",
     "camera_extent",
+    "usable_priors",
 ]

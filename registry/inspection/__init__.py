@@ -5,9 +5,19 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from .faults import capabilities, faults, needs
     from .scene_facts import image_sizes, points_in_view, warnings
     from .scene_source import find_loader, load
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
-__all__ = ["find_loader", "image_sizes", "load", "points_in_view", "warnings"]
+__all__ = [
+    "capabilities",
+    "faults",
+    "find_loader",
+    "image_sizes",
+    "load",
+    "needs",
+    "points_in_view",
+    "warnings",
+]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         set_value,
     )
     from .parts import Part, Parts, build_part
-    from .pipeline import Item, Pipeline, component_item, load_pipeline, parse_pipeline
+    from .pipeline import Item, Pipeline, component_item, leaves, load_pipeline, parse_pipeline
     from .pipeline import build_pipeline as checked_pipeline
     from .protocols import ProtocolChoice, load_protocol, protocol_names
     from .ready import find_pipeline, ready_pipelines
@@ -52,6 +52,7 @@ __all__ = [
     "find_pipeline",
     "item_names",
     "iterations_of_a_run",
+    "leaves",
     "load_pipeline",
     "load_protocol",
     "parse",

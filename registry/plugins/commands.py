@@ -19,8 +19,6 @@ COMMANDS, TRAIN_OPTIONS = "stereogs.commands", "stereogs.train_options"
 _BUILT_IN = {
     "train": "running:Train",
     "resume": "running:Resume",
-    "explain": "inspecting:Explain",
-    "plugins": "inspecting:Plugins",
 }
 """The host's own verbs, and their classes in `registry.commands`."""
 

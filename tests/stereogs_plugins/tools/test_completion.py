@@ -33,7 +33,7 @@ def test_a_shell_completes_verbs_pipelines_and_components(tmp_path: Path) -> Non
     assert completed("stereogs tra", tmp_path) == ["train"]
     offered = completed("stereogs train weight", tmp_path)
     assert {"weight.yaml", "weightfree", "weightfree_fast"} <= {*offered}
-    assert completed("stereogs plugins show dropo", tmp_path) == ["dropout"]
+    assert completed("stereogs plugins dropo", tmp_path) == ["dropout"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

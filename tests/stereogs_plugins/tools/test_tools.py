@@ -19,7 +19,7 @@ from registry.plugins.commands import COMMANDS, TRAIN_OPTIONS, verbs
 TOOLS = [(COMMANDS, e.name) for e in importlib.metadata.entry_points(group=COMMANDS)] + [
     (TRAIN_OPTIONS, e.name) for e in importlib.metadata.entry_points(group=TRAIN_OPTIONS)
 ]
-HOST = ("train", "resume", "explain", "plugins")
+HOST = ("train", "resume")
 EXAMPLES = {
     "train": ["train", "3dgs"],
     "resume": ["resume", "runs/x"],

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.layout import row_count
-from registry.commands.inspecting import FAULT
 from registry.contract.hook_points import PIPELINE_POINTS, STAGES
-from registry.inspection.explanation import explained, faults, memory, needs
+from registry.inspection import faults, needs
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
 from registry.priors import (
@@ -19,6 +18,7 @@ from registry.priors import (
     OpticalFlowPrior,
     StereoPrior,
 )
+from stereogs_plugins.tools.components.explain import explained, memory
 from tests.registry.toy_plugin import ToyGrowth
 
 ROOT = Path(__file__).parents[3]
@@ -154,5 +154,5 @@ def test_the_command_says_it_and_fails_at_a_fault(
     assert "iterations 100, 200 to 400, 4 times" in said
     assert "exporters.ply" not in said
     assert "max_reprojection_error: 2.0" in said
-    assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == FAULT
+    assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == 1
     assert "fault: modifiers.dropout: is never due in 600 iterations" in capsys.readouterr().out
