@@ -16,8 +16,9 @@ from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
+from registry.runs.results import RENDERS
 from registry.runs.training_run import start
-from tests.registry.runs.toy_run import pipeline, run
+from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
 
@@ -204,3 +205,18 @@ def test_the_demo_pipeline_trains_with_the_installed_plugins(
     assert results["train"]["psnr"] > 22
     assert 0 < results["test"]["ssim"] < 1
     assert len(load_ply(folder.path / "exports" / "scene.ply")) == results["gaussians"]
+
+
+def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    options = RunOptions(
+        device=device, progress=False, on_begin=lambda _: (out / RENDERS).write_text("in the way")
+    )
+    with pytest.raises(RunError, match="cannot be written") as caught:
+        start(pipeline(toys), options, out)
+    assert caught.value.where == str(out)
+    assert f"`stereogs resume {out}`" in caught.value.fix
+    (out / RENDERS).unlink()
+    assert resumed(out, toys, device).finished
