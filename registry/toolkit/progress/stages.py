@@ -13,12 +13,13 @@ from ...calls.watchdog import WATCHDOG, Watchdog
 
 Item = TypeVar("Item")
 
-_LEAST_SECONDS, _LEAST_STEPS = 3.0, 2
-"""Until both have passed, the time left is not known."""
+_LEAST_SECONDS, _LEAST_SHARE, _MOST_AWAITED = 3.0, 6, 10
+"""The time left is known after so many seconds and a sixth of the steps, which are at least 2 and at most 10:
+the first iterations may compile kernels."""
 _SAMPLE_SECONDS, _MOST_SAMPLES = 0.5, 2000
-_TREND_STEPS, _TREND_LIMIT = 10, 1.5
-"""Least number of steps for a trend, and the largest factor by which it lengthens the rest. The last
-iterations of a training take two to six times as long as the first."""
+_TREND_LIMIT = 1.5
+"""Largest factor by which a trend lengthens the rest. The last iterations of a training take two to six times
+as long as the first."""
 
 
 class Stage:
@@ -62,13 +63,15 @@ class Stage:
         """
         (first, began), (done, latest) = self._samples[0], self._samples[-1]
         steps = done - first
-        if self.total is None or latest - began < _LEAST_SECONDS or steps < _LEAST_STEPS:
+        if self.total is None or latest - began < _LEAST_SECONDS:
+            return None
+        if steps < min(max(self.total // _LEAST_SHARE, 2), _MOST_AWAITED):
             return None
         middle = bisect_right(self._samples, (first + steps // 2, latest)) - 1
         half, split = self._samples[min(middle, len(self._samples) - 2)]
         step = (latest - split) / (done - half)
         left = (self.total - done) * step
-        if half > first and steps >= _TREND_STEPS:
+        if half > first and steps >= _MOST_AWAITED:
             slower = 1 - (split - began) / (half - first) / step
             left *= min(max(1 + slower * (self.total - half) / steps, 1), _TREND_LIMIT)
         return max(left - (now - latest), 0.0)

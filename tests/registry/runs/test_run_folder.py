@@ -138,6 +138,17 @@ def test_the_error_for_a_full_disk_says_how_to_continue(tmp_path: Path) -> None:
     assert "stereogs resume" in caught.value.fix
 
 
+def test_a_full_disk_at_the_start_names_the_run_folder(tmp_path: Path) -> None:
+    def fill(folder: RunFolder) -> None:
+        raise RunError("No space left on device", where=str(folder.path / "checkpoint"))
+
+    with pytest.raises(RunError, match="No space left") as caught:
+        RunFolder(tmp_path / "run").create("name: x\n", {}, {}, fill)
+    assert caught.value.where == str(tmp_path / "run")
+    assert "free some disk space" in caught.value.fix
+    assert names(tmp_path) == []
+
+
 def test_metrics_lines_are_averages_and_json(tmp_path: Path) -> None:
     log = MetricsLog(RunFolder(tmp_path).append_metrics)
     for number in range(1, 76):

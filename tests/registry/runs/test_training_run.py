@@ -17,6 +17,7 @@ from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
+from registry.runs.results import RENDERS
 from registry.runs.training_run import start
 from registry.training.trainer import Iteration
 from tests.registry.runs.toy_run import pipeline, resumed, run
@@ -231,3 +232,18 @@ def test_a_folder_that_disappears_stops_the_run_which_is_kept(
     again = resumed(kept, toys, device)
     assert again.finished
     assert again.hash == start(text, RunOptions(device=device, progress=False)).hash
+
+
+def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    options = RunOptions(
+        device=device, progress=False, on_begin=lambda _: (out / RENDERS).write_text("in the way")
+    )
+    with pytest.raises(RunError, match="cannot be written") as caught:
+        start(pipeline(toys), options, out)
+    assert caught.value.where == str(out)
+    assert f"`stereogs resume {out}`" in caught.value.fix
+    (out / RENDERS).unlink()
+    assert resumed(out, toys, device).finished

@@ -52,8 +52,11 @@ def test_the_time_left_of_equal_steps() -> None:
     assert after([0.01] * 600_000, 1_200_000) == pytest.approx(6000, rel=0.1), "samples are thinned"
 
 
-def test_a_slow_first_step_does_not_count() -> None:
+def test_slow_first_steps_do_not_count() -> None:
     assert after([60.0] + [0.1] * 100, 600) == pytest.approx(50, rel=0.1)
+    cold = [8.0, 3.0, 0.9] + [0.15] * 12  # kernels were compiled
+    assert all(after(cold[:steps], 600) is None for steps in range(10))
+    assert after(cold, 600) == pytest.approx(585 * 0.15, rel=0.1)
 
 
 def test_steps_that_become_slower_are_expected_to_go_on_so() -> None:
