@@ -10,9 +10,11 @@ from tests.core_rasterizer.test_model import parameters, view
 
 READABLE = {
     "absolute_screen_gradient",
+    "compensate_dilation",
     "count",
     "device",
     "digest",
+    "dilation",
     "gaussians",
     "gradient",
     "opacities",
@@ -48,6 +50,14 @@ def test_it_follows_the_model(device: Device) -> None:
             ours, theirs = getattr(reader, name)(), getattr(source, name)()
             assert ours == theirs if name == "digest" else torch.equal(ours, theirs), name
         model.adopt(model.parameters.read()[:, :16].clone(), 16)
+
+
+def test_it_says_how_renders_are_filtered(device: Device) -> None:
+    for dilation, compensate in ((0.3, False), (0.125, True)):
+        gaussians = parameters(3)
+        model = GaussianModel(gaussians, device, dilation=dilation, compensate_dilation=compensate)
+        reader = model.reader()
+        assert (reader.dilation, reader.compensate_dilation) == (dilation, compensate)
 
 
 def test_it_returns_copies(device: Device) -> None:

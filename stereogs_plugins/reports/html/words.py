@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from registry import Fact, Scene
 
 _SETTING = "scene.test_every=8"
-"""Holds photographs out, in every scene loader that the host's own pipelines use."""
+"""A setting of the loaders of photographs."""
 
 
 def lead(results: Mapping[str, Any], scene: Scene) -> str:

@@ -35,9 +35,8 @@ class Guard:
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(16)
-        self._cookie = (
-            f"stereogs-{secrets.token_hex(4)}"  # several viewers share the cookies of a host
-        )
+        # Viewers on other ports of this computer share its cookies, so each has a name of its own.
+        self._cookie = f"stereogs-{secrets.token_hex(4)}"
 
     @contextmanager
     def installed(self) -> Iterator[None]:

@@ -182,7 +182,8 @@ def test_a_scene_without_test_views(toys: Plugins, device: Device, tmp_path: Pat
     results = folder.results()
     assert results["test"] == {}
     assert "psnr" in results["train"]
-    assert not (folder.path / "renders").exists()
+    drawn = {path.stem for path in (folder.path / "renders").glob("*.png")}
+    assert drawn == set(results["scene"]["train"]), "pictures are of training views then"
 
 
 def test_opening_a_run_loads_the_scene_with_its_settings(

@@ -5,10 +5,10 @@ import { chain, degreesBetween, eyeOf, mixed, nearest, onPath, photographed } fr
 const SWEEP_SPEED = 6; // degrees a second, on average
 const LEAST_SWEEP = 4; // seconds between two photographs, at least
 const FLIGHT = 0.9; // seconds
-const GIVE = 0.4; // how far beyond the limits a hand can pull, in units of them
+const GIVE = 0.4; // how far beyond the limits a drag can pull the camera, in units of the limits
 const PIECE = 0.1; // a drag is made of pieces this small, in units of the limits
-const FOLLOWING = 14; // share of a drag that is made up for in a second: the camera has weight
-const SPRING = 7; // the same for the way back inside the limits
+const FOLLOWING = 14; // rate at which the camera catches up with a drag, 1 / second
+const SPRING = 7; // rate at which it returns inside the limits, 1 / second
 
 export class Motion {
   /**
@@ -21,12 +21,12 @@ export class Motion {
     this.inside = photographed(photographs);
     this.path = chain(photographs);
     this.vertical = new Vector3(...setup.up).normalize();
-    this.pose = this.path[0];
     this.pending = { yaw: 0, pitch: 0, zoom: 0, right: 0, up: 0 };
-    this.goal = null; // pose by seconds since its begin
-    this.held = false; // by a finger or a button of the mouse
+    this.goal = null; // the pose of a flight or sweep, as a function of seconds since its start
+    this.held = false; // by a finger or a mouse button
     this.sweeping = false;
     if (this.path.length === 1) this.path = this.sway(this.path[0]);
+    this.pose = this.path[Math.floor(this.path.length / 2)];
     const turns = this.path.slice(1).map((pose, k) => this.apart(this.path[k], pose));
     const angle = turns.reduce((sum, turn) => sum + turn, 0);
     this.period = Math.max(angle / SWEEP_SPEED, LEAST_SWEEP * turns.length);
