@@ -93,7 +93,6 @@ from it to the same result.
             request = TrainRequest(arguments, begin, load, pipeline_named=named)
             with collector_at_rest():
                 from ..runs.training_run import in_runs
-
             with run_options(request, extra, output) as options:
                 return conclude(train(pipeline, options, out=arguments.out or in_runs), output)
 

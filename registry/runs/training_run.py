@@ -215,10 +215,9 @@ def _new_run(initial: InitialState, seconds: Stages) -> tuple[Run, Trainer]:
 def _train_to_end(
     run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool
 ) -> Pipeline | None:
-    """Train, report progress, and write the results if the last iteration is complete.
+    """Train, report progress, and write the results after the last iteration.
 
-    Returns:
-        The pipeline to start training again with, if the plan corrects itself.
+    Returns the pipeline to start training again with if the plan corrects itself.
     """
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
     with _told_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:

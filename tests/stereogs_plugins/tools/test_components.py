@@ -113,7 +113,7 @@ def test_memory_counts_four_arrays_of_each_field(toys: Plugins, tmp_path: Path) 
     each = 2 * 4 * 4 * row_count(2)
     text = memory(toy_pipeline(toys, tmp_path))
     assert text.startswith(f"{each} bytes a Gaussian")
-    assert f"{each / 1000:.0f} MB for 1,000, at most" in text
+    assert f"{each / 1000:.0f} MB for 1,000, the limit of growth" in text
 
 
 @pytest.fixture
