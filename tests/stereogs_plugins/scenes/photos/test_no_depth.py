@@ -11,7 +11,6 @@ from PIL import Image
 from registry import Scene, SceneError
 from registry.toolkit.drawing.pictures import to_bytes
 from stereogs_plugins.scenes.photos.no_depth import LEAST_DEVIATION, rotation_error
-
 from tests.data import data_folder
 
 from .photographs import Array, load
