@@ -152,12 +152,14 @@ def summary(records: dict[tuple[str, str, bool], Record]) -> str:
             return f"{record.placed if record.placed >= MIN_PHOTOS else 0}"
         return f"{record.placed}, {record.errors.rotation[1]:.1f}°"
 
+    measured = [s for s in SETS if any(record.chosen == s for record in records.values())]
     rows = [
-        [scene, "with networks" if networks else "SIFT", *(cell(scene, s, networks) for s in SETS)]
+        [scene, kind, *(cell(scene, chosen, networks) for chosen in measured)]
         for scene in SCENES
-        for networks in (False, True)
+        for networks, kind in ((False, "SIFT"), (True, "with networks"))
+        if any(record.case[::2] == (scene, networks) for record in records.values())
     ]
-    return pages.table(["pictures of", "", *SETS], rows, left=2)
+    return pages.table(["pictures of", "matches", *measured], rows, left=2)
 
 
 def table(records: Iterable[Record]) -> str:

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera, Device
 
 LEAST_ADVANTAGE = 1.5
-"""Least ratio of confirmed pixels to those confirmed by chance. Of 24 correct pairs with 48 to 223 matches,
-up to 65 degrees apart, 20 had 1.5 to 2.8; eleven wrong ones had 0.9 to 1.3, and one that was 23 degrees off
-had 1.45."""
+"""Least ratio of confirmed pixels to those confirmed by chance. Of 24 correct pairs up to 65 degrees apart
+with 48 to 223 matches, 20 had 1.5 to 2.8. Eleven wrong ones had 0.9 to 1.3, one 23 degrees off 1.45."""
 LONGER_SIDE = 240
 """Longer side of the pictures that are compared, in pixels."""
 PLANES = 64

@@ -17,7 +17,7 @@ import numpy as np
 
 from registry.toolkit.progress import progress
 
-from .no_depth import has_depth
+from .no_depth import LEAST_OFF_SURFACE, has_depth, transfer_errors
 from .unposed_photos import image_index
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ MAX_ERROR = 2.0
 SEED = 0
 FOCAL_RANGE = (0.3, 4.0)
 """Plausible focal lengths in units of the longer side, as of phone lenses."""
+SHORTEST_GUESS = 0.5
+"""Shortest plausible focal length without EXIF; wrong models of few photographs often have shorter ones."""
 MOST_DISTORTION = 1.0
 """Largest radial term k1; beyond it the picture would fold before its corners."""
 LEAST_SUPPORT = 0.9
@@ -44,11 +46,11 @@ class Trust(NamedTuple):
     """Matches that connect two photographs without a look at the pictures.
 
     Args:
-        in_triangle: least number, if a third photograph has as many with both; None if no number suffices.
+        in_triangle: least number, if a third photograph has as many with both.
         alone: least number without a third photograph.
     """
 
-    in_triangle: int | None
+    in_triangle: int
     alone: int
 
 
@@ -58,10 +60,10 @@ LEAST_CHECKED = 30
 """Matches that connect two photographs if the pictures confirm it (dense_check.py). Fewer are inexact: once,
 cameras were off by ten degrees along the epipolar lines, which pictures do not show."""
 SIFT_TRUST = Trust(LEAST_MATCHES, 60)
-LEARNED_TRUST = Trust(None, 200)
+LEARNED_TRUST = Trust(150, 200)
 """Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
-sides of symmetric objects (up to 180, in triangles too)."""
-_ALWAYS_CHECKED = Trust(None, 2**31)
+sides of symmetric objects (up to 180, in triangles too, but there one of the pairs had fewer than 140)."""
+_ALWAYS_CHECKED = Trust(2**31, 2**31)
 Confirms = Callable[[Any, int, int], bool]
 """Whether the pictures confirm a model's cameras of two images, by id."""
 
@@ -191,7 +193,8 @@ def _pieces(found: list[Any], folder: Path) -> list[Piece]:
 def _is_plausible(camera: Any) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
     bend = float(camera.params[camera.extra_params_idxs()[0]])
-    return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
+    shortest = FOCAL_RANGE[0] if camera.has_prior_focal_length else SHORTEST_GUESS
+    return bool(shortest < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
 
 
 def drop_unsupported(
@@ -216,10 +219,8 @@ def drop_unsupported(
             row, column = images.index(first), images.index(second)
             linked[row, column] = linked[column, row] = support.agreeing
             deep[row, column] = support.deep
-    sure = linked >= trust.alone
-    if trust.in_triangle is not None:
-        enough = linked >= trust.in_triangle
-        sure |= enough & (enough.astype(int) @ enough > 0)
+    enough = linked >= trust.in_triangle
+    sure = (linked >= trust.alone) | (enough & (enough.astype(int) @ enough > 0))
     unsure = linked * (linked >= LEAST_CHECKED)
     _connect(sure, unsure, lambda row, column: confirms(model, images[row], images[column]))
     groups = connected(sure)
@@ -288,9 +289,27 @@ def _supports(
                 for side, image in enumerate((first, second))
             )
             errors = _sampson_distances(model, (first, second), *points)
-            agreeing = int((errors <= max_error).sum())
-            found[first, second] = _Support(agreeing, len(errors), has_depth(colmap, geometry))
+            deep = has_depth(colmap, geometry) or _shows_depth(
+                opened, model, geometry, (first, second), max_error
+            )
+            found[first, second] = _Support(int((errors <= max_error).sum()), len(errors), deep)
     return found
+
+
+def _shows_depth(
+    database: Any, model: Any, geometry: Any, pair: tuple[int, int], max_error: float
+) -> bool:
+    """Whether enough matches of a pair agree with the cameras but not with its homography."""
+    if geometry.H is None:
+        return False
+    matches = database.read_matches(*pair)
+    first, second = (
+        database.read_keypoints(image)[:, :2][matches[:, side]].astype(np.float64)
+        for side, image in enumerate(pair)
+    )
+    agreeing = _sampson_distances(model, pair, first, second) <= max_error
+    errors = transfer_errors(np.asarray(geometry.H), first[agreeing], second[agreeing])
+    return bool((errors > max_error).sum() >= LEAST_OFF_SURFACE * len(errors) > 0)
 
 
 def _sampson_distances(

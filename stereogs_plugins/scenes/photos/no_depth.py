@@ -18,6 +18,9 @@ Doubt = Literal["position", "surface", "pictures"]
 """Why matches of a pair do not connect it: no depth, or the dense check (dense_check.py) failed."""
 LEAST_DEVIATION = 0.015
 """Least deviation of the singular values of K^-1 H K from 1 if H is not from a rotation."""
+LEAST_OFF_SURFACE = 0.01
+"""Share of matches that agree with the cameras and not with the homography. Pictures without depth had 0.002
+at most, neighbouring frames of a video with depth 0.02 to 0.1."""
 _FOCALS = np.geomspace(0.7, 1.6, 10)
 """Focal lengths to try, in units of the longer side."""
 
@@ -39,6 +42,15 @@ def doubt_of(colmap: Any, geometry: Any, size: tuple[int, int]) -> Doubt | None:
         return None
     error = rotation_error(np.asarray(geometry.H), size)
     return "position" if error < LEAST_DEVIATION else "surface"
+
+
+def transfer_errors(
+    homography: NDArray[np.float64], first: NDArray[np.float64], second: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances `[M]` of points `[M, 2]` of the second picture from those of the first, in pixels."""
+    moved = np.column_stack([first, np.ones(len(first))]) @ homography.T
+    distances: NDArray[np.float64] = np.linalg.norm(moved[:, :2] / moved[:, 2:] - second, axis=1)
+    return distances
 
 
 def rotation_error(homography: NDArray[np.float64], size: tuple[int, int]) -> float:
