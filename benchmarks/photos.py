@@ -1,8 +1,8 @@
 """Cameras estimated by `photos`, compared with published ones: `make bench-photos`.
 
-Evenly spaced pictures of real data sets, and all pictures of each; the search uses nothing else. Finished
-cases are kept in `benchmarks/out/photos`: the same command continues where it stopped. With `--write-docs`
-rewrites the table in docs/your_own_photographs.md.
+Evenly spaced and neighbouring pictures of every data set, without and with networks (`STEREOGS_MODELS`). The
+search uses nothing else. Finished cases are kept in `benchmarks/records/photos.jsonl`: the same command
+continues where it stopped. With `--write-docs` rewrites the tables.
 """
 
 from __future__ import annotations
@@ -12,44 +12,41 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import pages
-from registry.toolkit.photos import Decoder, evenly_spaced, longest_side
-from registry.toolkit.photos import read_colmap_model as read_model
-from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
-from stereogs_plugins.scenes.llff import read_poses
+from benchmarks.photos_published import SCENES, Published, pictures
+from registry.toolkit.photos import Decoder, evenly_spaced, longest_side, read_colmap_model
+from stereogs_plugins.scenes.photos.learned_matches import FOLDER_VARIABLE
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, image_index, read_folder
+from stereogs_plugins.scenes.photos.unposed_photos import MIN_PHOTOS, UnposedPhoto, image_index
 
 PAGE = pages.DOCS / "your_own_photographs.md"
-OUT = Path(__file__).parent / "out" / "photos"
-SCENES = ("llff_fern", "llff_flower", "dtu_scan65", "mip360_bonsai")
-CASES = (
-    *((scene, count) for count in (3, 6, 12) for scene in SCENES),
-    *((scene, None) for scene in SCENES),
-)
-"""Data set and number of its pictures, None for all."""
+RECORDS = Path(__file__).parent / "records" / "photos.jsonl"
+SETS = ("near 3", "3", "4", "near 6", "6", "8", "12")
+"""Neighbouring pictures from the first third on, or evenly spaced ones; cheapest first."""
 _MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
 _MATCHING_SIZE = 1200
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Published:
-    """A published camera.
+class Errors:
+    """Errors of estimated cameras after the similarity that aligns them with the published ones.
 
     Args:
-        rotation: `[3, 3]`, world to camera.
-        focal: Focal length in units of the picture's longer side.
+        rotation: Median and largest, degrees.
+        position: Root mean square in units of that of the distances to the cameras' mean.
+        focal: Relative error of the focal length.
     """
 
-    rotation: _Array
+    rotation: tuple[float, float]
+    position: float
     focal: float
 
 
@@ -58,116 +55,157 @@ class Record:
     """Result of one case.
 
     Args:
+        pictures: Number of pictures.
         placed: Number of pictures whose cameras fit together.
-        rotation_median, rotation_largest: Errors in degrees after the best common rotation; None if no camera
-            was placed.
-        focal_error: Relative error of the focal length; None if no camera was placed.
+        errors: None if fewer than `MIN_PHOTOS` were placed.
         cpu_seconds: CPU seconds of the search over all threads, without reading the folder.
     """
 
     scene: str
+    chosen: str
+    networks: bool
     pictures: int
     placed: int
-    rotation_median: float | None
-    rotation_largest: float | None
-    focal_error: float | None
+    errors: Errors | None
     cpu_seconds: float
 
+    @property
+    def case(self) -> tuple[str, str, bool]:
+        return self.scene, self.chosen, self.networks
 
-def measure(scene: str, count: int | None) -> Record:
-    """Estimate the cameras of `count` evenly spaced pictures of a scene, or of all."""
-    photos, published = _pictures(scene, count)
+
+def cases() -> Iterator[tuple[str, str, bool]]:
+    """Scene, set, and whether networks may be used; small sets of all scenes first."""
+    for chosen in SETS:
+        for scene in SCENES:
+            yield scene, chosen, False
+            yield scene, chosen, True
+
+
+def measure(scene: str, chosen: str, networks: bool) -> Record | None:
+    """Estimate the cameras of a set of pictures; None if the scene has too few."""
+    photos, published = pictures(scene)
+    count = int(chosen.split()[-1])
+    first = len(photos) // 3 if chosen.startswith("near") else 0
+    if first + count > len(photos):
+        return None
+    rows = range(first, first + count) if first else evenly_spaced(list(range(len(photos))), count)
+    photos = [photos[k] for k in rows]
+    models = os.environ[FOLDER_VARIABLE] if networks else ""
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {FOLDER_VARIABLE: models}):
         decoder = Decoder(longest_side(_MATCHING_SIZE), "box", upright=True)
         found = reconstruct(photos, decoder, True, Path(name))
-        seconds = time.process_time() - start
+        seconds = round(time.process_time() - start, 1)
         placed = len(found.pieces[0].members) if found.pieces else 0
-        median, largest, focal = (
-            _errors(found, photos, published) if found.pieces else (None, None, None)
-        )
-    return Record(scene, len(photos), placed, median, largest, focal, seconds)
-
-
-def _pictures(scene: str, count: int | None) -> tuple[list[UnposedPhoto], dict[str, Published]]:
-    folder = Path(os.environ["STEREOGS_DATA"], scene)
-    published = dict(_dtu(folder) if scene.startswith("dtu") else _llff(folder))
-    images = next(path for path in sorted(folder.glob("image*")) if path.is_dir())
-    photos = [photo for photo in read_folder(images).photos if photo.path.stem in published]
-    return [photos[k] for k in evenly_spaced(list(range(len(photos))), count)], published
-
-
-def _llff(folder: Path) -> Iterator[tuple[str, Published]]:
-    rows = read_poses(folder / "poses_bounds.npy")
-    listed = folder / "split.json"
-    if listed.is_file():
-        names = [Path(name).stem for name in json.loads(listed.read_text())["all_names"]]
-    else:
-        names = [path.stem for path in sorted((folder / "images_8").iterdir())]
-    for name, row in zip(names, rows, strict=True):
-        focal = row.lens.fx / max(row.lens.width, row.lens.height)
-        yield name, Published(row.world_to_camera[:3, :3], focal)
-
-
-def _dtu(folder: Path) -> Iterator[tuple[str, Published]]:
-    numbers = {int(path.stem): path.stem for path in (folder / "image").iterdir()}
-    for number, camera in calibrated(folder / "cameras_sphere.npz", list(numbers)).cameras.items():
-        focal = camera.lens.fx / max(FULL_SIZE)
-        yield numbers[number], Published(camera.world_to_camera[:3, :3], focal)
+        errors = _errors(found, photos, published) if placed >= MIN_PHOTOS else None
+    return Record(scene, chosen, networks, count, placed, errors, seconds)
 
 
 def _errors(
     found: Reconstruction, photos: list[UnposedPhoto], published: dict[str, Published]
-) -> tuple[float, float, float]:
-    """Median and largest rotation error in degrees, and the relative error of the focal length."""
-    model = read_model(found.pieces[0].folder, "")
+) -> Errors:
+    model = read_colmap_model(found.pieces[0].folder, "")
     truth = [published[photos[image_index(image.name)].path.stem] for _, image in model.images]
-    rotations = [image.world_to_camera[:3, :3] for _, image in model.images]
+    poses = np.array([image.world_to_camera for _, image in model.images])
+    true = np.array([one.pose for one in truth])
     # The best rotation between the two worlds (orthogonal Procrustes).
-    u, _, v = np.linalg.svd(sum(t.rotation.T @ r for t, r in zip(truth, rotations, strict=True)))
+    u, _, v = np.linalg.svd(np.einsum("kji,kjl->il", true[:, :3, :3], poses[:, :3, :3]))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
-    cosines = [
-        (np.trace(t.rotation @ turn @ r.T) - 1) / 2 for t, r in zip(truth, rotations, strict=True)
-    ]
+    cosines = (np.einsum("kij,jl,kil->k", true[:, :3, :3], turn, poses[:, :3, :3]) - 1) / 2
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     lens = model.lens(model.images[0][1])
-    focal = lens.fx / max(lens.width, lens.height)
-    return float(np.median(angles)), float(angles.max()), focal / truth[0].focal - 1
+    focal = lens.fx / max(lens.width, lens.height) / truth[0].focal - 1
+    places, moved = _centers(true), _centers(poses) @ turn.T
+    scale = (places * moved).sum() / (moved**2).sum()
+    position = np.linalg.norm(places - scale * moved) / np.linalg.norm(places)
+    rotation = (round(float(np.median(angles)), 2), round(float(angles.max()), 2))
+    return Errors(rotation, round(float(position), 4), round(float(focal), 4))
 
 
-def table(records: list[Record]) -> str:
-    """Return the records as a table."""
+def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Camera centres `[N, 3]` relative to their mean."""
+    centers = -np.einsum("kji,kj->ki", poses[:, :3, :3], poses[:, :3, 3])
+    result: NDArray[np.float64] = centers - centers.mean(axis=0)
+    return result
+
+
+def read_records() -> dict[tuple[str, str, bool], Record]:
+    """Return the records by case."""
+    found = {}
+    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
+        values = json.loads(line)
+        errors = values.pop("errors")
+        record = Record(**values, errors=Errors(**errors) if errors else None)
+        found[record.case] = record
+    return found
+
+
+def summary(records: dict[tuple[str, str, bool], Record]) -> str:
+    """Return pictures placed and the largest rotation error, a row per scene and kind of search."""
+
+    def cell(scene: str, chosen: str, networks: bool) -> str:
+        record = records.get((scene, chosen, networks))
+        if record is None:
+            return ""
+        if record.errors is None:
+            return f"{record.placed if record.placed >= MIN_PHOTOS else 0}"
+        return f"{record.placed}, {record.errors.rotation[1]:.1f}°"
+
+    rows = [
+        [scene, "with networks" if networks else "SIFT", *(cell(scene, s, networks) for s in SETS)]
+        for scene in SCENES
+        for networks in (False, True)
+    ]
+    return pages.table(["pictures of", "", *SETS], rows, left=2)
+
+
+def table(records: Iterable[Record]) -> str:
+    """Return every record with all of its errors."""
     rows = []
     for record in records:
-        cells = ["-", "-", "-"]
-        if record.focal_error is not None:
-            angles = (record.rotation_median, record.rotation_largest)
-            cells = [*(f"{angle:.2f}°" for angle in angles), f"{100 * record.focal_error:+.1f} %"]
-        row = [record.scene, record.pictures, record.placed, *cells, f"{record.cpu_seconds:.0f}"]
-        rows.append([str(cell) for cell in row])
-    headings = ["pictures of", "given", "placed", "rotation, median", "largest", "focal length"]
-    return pages.table([*headings, "CPU s"], rows, left=7)
+        cells = ["-", "-", "-", "-"]
+        if record.errors is not None:
+            median, largest = record.errors.rotation
+            cells = [f"{median:.2f}°", f"{largest:.2f}°", f"{100 * record.errors.position:.1f} %"]
+            cells.append(f"{100 * record.errors.focal:+.1f} %")
+        kind = "with networks" if record.networks else "SIFT"
+        placed = f"{record.placed} of {record.pictures}"
+        rows.append(
+            [record.scene, record.chosen, kind, placed, *cells, f"{record.cpu_seconds:.0f}"]
+        )
+    headings = ["pictures of", "set", "matches", "placed", "rotation, median", "largest"]
+    return pages.table([*headings, "position", "focal length", "CPU s"], rows, left=3)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write-docs", action="store_true", help=f"also write docs/{PAGE.name}")
+    parser.add_argument("--write-docs", action="store_true", help="also write the tables")
+    parser.add_argument("--finished", action="store_true", help="use only records that exist")
     arguments = parser.parse_args()
-    if "STEREOGS_DATA" not in os.environ:
-        raise SystemExit(f"set STEREOGS_DATA to the folder that holds {', '.join(SCENES)}")
-    OUT.mkdir(parents=True, exist_ok=True)
-    for number, (scene, count) in enumerate(CASES, start=1):
-        print(f"{number} of {len(CASES)}: {count or 'all'} of {scene}", flush=True)
-        file = OUT / f"{scene}_{count or 'all'}.json"
-        if not file.is_file():
-            record = json.dumps(asdict(measure(scene, count)))
-            file.write_text(record, "utf-8")
-    order = {scene: number for number, scene in enumerate(SCENES)}
-    records = [Record(**json.loads(file.read_text())) for file in OUT.glob("*.json")]
-    records.sort(key=lambda record: (order[record.scene], record.pictures))
-    print(table(records))
+    for variable in ("STEREOGS_DATA", FOLDER_VARIABLE):
+        if not os.environ.get(variable):
+            raise SystemExit(f"set {variable} (docs/your_own_photographs.md)")
+    records = read_records()
+    for case in () if arguments.finished else cases():
+        if case in records:
+            continue
+        scene, chosen, networks = case
+        plain = records.get((scene, chosen, False))
+        if networks and plain is not None and plain.placed == plain.pictures:
+            record: Record | None = replace(plain, networks=True)  # they are not asked
+        else:
+            print(*case, flush=True)
+            record = measure(*case)
+        if record is not None:
+            records[case] = record
+            with RECORDS.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(record)) + "\n")
+    listed = sorted(records.values(), key=lambda r: (SCENES.index(r.scene), SETS.index(r.chosen)))
+    print(summary(records))
     if arguments.write_docs:
-        pages.rewrite(PAGE, _MARKS, table(records))
+        pages.rewrite(PAGE, _MARKS, summary(records))
+        pages.write_tables("photos", "Cameras of few pictures", "bench-photos", table(listed))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from registry import SceneError
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from registry.toolkit.photos import ColmapModel
 
     from .found_cameras import FoundCameras
+    from .no_depth import Doubt
     from .structure_from_motion import Reconstruction
 
 FEW_FEATURES = 100
@@ -23,6 +25,17 @@ ENOUGH_MATCHES = 30
 """Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
 MANY_MATCHES = 200
 """Photographs with this many matches overlap; if they do not connect, there is another reason."""
+_DOUBTS: dict[Doubt, str] = {
+    "position": "they were taken from one position, so they contain no depth",
+    "surface": "they show one flat surface, which does not determine the cameras",
+    "pictures": "what surrounds the matches differs, as on opposite sides of a symmetric object",
+}
+_REMEDIES: dict[Doubt, str] = {
+    "position": "take a step to the side between pictures, a tenth of the distance to the subject; "
+    "do not turn on the spot",
+    "surface": "include things in front of the surface or behind it, a quarter of each picture or more",
+    "pictures": "take pictures between them, each with two thirds of the previous picture",
+}
 PAGE = "docs/photographs_do_not_connect.md"
 _MOST_PAIRS = 6
 _MOST_NAMES = 6
@@ -61,7 +74,7 @@ def largest_group(
     main = found.pieces[0].members if found.pieces else []
     left_out = _reasons(found, main, len(names))
     advice = _advice(found, main, left_out, names)
-    placed = cameras.model is not None and len(main) >= MIN_PHOTOS
+    placed = cameras.model is not None and len(main) >= min(MIN_PHOTOS, len(names))
     if placed and cameras.model is not None and not (left_out and require_all):
         return LargestGroup(cameras.model, left_out, advice)
     lines = [_summary(found, len(main), len(names))]
@@ -97,10 +110,17 @@ def _summary(found: Reconstruction, placed: int, count: int) -> str:
     most = max(found.matches.values(), default=0)
     if most < ENOUGH_MATCHES:
         return f"no camera could be placed: no two of the {count} photographs overlap enough"
-    return (
-        f"no camera could be placed: the {count} photographs share up to {most:,} matches, but no depth "
-        "follows from them"
-    )
+    doubt = _usual_doubt(found)
+    why = _DOUBTS[doubt] if doubt else "no depth follows from them"
+    return f"no camera could be placed: the {count} photographs share up to {most:,} matches, but {why}"
+
+
+def _usual_doubt(found: Reconstruction) -> Doubt | None:
+    """Why most pairs with enough matches do not connect; None if there is no such reason."""
+    overlapping = [pair for pair, matches in found.matches.items() if matches >= ENOUGH_MATCHES]
+    doubts = [found.doubts.get(pair) for pair in overlapping]
+    most, count = Counter(doubts).most_common(1)[0] if doubts else (None, 0)
+    return most if 2 * count > len(doubts) else None
 
 
 def _strongest_pairs(found: Reconstruction, of: Collection[int], names: Sequence[str]) -> str:
@@ -113,19 +133,32 @@ def _strongest_pairs(found: Reconstruction, of: Collection[int], names: Sequence
 def _reasons(found: Reconstruction, main: Collection[int], count: int) -> dict[int, str]:
     """Return why each photograph outside the main group does not connect to it."""
     outside = [k for k in range(count) if k not in main]
-    links = {
-        k: max((found.matches.get(_pair(k, other), 0) for other in main), default=0)
-        for k in outside
-    }
-    most = max((link for link in links.values() if link < MANY_MATCHES), default=0)
+    best = {k: _best_link(found, k, main) for k in outside}
+    links = {k: found.matches.get(pair, 0) for k, pair in best.items()}
+    doubts = {k: found.doubts.get(pair) for k, pair in best.items() if links[k] >= ENOUGH_MATCHES}
+    most = max((n for k, n in links.items() if n < MANY_MATCHES and not doubts.get(k)), default=0)
     too_few = f"at most {most} matches with the others, too few for a camera"
     if not most:
         too_few = "no matches with the others"
     reasons = {}
     for k in outside:
-        poor, contradicting = found.features[k] < FEW_FEATURES, links[k] >= MANY_MATCHES
-        reasons[k] = _POOR if poor else _CONTRADICTING if contradicting else too_few
+        doubt, contradicting = doubts.get(k), links[k] >= MANY_MATCHES
+        reasons[k] = _CONTRADICTING if contradicting else too_few
+        if doubt is not None:
+            reasons[k] = _doubted(doubt)
+        elif found.features[k] < FEW_FEATURES:
+            reasons[k] = _POOR
     return reasons
+
+
+def _doubted(doubt: Doubt) -> str:
+    return f"matches with the others, but {_DOUBTS[doubt]}"
+
+
+def _best_link(found: Reconstruction, photo: int, main: Collection[int]) -> tuple[int, int]:
+    """Return the pair of a photograph and one of the main group that has most matches."""
+    pairs = [_pair(photo, other) for other in main] or [(photo, photo)]
+    return max(pairs, key=lambda pair: (found.matches.get(pair, 0), -pair[0], -pair[1]))
 
 
 def _advice(
@@ -140,9 +173,12 @@ def _advice(
     else:
         poor = [k for k, reason in left_out.items() if reason == _POOR]
         contradicting = [k for k, reason in left_out.items() if reason == _CONTRADICTING]
-        weak = [k for k in left_out if k not in poor and k not in contradicting]
+        doubted = {_doubted(doubt): remedy for doubt, remedy in _REMEDIES.items()}
+        other = (_POOR, _CONTRADICTING, *doubted)
+        weak = [k for k, reason in left_out.items() if reason not in other]
         if weak:
             lines.append(_bridge(found, main, weak, names))
+        lines += [remedy for reason, remedy in doubted.items() if reason in left_out.values()]
         if contradicting:
             lines.append(
                 f"check if something moved in {_listed(contradicting, names)}, or if the picture is cropped "
@@ -164,6 +200,9 @@ def _advice_without_cameras(found: Reconstruction) -> str:
             "photograph the scene again with small steps to the side between pictures, so that two thirds of "
             "each picture are in the next"
         )
+    doubt = _usual_doubt(found)
+    if doubt is not None:
+        return _REMEDIES[doubt]
     return (
         "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
         "from one position, or of one flat surface, contain no depth"

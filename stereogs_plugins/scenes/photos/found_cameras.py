@@ -20,8 +20,10 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
+from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
+from .no_depth import doubt_of
 from .structure_from_motion import Reconstruction, reconstruct
 from .unposed_photos import UnposedPhoto
 
@@ -69,6 +71,8 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         source_digest(
             reconstruct,
             place_cameras,
+            DenseCheck,
+            doubt_of,
             add_learned_matches,
             KeypointNetworks,
             UnposedPhoto,
@@ -90,6 +94,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
         "tried": found.tried,
+        "doubts": [[*pair, doubt] for pair, doubt in found.doubts.items()],
     }
     (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
 
@@ -100,7 +105,10 @@ def _read(folder: Path) -> FoundCameras:
         Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
     ]
     matches = {(first, second): count for first, second, count in summary["matches"]}
-    reconstruction = Reconstruction(pieces, matches, summary["features"], tuple(summary["tried"]))
+    doubts = {(first, second): doubt for first, second, doubt in summary["doubts"]}
+    reconstruction = Reconstruction(
+        pieces, matches, summary["features"], tuple(summary["tried"]), doubts
+    )
     return FoundCameras(reconstruction, _model(reconstruction))
 
 

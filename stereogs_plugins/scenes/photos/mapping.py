@@ -2,21 +2,22 @@
 
 Incremental mapping (Schoenberger and Frahm 2016) starts from a pair with a wide triangulation angle. COLMAP
 requires 16 degrees, which gives an exact start but excludes forward-facing captures; 2 degrees suffice for
-those. Global mapping (Pan et al. 2024) needs no initial pair. Matches contradict wrong models
-(`drop_unsupported`), or these have implausible lenses.
+those. Global mapping (Pan et al. 2024) needs no initial pair. Wrong models are contradicted by matches or by
+the pictures (`drop_unsupported`), or have implausible lenses.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from .no_depth import has_depth
 from .unposed_photos import image_index
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -37,21 +38,29 @@ _log = logging.getLogger("stereogs.photos")
 
 
 class Trust(NamedTuple):
-    """Matches that connect two photographs, if `LEAST_SUPPORT` of them agree with the cameras.
+    """Matches that connect two photographs without a look at the pictures.
 
     Args:
-        fewest: least number that agree.
-        alone: number that suffices without a third photograph that is connected to both.
+        in_triangle: least number, if a third photograph has as many with both; None if no number suffices.
+        alone: least number without a third photograph.
     """
 
-    fewest: int
+    in_triangle: int | None
     alone: int
 
 
-SIFT_TRUST = Trust(15, 15)
-LEARNED_TRUST = Trust(30, 200)
+LEAST_MATCHES = 15
+"""Least number of matches that support a pair."""
+LEAST_CHECKED = 30
+"""Matches that connect two photographs if the pictures confirm it (dense_check.py). Fewer are inexact: once,
+cameras were off by ten degrees along the epipolar lines, which pictures do not show."""
+SIFT_TRUST = Trust(LEAST_MATCHES, 60)
+LEARNED_TRUST = Trust(None, 200)
 """Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
-sides of symmetric objects (up to 150). Correct pairs of distant pictures with as few matches are lost."""
+sides of symmetric objects (up to 180, in triangles too)."""
+_ALWAYS_CHECKED = Trust(None, 2**31)
+Confirms = Callable[[Any, int, int], bool]
+"""Whether the pictures confirm a model's cameras of two images, by id."""
 
 
 class Piece(NamedTuple):
@@ -69,28 +78,38 @@ class Piece(NamedTuple):
 
 
 def place_cameras(
-    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
+    colmap: Any,
+    database: Path,
+    images: Path,
+    folder: Path,
+    count: int,
+    trust: Trust,
+    confirms: Confirms,
 ) -> list[Piece]:
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
-    Photographs and models that the matches contradict are discarded. Attempts run in order of cost until one
-    places all photographs with a plausible lens; otherwise the one of the highest `worth` is returned.
+    Photographs and models that the matches or the pictures contradict are discarded. Attempts run in order of
+    cost until one places all photographs with a plausible lens; otherwise the one of the highest `worth` is
+    returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
         images: folder of the photographs, for the colours of points.
         folder: folder for the models.
         count: number of photographs.
-        trust: which matches connect photographs.
+        trust: matches that suffice to connect photographs.
+        confirms: decides about pairs with fewer.
     """
     best: list[Piece] = []
-    for name, attempt in _attempts(colmap):
+    if count == 2:
+        trust = _ALWAYS_CHECKED
+    for name, attempt in _attempts(colmap, fixed_lens=count == 2):
         target = folder / name
         target.mkdir()
         found = [
             model
             for model in attempt(database, images, target).values()
-            if drop_unsupported(colmap, database, model, trust)
+            if drop_unsupported(colmap, database, model, trust, confirms)
         ]
         pieces = _pieces(found, target)
         if pieces and worth(pieces) > worth(best):
@@ -105,17 +124,25 @@ def worth(pieces: list[Piece]) -> tuple[bool, int]:
     return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
 
 
-def _attempts(colmap: Any) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
-    """Name and mapping function of each attempt, cheapest first."""
+def _attempts(
+    colmap: Any, fixed_lens: bool
+) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
+    """Name and mapping function of each attempt, cheapest first.
+
+    Args:
+        fixed_lens: keep the initial focal length, which two photographs do not determine.
+    """
 
     def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
         options = _incremental_options(colmap, degrees)
+        options.ba_refine_focal_length = options.ba_refine_extra_params = not fixed_lens
         return lambda *paths: colmap.incremental_mapping(*paths, options)
 
-    return [
-        *((f"incremental_{degrees:g}", incremental(degrees)) for degrees in _FIRST_PAIR_DEGREES),
-        ("global", lambda *paths: colmap.global_mapping(*paths, _global_options(colmap))),
-    ]
+    attempts = [(f"incremental_{d:g}", incremental(d)) for d in _FIRST_PAIR_DEGREES]
+    if not fixed_lens:
+        options = _global_options(colmap)
+        attempts.append(("global", lambda *paths: colmap.global_mapping(*paths, options)))
+    return attempts
 
 
 def _incremental_options(colmap: Any, degrees: float) -> Any:
@@ -154,31 +181,63 @@ def _is_plausible(camera: Any) -> bool:
     return bool(FOCAL_RANGE[0] < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
 
 
-def drop_unsupported(colmap: Any, database: Path, model: Any, trust: Trust) -> bool:
-    """Remove the photographs that matches do not connect to the others of a model.
+def drop_unsupported(
+    colmap: Any, database: Path, model: Any, trust: Trust, confirms: Confirms
+) -> bool:
+    """Remove the photographs that are not connected to the others of a model.
 
     A wrong model can be consistent in itself because the mapper drops matches that disagree; nearly all
-    verified matches agree with a correct one. Two photographs are connected if enough of their matches agree
-    with the cameras, and a third photograph is connected to both or they have very many (`Trust`).
+    verified matches agree with a correct one. Two photographs are connected if `LEAST_SUPPORT` of their
+    matches agree with the cameras and there are very many (`Trust`), or `LEAST_CHECKED` and the pictures
+    confirm it. The latter is tested only between groups that are not connected otherwise.
 
     Returns:
-        whether a connected pair is left.
+        whether a connected pair is left, and not all of them are without depth (no_depth.py).
     """
     images = sorted(model.reg_image_ids())
     linked = np.zeros((len(images), len(images)), dtype=int)
-    counts = _agreeing_matches(colmap, database, model, 2 * MAX_ERROR)
-    for (first, second), (agreeing, total) in counts.items():
-        if agreeing >= max(trust.fewest, LEAST_SUPPORT * total):
+    deep = np.zeros_like(linked, dtype=bool)
+    found = _supports(colmap, database, model, 2 * MAX_ERROR)
+    for (first, second), support in found.items():
+        if support.agreeing >= max(LEAST_MATCHES, LEAST_SUPPORT * support.total):
             row, column = images.index(first), images.index(second)
-            linked[row, column] = linked[column, row] = agreeing
-    in_triangle = (linked > 0).astype(int) @ (linked > 0) > 0
-    groups = connected(linked * (in_triangle | (linked >= trust.alone)))
+            linked[row, column] = linked[column, row] = support.agreeing
+            deep[row, column] = support.deep
+    sure = linked >= trust.alone
+    if trust.in_triangle is not None:
+        enough = linked >= trust.in_triangle
+        sure |= enough & (enough.astype(int) @ enough > 0)
+    unsure = linked * (linked >= LEAST_CHECKED)
+    _connect(sure, unsure, lambda row, column: confirms(model, images[row], images[column]))
+    groups = connected(sure)
     for k in {*range(len(images))}.difference(groups[0]):
         model.deregister_frame(model.image(images[k]).frame_id)
-    return len(groups[0]) > 1
+    return bool(deep[np.ix_(groups[0], groups[0])].any())
 
 
-def connected(links: NDArray[np.integer[Any]]) -> list[list[int]]:
+def _connect(
+    sure: NDArray[np.bool_],
+    unsure: NDArray[np.integer[Any]],
+    confirms: Callable[[int, int], bool],
+) -> None:
+    """Add confirmed links `[N, N]` to `sure` between groups that are not connected.
+
+    The pair with most matches decides about two groups; if it fails, weaker ones do not help.
+    """
+    failed: list[tuple[int, int]] = []
+    pairs = [(int(a), int(b)) for a, b in zip(*np.nonzero(np.triu(unsure)), strict=True)]
+    for pair in sorted(pairs, key=lambda pair: -int(unsure[pair])):
+        group_of = {k: number for number, group in enumerate(connected(sure)) for k in group}
+        groups = {group_of[k] for k in pair}
+        if len(groups) == 1 or any(groups == {group_of[k] for k in other} for other in failed):
+            continue
+        if confirms(*pair):
+            sure[pair] = sure[pair[::-1]] = True
+        else:
+            failed.append(pair)
+
+
+def connected(links: NDArray[Any]) -> list[list[int]]:
     """Sorted indices of connected groups, the largest and first one first, of a matrix `[N, N]` of links."""
     from scipy.sparse.csgraph import connected_components
 
@@ -187,10 +246,18 @@ def connected(links: NDArray[np.integer[Any]]) -> list[list[int]]:
     return sorted(groups, key=lambda group: (-len(group), group))
 
 
-def _agreeing_matches(
+class _Support(NamedTuple):
+    """Number of a pair's matches that agree with a model and of all verified ones; False without depth."""
+
+    agreeing: int
+    total: int
+    deep: bool
+
+
+def _supports(
     colmap: Any, database: Path, model: Any, max_error: float
-) -> dict[tuple[int, int], tuple[int, int]]:
-    """Number of matches that agree with the cameras, and of all verified ones, by pair of image ids.
+) -> dict[tuple[int, int], _Support]:
+    """Support of each pair of image ids.
 
     A match agrees if its Sampson distance (Hartley and Zisserman 2004, 11.4.3) is at most `max_error` pixels.
     """
@@ -208,7 +275,8 @@ def _agreeing_matches(
                 for side, image in enumerate((first, second))
             )
             errors = _sampson_distances(model, (first, second), *points)
-            found[first, second] = (int((errors <= max_error).sum()), len(errors))
+            agreeing = int((errors <= max_error).sum())
+            found[first, second] = _Support(agreeing, len(errors), has_depth(colmap, geometry))
     return found
 
 

@@ -10,13 +10,14 @@ threads start, and mapping uses one thread.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
+from .dense_check import DenseCheck
 from .learned_matches import add_learned_matches, known_files
 from .mapping import (
     LEARNED_TRUST,
@@ -28,6 +29,7 @@ from .mapping import (
     place_cameras,
     worth,
 )
+from .no_depth import Doubt, doubt_of
 from .unposed_photos import image_index, image_name
 
 if TYPE_CHECKING:
@@ -49,12 +51,14 @@ class Reconstruction:
         matches: number of verified matches by pair of indices, first < second.
         features: number of features of each photograph.
         tried: names of the kinds of matches used, for messages.
+        doubts: why the matches of pairs of indices do not connect them.
     """
 
     pieces: list[Piece]
     matches: dict[tuple[int, int], int]
     features: list[int]
     tried: tuple[str, ...] = ("SIFT",)
+    doubts: dict[tuple[int, int], Doubt] = field(default_factory=dict)
 
     @property
     def rank(self) -> tuple[bool, int, int]:
@@ -142,10 +146,12 @@ def _placed(
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
-        matches = _verified_matches(colmap, opened, index)
+        matches, doubts = _verified_matches(colmap, opened, index)
     _log.info("%d pairs match; placing the cameras", len(matches))
-    pieces = place_cameras(colmap, database, images, folder, count, trust)
-    return Reconstruction(pieces, matches, [features[k] for k in range(count)])
+    check = DenseCheck(images)
+    pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
+    doubts |= dict.fromkeys(check.rejected, "pictures")
+    return Reconstruction(pieces, matches, [features[k] for k in range(count)], doubts=doubts)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:
@@ -207,11 +213,21 @@ def _geometry(colmap: Any) -> Any:
 
 def _verified_matches(
     colmap: Any, database: Any, index: dict[int, int]
-) -> dict[tuple[int, int], int]:
+) -> tuple[dict[tuple[int, int], int], dict[tuple[int, int], Doubt]]:
+    """Number of verified matches of each pair, and why pairs contain no depth."""
+    cameras = {camera.camera_id: camera for camera in database.read_all_cameras()}
+    sizes = {}
+    for image in database.read_all_images():
+        camera = cameras[image.camera_id]
+        sizes[index[image.image_id]] = (camera.width, camera.height)
     pairs, geometries = database.read_two_view_geometries()
-    found = {}
+    matches: dict[tuple[int, int], int] = {}
+    doubts: dict[tuple[int, int], Doubt] = {}
     for pair, geometry in zip(pairs, geometries, strict=True):
         first, second = sorted(index[image] for image in colmap.pair_id_to_image_pair(pair))
         if len(geometry.inlier_matches):
-            found[first, second] = len(geometry.inlier_matches)
-    return found
+            matches[first, second] = len(geometry.inlier_matches)
+            doubt = doubt_of(colmap, geometry, sizes[first])
+            if doubt is not None and sizes[first] == sizes[second]:
+                doubts[first, second] = doubt
+    return matches, doubts

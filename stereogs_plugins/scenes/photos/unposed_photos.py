@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_PHOTOS = 3
-"""Least photographs: with two, lens and depth are ambiguous."""
+"""Least photographs, except for two with known focal lengths: two do not determine it."""
 _FIX = "remove it from the folder, or save it again as an 8-bit PNG or JPEG"
 _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
@@ -72,7 +72,8 @@ def read_folder(folder: Path) -> PictureFolder:
     Pictures that cannot be read and copies of other pictures are left out.
 
     Raises:
-        SceneError: the folder is missing, or has fewer than three usable pictures.
+        SceneError: the folder is missing, or has fewer than three usable pictures, or two whose focal length
+            is known by EXIF.
     """
     paths, left_out = readable_pictures(folder)
     read = in_parallel(lambda path: _read(path, path.relative_to(folder).as_posix()), paths)
@@ -85,8 +86,12 @@ def read_folder(folder: Path) -> PictureFolder:
         if original[photo.digest] is not photo:
             left_out.append(LeftOut(photo.path, f"a copy of {original[photo.digest].name}"))
     photos = [photo for photo in photos if original[photo.digest] is photo]
-    if len(photos) < MIN_PHOTOS:
-        what = f"camera estimation needs at least {MIN_PHOTOS} photographs; the folder has {len(photos)}"
+    lens_known = all(photo.focal is not None for photo in photos)
+    if len(photos) < (2 if lens_known else MIN_PHOTOS):
+        what = (
+            f"camera estimation needs at least {MIN_PHOTOS} photographs, or two with a focal length in "
+            f"EXIF; the folder has {len(photos)}"
+        )
         raise SceneError(
             "\n".join([what, *(f"  left out: {path.name}: {reason}" for path, reason in left_out)]),
             where=str(folder),

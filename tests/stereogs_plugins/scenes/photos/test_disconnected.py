@@ -14,6 +14,7 @@ from stereogs_plugins.scenes.photos import disconnected
 from stereogs_plugins.scenes.photos.disconnected import largest_group
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.mapping import Piece
+from stereogs_plugins.scenes.photos.no_depth import Doubt
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 
 from .photographs import MATCHES, load
@@ -27,8 +28,10 @@ class TestExplanation:
         pieces: list[list[int]],
         features: tuple[int, ...] = (900,) * len(NAMES),
         matches: dict[tuple[int, int], int] = MATCHES,
+        doubts: dict[tuple[int, int], Doubt] | None = None,
     ) -> SceneError:
-        found = Reconstruction([Piece(Path(), p) for p in pieces], matches, list(features))
+        models = [Piece(Path(), piece) for piece in pieces]
+        found = Reconstruction(models, matches, list(features), doubts=doubts or {})
         model = ColmapModel({}, [], [], Path()) if pieces else None
         with pytest.raises(SceneError) as caught:
             largest_group(FoundCameras(found, model), NAMES, "folder", require_all=True)
@@ -75,6 +78,22 @@ class TestExplanation:
         error = self.explain([], matches={(0, 1): 12})
         assert "no two of the 5 photographs overlap" in error.what
         assert "group" not in error.what
+
+    def test_pictures_that_contradict_matches(self) -> None:
+        error = self.explain(
+            [[0, 1, 2]], matches=MATCHES | {(2, 3): 90}, doubts={(2, 3): "pictures"}
+        )
+        assert (
+            "  d.jpg: matches with the others, but what surrounds the matches differs" in error.what
+        )
+        assert "  e.jpg: no matches with the others" in error.what
+        assert "take pictures between them" in error.fix
+
+    def test_pictures_from_one_position(self) -> None:
+        pairs = [(0, 1), (0, 2), (1, 2), (3, 4)]
+        error = self.explain([], doubts=dict.fromkeys(pairs, "position"))
+        assert "200 matches, but they were taken from one position" in error.what
+        assert "do not turn on the spot" in error.fix
 
     def test_matches_without_depth(self) -> None:
         error = self.explain([], matches={(0, 1): 1660})

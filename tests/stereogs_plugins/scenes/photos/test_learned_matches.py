@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from registry import PluginError
-from registry.toolkit.photos import Decoder, evenly_spaced, import_pycolmap, longest_side
+from registry.toolkit.photos import (
+    Decoder,
+    evenly_spaced,
+    import_pycolmap,
+    longest_side,
+    read_colmap_model,
+)
+from stereogs_plugins.scenes.dtu.cameras import calibrated
 from stereogs_plugins.scenes.photos import learned_matches
 from stereogs_plugins.scenes.photos.learned_matches import FINDER, MATCHER, known_files
-from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import read_folder
+from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.data import data_folder, models_folder
 
 
@@ -32,16 +41,51 @@ def test_networks_are_used_if_both_files_exist(
         learned_matches.add_learned_matches(colmap, files, tmp_path, tmp_path, tmp_path)
 
 
+def place(photos: list[UnposedPhoto], count: int, folder: Path) -> Reconstruction:
+    """Cameras of evenly spaced photographs, with the networks if SIFT does not place all."""
+    models_folder("aliked_lightglue")
+    folder.mkdir()
+    chosen = [photos[k] for k in evenly_spaced(list(range(len(photos))), count)]
+    return reconstruct(chosen, Decoder(longest_side(1200), "box", upright=True), True, folder)
+
+
+@pytest.mark.proof
+def test_three_pictures_far_apart_are_confirmed_by_the_dense_check(tmp_path: Path) -> None:
+    """Three of dtu_scan65, 53 to 62 degrees apart: of the three pairs two have 181 and 53 matches."""
+    folder = data_folder("dtu_scan65")
+    found = place(read_folder(folder / "image").photos, 3, tmp_path / "models")
+    assert found.pieces[0].members == [0, 1, 2]
+    views = [0, 24, 48]
+    truth = calibrated(folder / "cameras_sphere.npz", views).cameras
+    model = read_colmap_model(found.pieces[0].folder, "")
+    true, poses = (
+        [pose[:3, :3] for pose in some]
+        for some in (
+            [truth[view].world_to_camera for view in views],
+            [image.world_to_camera for _, image in model.images],
+        )
+    )
+    for a, b in combinations(range(3), 2):
+        turn = true[b] @ true[a].T @ (poses[b] @ poses[a].T).T
+        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 5
+
+
+@pytest.mark.proof
+def test_opposite_sides_of_a_symmetric_object_are_not_connected(tmp_path: Path) -> None:
+    """Four of lego: 42 matches connect opposite sides, 178 degrees off."""
+    photos = read_folder(data_folder("blender_lego") / "train").photos
+    photos.sort(key=lambda photo: (len(photo.name), photo.name))
+    found = place(photos, 4, tmp_path / "models")
+    assert found.tried[-1] == "SIFT with ALIKED and LightGlue"
+    assert "pictures" in found.doubts.values()
+    assert max(len(piece.members) for piece in found.pieces) == 2
+
+
 @pytest.mark.proof
 def test_pictures_far_apart_are_placed_by_the_networks(tmp_path: Path) -> None:
     """Six of dtu_scan65's 49: SIFT places two of them."""
-    models_folder("aliked_lightglue")
     photos = read_folder(data_folder("dtu_scan65") / "image").photos
-    chosen = [photos[k] for k in evenly_spaced(list(range(len(photos))), 6)]
-    decoder = Decoder(longest_side(1200), "box", upright=True)
-    for folder in ("first", "again"):
-        (tmp_path / folder).mkdir()
-    found, same = (reconstruct(chosen, decoder, True, tmp_path / x) for x in ("first", "again"))
+    found, same = (place(photos, 6, tmp_path / name) for name in ("first", "again"))
     assert found.tried == ("SIFT", "pooled SIFT", "SIFT with ALIKED and LightGlue")
     assert len(found.pieces[0].members) >= 4
     files = [(one.pieces[0].folder / "images.bin").read_bytes() for one in (found, same)]

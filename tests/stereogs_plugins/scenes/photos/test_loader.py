@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from pathlib import Path
 
@@ -64,6 +65,29 @@ def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
     assert fewer.bounds[0] < fewer.bounds[1]
     with pytest.raises(SceneError, match="only 3 are not test views"):
         load(folder, test_every=3, train_views=4)
+
+
+def test_two_photographs_need_a_known_focal_length(
+    folder: Path, room: Scene, tmp_path: Path
+) -> None:
+    lens = room.train[0].camera
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = round(lens.fx / math.hypot(lens.width, lens.height) * 43.27)
+    for view in room.train[:2]:
+        with Image.open(folder / f"{view.name}.jpg") as opened:
+            opened.save(tmp_path / f"{view.name}.jpg", quality=97, exif=exif)
+    scene = load(tmp_path)
+    assert len(scene.train) == 2
+    turns = [
+        first.camera.world_to_camera[:3, :3] @ second.camera.world_to_camera[:3, :3].T
+        for first, second in (scene.train, room.train[:2])
+    ]
+    cosine = (torch.trace(turns[0] @ turns[1].T) - 1) / 2
+    assert math.degrees(math.acos(min(1, float(cosine)))) < 2
+    for file in tmp_path.iterdir():
+        Image.open(file).save(file, quality=97, exif=Image.Exif())
+    with pytest.raises(SceneError, match="or two with a focal length in EXIF"):
+        load(tmp_path)
 
 
 def test_few_photographs_all_train(folder: Path, cached: Path) -> None:

@@ -48,16 +48,39 @@ def turn(colmap: Any, model: Any, count: int) -> list[int]:
     return ids
 
 
+def always(model: Any, first: int, second: int) -> bool:
+    return True
+
+
+def never(model: Any, first: int, second: int) -> bool:
+    return False
+
+
 def test_a_supported_model_keeps_its_photographs(made: tuple[Any, Path, Any]) -> None:
     colmap, path, model = made
-    assert drop_unsupported(colmap, path, model, LEARNED_TRUST)
+    assert drop_unsupported(colmap, path, model, SIFT_TRUST, never)
     assert model.num_reg_images() == 4
+
+
+def test_pictures_decide_where_matches_do_not_suffice(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    seen = []
+
+    def same(model: Any, first: int, second: int) -> bool:
+        seen.append((first, second))
+        return 4 not in (first, second)
+
+    copy = type(model)(model)
+    assert drop_unsupported(colmap, path, model, LEARNED_TRUST, same)
+    assert sorted(model.reg_image_ids()) == [1, 2, 3]
+    assert len(seen) == 3, "two links, and one attempt to add the fourth"
+    assert not drop_unsupported(colmap, path, copy, LEARNED_TRUST, never)
 
 
 def test_a_wrong_camera_is_removed(made: tuple[Any, Path, Any]) -> None:
     colmap, path, model = made
     (wrong,) = turn(colmap, model, 1)
-    assert drop_unsupported(colmap, path, model, SIFT_TRUST)
+    assert drop_unsupported(colmap, path, model, SIFT_TRUST, never)
     assert wrong not in model.reg_image_ids()
     assert model.num_reg_images() == 3
 
@@ -65,16 +88,17 @@ def test_a_wrong_camera_is_removed(made: tuple[Any, Path, Any]) -> None:
 def test_a_wrong_model_is_discarded(made: tuple[Any, Path, Any]) -> None:
     colmap, path, model = made
     turn(colmap, model, 4)
-    assert not drop_unsupported(colmap, path, model, SIFT_TRUST)
+    assert not drop_unsupported(colmap, path, model, SIFT_TRUST, never)
 
 
 def test_a_pair_without_a_third_photograph_needs_more_matches(made: tuple[Any, Path, Any]) -> None:
     colmap, path, model = made
     turn(colmap, model, 2)
-    copy = type(model)(model)
-    assert drop_unsupported(colmap, path, model, Trust(15, 15))
+    copies = [type(model)(model) for _ in range(2)]
+    assert drop_unsupported(colmap, path, model, Trust(15, 15), never)
     assert model.num_reg_images() == 2
-    assert not drop_unsupported(colmap, path, copy, Trust(15, 1000))
+    assert not drop_unsupported(colmap, path, copies[0], Trust(15, 1000), never)
+    assert drop_unsupported(colmap, path, copies[1], Trust(15, 1000), always)
 
 
 def test_connected_groups() -> None:
