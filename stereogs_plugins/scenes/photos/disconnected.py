@@ -167,7 +167,7 @@ def _advice(
     """Return what to photograph: a line for each kind of reason, and the networks if they are missing."""
     if not left_out:
         return ""
-    lines = []
+    lines, too_far = [], _usual_doubt(found) is None
     if not main:
         lines.append(_advice_without_cameras(found))
     else:
@@ -178,6 +178,7 @@ def _advice(
         weak = [k for k, reason in left_out.items() if reason not in other]
         if weak:
             lines.append(_bridge(found, main, weak, names))
+        too_far = bool(weak)
         lines += [remedy for reason, remedy in doubted.items() if reason in left_out.values()]
         if contradicting:
             lines.append(
@@ -186,7 +187,7 @@ def _advice(
             )
         if poor:
             lines.append(f"take {_listed(poor, names)} again, sharp and with enough light")
-    if known_files() is None:
+    if too_far and known_files() is None:
         lines.append(
             f"or set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
             "farther apart (docs/prior_models.md#networks-that-were-run)"

@@ -94,6 +94,7 @@ class TestExplanation:
         error = self.explain([], doubts=dict.fromkeys(pairs, "position"))
         assert "200 matches, but they were taken from one position" in error.what
         assert "do not turn on the spot" in error.fix
+        assert "ALIKED" not in error.fix, "networks add no depth"
 
     def test_matches_without_depth(self) -> None:
         error = self.explain([], matches={(0, 1): 1660})
