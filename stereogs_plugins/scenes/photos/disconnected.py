@@ -130,31 +130,35 @@ def _strongest_pairs(found: Reconstruction, of: Collection[int], names: Sequence
     return f"  tried {', '.join(found.tried)}; most matches: {', '.join(shown) or 'none'}"
 
 
-def _strongest(
-    found: Reconstruction, main: Collection[int], photo: int
-) -> tuple[int, Doubt | None]:
-    """Return a photograph's most matches with one of the main group, and why they do not connect them."""
-    pairs = [_pair(photo, other) for other in main]
-    matches, pair = max(((found.matches.get(pair, 0), pair) for pair in pairs), default=(0, (0, 0)))
-    return matches, found.doubts.get(pair) if matches >= ENOUGH_MATCHES else None
-
-
 def _reasons(found: Reconstruction, main: Collection[int], count: int) -> dict[int, str]:
     """Return why each photograph outside the main group does not connect to it."""
-    strongest = {k: _strongest(found, main, k) for k in range(count) if k not in main}
-    few = [matches for matches, doubt in strongest.values() if matches < MANY_MATCHES and not doubt]
-    most = max(few, default=0)
+    outside = [k for k in range(count) if k not in main]
+    best = {k: _best_link(found, k, main) for k in outside}
+    links = {k: found.matches.get(pair, 0) for k, pair in best.items()}
+    doubts = {k: found.doubts.get(pair) for k, pair in best.items() if links[k] >= ENOUGH_MATCHES}
+    most = max((n for k, n in links.items() if n < MANY_MATCHES and not doubts.get(k)), default=0)
     too_few = f"at most {most} matches with the others, too few for a camera"
     if not most:
         too_few = "no matches with the others"
     reasons = {}
-    for k, (matches, doubt) in strongest.items():
-        reasons[k] = _CONTRADICTING if matches >= MANY_MATCHES else too_few
-        if doubt:
-            reasons[k] = f"matches with the others, but {_DOUBTS[doubt]}"
-        if found.features[k] < FEW_FEATURES:
+    for k in outside:
+        doubt, contradicting = doubts.get(k), links[k] >= MANY_MATCHES
+        reasons[k] = _CONTRADICTING if contradicting else too_few
+        if doubt is not None:
+            reasons[k] = _doubted(doubt)
+        elif found.features[k] < FEW_FEATURES:
             reasons[k] = _POOR
     return reasons
+
+
+def _doubted(doubt: Doubt) -> str:
+    return f"matches with the others, but {_DOUBTS[doubt]}"
+
+
+def _best_link(found: Reconstruction, photo: int, main: Collection[int]) -> tuple[int, int]:
+    """Return the pair of a photograph and one of the main group that has most matches."""
+    pairs = [_pair(photo, other) for other in main] or [(photo, photo)]
+    return max(pairs, key=lambda pair: (found.matches.get(pair, 0), -pair[0], -pair[1]))
 
 
 def _advice(
@@ -163,17 +167,19 @@ def _advice(
     """Return what to photograph: a line for each kind of reason, and the networks if they are missing."""
     if not left_out:
         return ""
-    lines = []
+    lines, too_far = [], _usual_doubt(found) is None
     if not main:
         lines.append(_advice_without_cameras(found))
     else:
         poor = [k for k, reason in left_out.items() if reason == _POOR]
         contradicting = [k for k, reason in left_out.items() if reason == _CONTRADICTING]
-        doubts = {k: _strongest(found, main, k)[1] for k in left_out if k not in poor}
-        clear = [k for k in doubts if k not in contradicting and not doubts[k]]
-        if clear:
-            lines.append(_bridge(found, main, clear, names))
-        lines += dict.fromkeys(_REMEDIES[doubt] for doubt in doubts.values() if doubt)
+        doubted = {_doubted(doubt): remedy for doubt, remedy in _REMEDIES.items()}
+        other = (_POOR, _CONTRADICTING, *doubted)
+        weak = [k for k, reason in left_out.items() if reason not in other]
+        if weak:
+            lines.append(_bridge(found, main, weak, names))
+        too_far = bool(weak)
+        lines += [remedy for reason, remedy in doubted.items() if reason in left_out.values()]
         if contradicting:
             lines.append(
                 f"check if something moved in {_listed(contradicting, names)}, or if the picture is cropped "
@@ -181,7 +187,7 @@ def _advice(
             )
         if poor:
             lines.append(f"take {_listed(poor, names)} again, sharp and with enough light")
-    if known_files() is None:
+    if too_far and known_files() is None:
         lines.append(
             f"or set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
             "farther apart (docs/prior_models.md#networks-that-were-run)"

@@ -84,15 +84,17 @@ class TestExplanation:
             [[0, 1, 2]], matches=MATCHES | {(2, 3): 90}, doubts={(2, 3): "pictures"}
         )
         assert (
-            "d.jpg shares 90 matches with c.jpg, but what surrounds the matches differs"
-            in error.fix
+            "  d.jpg: matches with the others, but what surrounds the matches differs" in error.what
         )
+        assert "  e.jpg: no matches with the others" in error.what
+        assert "take pictures between them" in error.fix
 
     def test_pictures_from_one_position(self) -> None:
         pairs = [(0, 1), (0, 2), (1, 2), (3, 4)]
         error = self.explain([], doubts=dict.fromkeys(pairs, "position"))
         assert "200 matches, but they were taken from one position" in error.what
         assert "do not turn on the spot" in error.fix
+        assert "ALIKED" not in error.fix, "networks add no depth"
 
     def test_matches_without_depth(self) -> None:
         error = self.explain([], matches={(0, 1): 1660})
