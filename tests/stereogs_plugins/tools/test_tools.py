@@ -25,6 +25,7 @@ EXAMPLES = {
     "resume": ["resume", "runs/x"],
     "eval": ["eval", "runs/x"],
     "explain": ["explain", "3dgs"],
+    "init": ["init", "mine"],
     "ablate": ["ablate", "ablations/parts"],
     "bench": ["bench", "matrix.yaml"],
     "check": ["check", "folder"],
