@@ -257,4 +257,10 @@ def _as_pose(matrix: Any) -> Tensor:
             where=where,
             fix="remove scale or mirroring from the pose",
         )
+    if (pose[3] - torch.tensor([0.0, 0, 0, 1])).abs().max() > 1e-6:
+        raise CameraError(
+            f"the last row of world_to_camera is {pose[3].tolist()}",
+            where=where,
+            fix="use a rigid transform, with the last row 0 0 0 1",
+        )
     return copy

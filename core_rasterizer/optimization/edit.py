@@ -38,7 +38,7 @@ class Edit:
         clone: add an exact copy.
         split: replace by smaller Gaussians, drawn from the Gaussian itself.
         prune: remove; overrides the other two.
-        split_into: number of children of a split, >= 2 (3DGS: 2).
+        split_into: number of children of a split, 2 to 100 (3DGS: 2).
         shrink: divisor of the children's scales, > 0. 3DGS: 1.6, which is 0.8 times the number of
             children.
         add: M new Gaussians of the model's SH degree.
@@ -82,11 +82,11 @@ class Edit:
             mask = getattr(self, name)
             if mask is not None:
                 _check_tensor(name, mask, torch.bool, count)
-        if not isinstance(self.split_into, int) or self.split_into < 2:
+        if not isinstance(self.split_into, int) or not 2 <= self.split_into <= 100:
             raise GaussianError(
                 f"split_into is {self.split_into}",
                 field="split_into",
-                fix="use a whole number of children, at least 2",
+                fix="use a whole number of children, from 2 to 100",
             )
         if not (math.isfinite(self.shrink) and self.shrink > 0):
             raise GaussianError(

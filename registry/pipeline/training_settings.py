@@ -86,7 +86,7 @@ class TrainingSettings(Settings):
     """Factor of the first Gaussians' distance to their neighbours, where the initializer gives no scales."""
     learning_rates: LearningRates = LearningRates()
     """Adam's step sizes."""
-    fields: Positive = 1
+    fields: Annotated[int, Field(ge=1, le=16)] = 1
     """Fields of Gaussians trained in lock-step from the same points, each with its own optimizer, policies
     and random numbers; losses and policies see the other fields. The first field is scored."""
     max_gaussians: Positive | None = None

@@ -28,7 +28,7 @@ class GradientThresholdSettings(Settings):
     null splits by `gradient_threshold`."""
     percent_dense: float = Field(0.01, gt=0)
     """Largest scale, relative to the scene's extent, of a Gaussian that is cloned instead of split."""
-    split_into: int = Field(2, ge=2)
+    split_into: int = Field(2, ge=2, le=100)
     """Number of children of a split Gaussian; their scales are divided by 0.8 times this (3DGS)."""
     min_opacity: float = Field(0.005, ge=0, lt=1)
     """Gaussians fainter than this are pruned."""

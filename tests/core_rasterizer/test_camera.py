@@ -153,6 +153,7 @@ def test_a_camera_keeps_the_pose_that_it_was_given() -> None:
         ({"world_to_camera": np.eye(3)}, "camera.world_to_camera", "shape"),
         ({"world_to_camera": 2 * np.eye(4)}, "camera.world_to_camera", "rotation"),
         ({"world_to_camera": np.diag([1.0, 1, -1, 1])}, "camera.world_to_camera", "rotation"),
+        ({"world_to_camera": np.diag([1.0, 1, 1, 2])}, "camera.world_to_camera", "last row"),
     ],
 )
 def test_invalid_cameras_raise(changes: dict[str, Any], field: str, message: str) -> None:

@@ -211,6 +211,7 @@ def undefined() -> Any:
 PARENTS = torch.tensor([0, 1])
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "one child": ({"split_into": 1}, "split_into", "split_into is 1"),
+    "too many children": ({"split_into": 1_000_000}, "split_into", "split_into is 1000000"),
     "half a child": ({"split_into": 2.5}, "split_into", "2.5"),
     "no size": ({"shrink": 0.0}, "shrink", "0.0"),
     "undefined size": ({"shrink": math.nan}, "shrink", "nan"),
