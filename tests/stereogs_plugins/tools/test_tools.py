@@ -33,7 +33,6 @@ EXAMPLES = {
     "completion": ["completion", "bash"],
     "doctor": ["doctor"],
     "export": ["export", "runs/x", "--format", "ply"],
-    "init": ["init", "mine"],
     "new-plugin": ["new-plugin", "solid", "--kind", "regularizer"],
     "priors": ["priors", "check", "model.onnx"],
     "render": ["render", "runs/x"],
