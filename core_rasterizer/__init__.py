@@ -10,7 +10,7 @@ from .first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera import Camera
-    from .device import CORRECT_CPU_NAME, Device, list_devices, open_device
+    from .device import Device, list_devices, open_device
     from .errors import (
         CameraError,
         DeviceError,
@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from .optimization import ModelReader as GaussianReader
     from .ply import load_ply, load_points, save_ply
     from .rendering import Rendering
-    from .self_test import self_test as check_device
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
-    "CORRECT_CPU_NAME",
     "Adam",
     "Camera",
     "CameraError",
@@ -57,7 +55,6 @@ __all__ = [
     "Relocation",
     "Rendering",
     "apply_edit",
-    "check_device",
     "list_devices",
     "load_ply",
     "load_points",
