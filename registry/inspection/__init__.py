@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .faults import capabilities, faults, needs
+    from .pipeline_faults import capabilities, faults, needs
     from .scene_facts import image_sizes, points_in_view, warnings
     from .scene_source import find_loader, load
 else:

@@ -19,7 +19,7 @@ from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..inspection.faults import faults, refuse_missing_priors
+from ..inspection.pipeline_faults import faults, refuse_missing_priors
 from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts

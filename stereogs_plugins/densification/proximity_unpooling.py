@@ -33,7 +33,7 @@ class ProximityUnpoolingSettings(Settings):
 class ProximityUnpooling(Densification[ProximityUnpoolingSettings]):
     """Inserts Gaussians halfway between large ones and their three nearest neighbours."""
 
-    host_defaults = "{start: 6%, stop: 19.9%, every: 100, phase: 0}"
+    host_defaults = "{start: 6%, stop: 19.9%, every: 1%, phase: 0}"
 
     def refine(self, step: Step) -> Edit | None:
         """Return the edit; None if no Gaussian is far and large. Logs the number of insertions."""

@@ -61,7 +61,7 @@ def test_the_docstring_of_a_module_can_give_the_summary(install: Install, capsys
 
 
 def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
-    assert main(["plugins", "show", "toy_term"]) == 0
+    assert main(["plugins", "toy_term"]) == 0
     output = capsys.readouterr().out
     for text in ("toy_term: regularizer (toys 1.5)", "  target = 0.5", "weight"):
         assert text in output

@@ -10,7 +10,7 @@ from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, load_pipeline, parse_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
 
-METHODS = Path(__file__).parents[3] / "pipelines"
+METHODS = Path(__file__).parents[3] / "pipelines" / "methods"
 TEXT = """\
 name: small
 scene: {{use: llff, path: data}}
@@ -91,10 +91,9 @@ def test_fallbacks_must_be_a_list() -> None:
 
 
 PUBLISHED = ("d2gs", "dngaussian", "fsgs", "mvpgs", "sparsenerf", "d2gs-short", "fsgs-short")
-PIPELINES = [*(f"methods/{name}" for name in PUBLISHED), "stereogs", "stereogs_dropout"]
 
 
-@pytest.mark.parametrize("name", PIPELINES)
+@pytest.mark.parametrize("name", PUBLISHED)
 def test_published_methods_need_no_model_file(name: str) -> None:
     priors = load_pipeline(METHODS / f"{name}.yaml", Plugins()).items["priors"]
     assert all(not item.host.use.startswith("onnx") for item in priors)

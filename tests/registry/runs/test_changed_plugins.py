@@ -19,7 +19,8 @@ from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from registry.toolkit.cache import keys
 from stereogs_plugins.tools.experiments.comparing.comparability import comparable_groups
-from stereogs_plugins.tools.experiments.comparing.comparison import labels, read_run
+from stereogs_plugins.tools.experiments.comparing.comparison import read_run
+from stereogs_plugins.tools.experiments.comparing.labels import labels
 from tests.registry.conftest import TOYS
 
 TEXT = """\

@@ -50,7 +50,7 @@ def test_doctor_reports_a_failing_device_and_continues(
 
     devices = [open_device(), open_device().as_variant("gpu")]
     monkeypatch.setattr("core_rasterizer.list_devices", lambda: devices)
-    monkeypatch.setattr("core_rasterizer.check_device", fails_first)
+    monkeypatch.setattr("core_rasterizer.self_test.self_test", fails_first)
     assert main(["doctor"]) == 1
     output = capsys.readouterr().out
     assert "FAILED: RuntimeError: the driver is gone" in output

@@ -9,7 +9,7 @@ import yaml
 
 from registry.cli import main
 from registry.contract.hook_points import PIPELINE_POINTS
-from registry.inspection.faults import faults
+from registry.inspection.pipeline_faults import faults
 from registry.pipeline.pipeline import load_pipeline
 from registry.plugins.discovery import SELECTION, Plugins
 from tests.stereogs_plugins.scenes.small_scenes import World, write_nerfstudio

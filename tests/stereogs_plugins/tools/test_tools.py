@@ -178,7 +178,7 @@ def test_a_broken_verb_is_named(
     assert what in error
     assert "acme_broken" in error
     with pytest.raises(SystemExit):  # the others still work
-        main(["plugins", "--help"])
+        main(["train", "--help"])
 
 
 def test_a_verb_that_fails_is_named(

@@ -9,6 +9,7 @@ import pytest
 
 from registry import SceneError
 from registry.cli import main
+from registry.testing import check
 from stereogs_plugins.scenes.photos import VideoScene
 from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
 from tests.data import data_folder
@@ -77,3 +78,8 @@ def test_the_sharpest_frame_of_each_part_is_chosen() -> None:
 def test_all_frames_of_a_short_clip_are_chosen() -> None:
     frames = [Candidate(10 * number, 1.0, 0.0) for number in range(4)]
     assert chosen_frames(frames, 5) == [0, 10, 20, 30]
+
+
+def test_the_contract(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
+    check(VideoScene, path=clip, frames=3)
