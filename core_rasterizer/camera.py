@@ -257,7 +257,7 @@ def _as_pose(matrix: Any) -> Tensor:
             where=where,
             fix="remove scale or mirroring from the pose",
         )
-    if (pose[3] - torch.tensor([0.0, 0, 0, 1])).abs().max() > 1e-6:
+    if (pose[3] - torch.tensor([0.0, 0, 0, 1])).abs().max() > 1e-3:
         raise CameraError(
             f"the last row of world_to_camera is {pose[3].tolist()}",
             where=where,
