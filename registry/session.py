@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera, Device, GaussianModel
 
-    from .runs.run import Picture, Run
+    from .runs.evaluation import Picture
+    from .runs.run import Run
 
 __all__ = [
     "build_pipeline",
@@ -390,8 +391,8 @@ def render(
         source: a run, rendered on its own background, or Gaussians.
         background: colour behind Gaussians, three numbers in [0, 1].
     """
-    from .runs.evaluation import clamped_render
-    from .runs.run import Run, as_arrays
+    from .runs.evaluation import as_arrays, clamped_render
+    from .runs.run import Run
 
     if isinstance(source, Run):
         return source.render(camera)

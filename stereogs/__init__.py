@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from registry import PointCloud, Scene, View
     from registry.pipeline import Pipeline
     from registry.runs import Run, RunOptions
-    from registry.runs.run import Picture
+    from registry.runs.evaluation import Picture
     from registry.session import (
         build_pipeline,
         export,

@@ -6,10 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-from registry.plugins.discovery import SELECTION
+import pytest
+
+from registry.plugins.discovery import SELECTION, Plugins
 
 ROOT = Path(__file__).parent.parent
 _PIP = ("-m", "pip", "--disable-pip-version-check", "install", "-q", "--no-deps", "--no-index")
@@ -69,3 +72,16 @@ def install_by_pip(package: Path, folder: Path) -> Path:
     site = folder / "site"
     run_python(*_PIP, "--no-build-isolation", "--target", str(site), str(package), folder=folder)
     return site
+
+
+@contextmanager
+def importable(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
+    """All plugins, with those of `install`; the modules of `site` are forgotten afterwards."""
+    before = set(sys.modules)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.delenv(SELECTION)
+    yield Plugins()
+    for name in set(sys.modules) - before:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file and Path(file).is_relative_to(site):
+            del sys.modules[name]

@@ -8,12 +8,12 @@ if TYPE_CHECKING:
     from ..system.interrupt import stop_on_interrupt
     from ..system.lock import locked
     from ..training.checkpoint import trained_gaussians
-    from .evaluation import evaluate, quick
+    from .evaluation import Picture, evaluate, quick
     from .folder import METRICS, RESULTS, RunFolder
     from .opening import replay as repeat_failure
     from .options import InitialState, Plan, RunOptions
     from .results import RENDERS, read_results
-    from .run import Picture, Run
+    from .run import Run
     from .training_run import in_runs
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)

@@ -7,7 +7,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
 
@@ -19,10 +23,25 @@ from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
 from ..toolkit.drawing.pictures import save_view_pictures
 
+Floats = NDArray[np.float32]
 AVERAGE_ERROR = "avge"
 """Name of the average error among the scores."""
 _ROLES: tuple[AverageErrorRole, ...] = get_args(AverageErrorRole)
 """In the order of the arguments of `average_error`."""
+
+
+class Picture(NamedTuple):
+    """A rendered camera as numpy arrays, float32.
+
+    Args:
+        rgb: `[H, W, 3]` in [0, 1].
+        depth: `[H, W]` z-depth in world units, blended: divide by `alpha` where that is not 0.
+        alpha: `[H, W]` in [0, 1], opacity of the Gaussians along the ray.
+    """
+
+    rgb: Floats
+    depth: Floats
+    alpha: Floats
 
 
 @dataclass(frozen=True)
@@ -140,3 +159,9 @@ def clamped_render(
 ) -> Rendering:
     """Render a camera without gradients, colours clamped to [0, 1]."""
     return model.reader().render(camera, background=background)
+
+
+def as_arrays(rendering: Rendering) -> Picture:
+    """Return a rendering as numpy arrays."""
+    images = (rendering.rgb, rendering.depth, rendering.alpha)
+    return Picture(*(image.detach().to("cpu", torch.float32).numpy() for image in images))

@@ -10,12 +10,9 @@ from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 from uuid import uuid4
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
@@ -30,7 +27,7 @@ from ..system.memory import peak_memory_mb
 from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
 from ..training.trainer import one_torch_thread
-from .evaluation import Scores, clamped_render, evaluate, quick
+from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
 from .folder import RunFolder
 from .origin import (
     changed_inputs,
@@ -42,22 +39,7 @@ from .origin import (
 )
 from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
-Floats = NDArray[np.float32]
 _log = logging.getLogger(__name__)
-
-
-class Picture(NamedTuple):
-    """A rendered camera as numpy arrays, float32.
-
-    Args:
-        rgb: `[H, W, 3]` in [0, 1].
-        depth: `[H, W]` z-depth in world units, blended: divide by `alpha` where that is not 0.
-        alpha: `[H, W]` in [0, 1], opacity of the Gaussians along the ray.
-    """
-
-    rgb: Floats
-    depth: Floats
-    alpha: Floats
 
 
 @dataclass
@@ -401,9 +383,3 @@ class Run:
                     str(f.relative_to(root) if f.is_relative_to(root) else f) for f in written
                 ]
         return files, failures
-
-
-def as_arrays(rendering: Rendering) -> Picture:
-    """Return a rendering as numpy arrays."""
-    images = (rendering.rgb, rendering.depth, rendering.alpha)
-    return Picture(*(image.detach().to("cpu", torch.float32).numpy() for image in images))

@@ -220,7 +220,7 @@ def _train_to_end(
     Returns the pipeline to start training again with if the plan corrects itself.
     """
     settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
-    with _told_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
+    with _explaining_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
         shown = TrainingProgress(trainer.iteration, settings.iterations)
@@ -256,7 +256,7 @@ def _train_to_end(
 
 
 @contextmanager
-def _told_how_to_continue(run: Run) -> Iterator[None]:
+def _explaining_how_to_continue(run: Run) -> Iterator[None]:
     """Add the command that continues the run to Ctrl-C, and to errors of its disk."""
     if run.folder is None:
         yield

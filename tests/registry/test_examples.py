@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +11,8 @@ import pytest
 
 import stereogs
 from registry.plugins.commands import verbs
-from registry.plugins.discovery import SELECTION, Plugins
-from tests.packages import ROOT, install, run_python
+from registry.plugins.discovery import Plugins
+from tests.packages import ROOT, importable, install, run_python
 
 PACKAGES = sorted(path.parent for path in (ROOT / "docs" / "examples").glob("*/pyproject.toml"))
 PIPELINE = """\
@@ -39,13 +38,8 @@ def test_there_is_one_of_each_kind_that_the_tutorial_links_to() -> None:
 @pytest.fixture
 def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
     """The plugins that ship, and the examples."""
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(site)
-    monkeypatch.delenv(SELECTION)
-    yield Plugins()
-    for name in set(sys.modules) - before:
-        if name in {package.name.replace("-", "_") for package in PACKAGES}:
-            del sys.modules[name]
+    with importable(site, monkeypatch) as plugins:
+        yield plugins
 
 
 def test_they_are_found_through_their_entry_points(installed: Plugins) -> None:

@@ -170,6 +170,7 @@ class WithinSeconds(SizePlan):
     _measured: Measured | None = field(default=None, init=False)
     _began: float = field(default=0.0, init=False)
     _spent: float = field(default=0.0, init=False)
+    _abandoned: float = field(default=0.0, init=False)
 
     def _seconds_left(self) -> float:
         return self.budget.seconds - self.budget.spent
@@ -246,6 +247,7 @@ class WithinSeconds(SizePlan):
             return None
         self.log(f"iterations take {pace:.1f} times as long as measured; training starts again")
         self.log(f"  with {count} iterations instead of {total}")
+        self._abandoned += self._spent - self._began
         self._shared.restore()
         return self._with_length(count)
 
@@ -261,6 +263,8 @@ class WithinSeconds(SizePlan):
                 f"{run.iteration} iterations": seconds.training,
                 "scores and files": seconds.evaluation + seconds.outputs,
             }
+            if self._abandoned:
+                parts["training before it started again"] = self._abandoned
             parts["start, and timing of iterations"] = took - sum(parts.values())
             yield f"late      took {took:.1f} s instead of {self.budget.seconds:g} s, because"
             yield from (f"          {name} took {value:.1f} s" for name, value in parts.items())

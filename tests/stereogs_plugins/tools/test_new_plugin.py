@@ -6,7 +6,6 @@ NEW_PLUGINS=all (`make new-plugins`) also installs each with pip alone, runs its
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +20,7 @@ from registry.plugins.discovery import SELECTION, Plugins, installed_entries, of
 from registry.testing import check, check_command
 from stereogs_plugins.tools.new_plugin.package_files import COMMAND, COMPONENTS, KINDS, new_plugin
 from stereogs_plugins.tools.new_plugin.verb import NewPlugin
-from tests.packages import ROOT, install, install_by_pip, run_python
+from tests.packages import ROOT, importable, install, install_by_pip, run_python
 
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}
 
@@ -51,13 +50,8 @@ def site(written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
     """The plugins that ship, and all new ones."""
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(site)
-    monkeypatch.delenv(SELECTION)
-    yield Plugins()
-    for name in set(sys.modules) - before:
-        if name.startswith("stereogs_my"):
-            del sys.modules[name]
+    with importable(site, monkeypatch) as plugins:
+        yield plugins
 
 
 @pytest.mark.parametrize("kind", COMPONENTS)

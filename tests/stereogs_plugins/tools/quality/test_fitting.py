@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -155,7 +156,8 @@ def test_training_starts_again_if_the_machine_becomes_slow(
 
     budget = machine.budget(12)
     out = tmp_path / "run"
-    run = trained(pipeline(toys), device, out, Slowed(said.append, budget=budget))
+    fit = Slowed(said.append, budget=budget)
+    run = trained(pipeline(toys), device, out, fit)
     pace, choice = said[-2:]
     assert pace.endswith("times as long as measured; training starts again")
     assert float(pace.split()[2]) == pytest.approx(2, abs=0.2)
@@ -164,6 +166,8 @@ def test_training_starts_again_if_the_machine_becomes_slow(
     assert LEAST_ITERATIONS < run.iteration < planned / 2
     assert run.finished
     assert budget.spent == pytest.approx(12, rel=0.15)
+    fit.budget = replace(budget, seconds=1)  # so that it reports where the time went
+    assert any("training before it started again took" in line for line in fit.closing())
     lines = (out / "metrics.jsonl").read_text("utf-8").splitlines()
     assert len(lines) == len(run.metrics), "those of the first start are gone"
     again = trained(
