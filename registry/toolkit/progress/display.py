@@ -48,8 +48,10 @@ class StageDisplay:
         self._live.stop()
 
     def begun(self, stage: Stage) -> None:
-        """Print a line if there is no bar."""
-        if not self.has_bar:
+        """Draw the bar at once, so that a short stage is seen too; without a bar print a line."""
+        if self.has_bar:
+            self._live.refresh()
+        else:
             self._print(stage, f"{stage.done}/{stage.total}" if stage.total else "")
 
     def reached(self, stage: Stage) -> None:
