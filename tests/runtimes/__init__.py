@@ -1,1 +1,1 @@
-"""OpenCL runtimes other than the installed one: fetched into build/runtimes, and the engine's tests on each."""
+"""OpenCL runtimes besides the installed one, fetched into build/runtimes, and the engine's tests on each."""

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections import Counter
-from pathlib import Path
 
 from .catalog import RUNTIMES, Runtime
 from .fetching import FOLDER, ROOT, Unavailable
@@ -68,7 +67,7 @@ def tested(runtime: Runtime, environment: dict[str, str]) -> tuple[dict[str, Cou
     """
     report = FOLDER / f"{runtime.name.replace(' ', '_')}.xml"
     result = subprocess.run(
-        [sys.executable, "-m", "pytest", _TESTS, "-p", "no:cacheprovider", "--durations=0", "--timeout", "900",
+        [sys.executable, "-m", "pytest", _TESTS, "-p", "no:cacheprovider", "--timeout", "900",
          "--numprocesses", "2", "--dist", "worksteal", f"--junitxml={report}"],
         cwd=ROOT, env=environment,
     )  # fmt: skip

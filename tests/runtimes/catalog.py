@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .fetching import ROOT, unpacked
 
-_LIBRARIES = Path("usr", "lib", "x86_64-linux-gnu")
+LIBRARIES = Path("usr", "lib", "x86_64-linux-gnu")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _installed() -> dict[str, str]:
 
 def _debian_pocl() -> dict[str, str]:
     folder = unpacked("pocl", debian=("pocl-opencl-icd",))
-    return selected(folder, _LIBRARIES / "libpocl.so.2", _LIBRARIES)
+    return selected(folder, LIBRARIES / "libpocl.so.2", LIBRARIES)
 
 
 def _intel() -> dict[str, str]:
@@ -73,12 +73,12 @@ def _rusticl() -> dict[str, str]:
     folder = unpacked("mesa", debian=("mesa-opencl-icd",))
     built_ins = ROOT / "build" / "libclc"
     if not built_ins.exists():
-        library = folder / _LIBRARIES / "libRusticlOpenCL.so.1"
+        library = folder / LIBRARIES / "libRusticlOpenCL.so.1"
         library.write_bytes(library.read_bytes().replace(b"/usr/lib/clc/", b"build/libclc/"))
         built_ins.symlink_to(folder / "usr" / "lib" / "clc")
     (headers,) = folder.glob("usr/lib/llvm-*/lib/clang/*/include")
     return {
-        **selected(folder, _LIBRARIES / "libRusticlOpenCL.so.1", _LIBRARIES),
+        **selected(folder, LIBRARIES / "libRusticlOpenCL.so.1", LIBRARIES),
         "RUSTICL_ENABLE": "llvmpipe",
         "PYOPENCL_BUILD_OPTIONS": f"-I {headers}",
     }
