@@ -61,6 +61,7 @@ class Renderer:
             BUCKETS,
             chunks_of(device),
             device.lanes,
+            device.buffer_bytes,
         )
         self._lists = TileLists(device)
         self.programs = RasterPrograms(

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from core_rasterizer.device import Variant
+
 from .fetching import ROOT, unpacked
 
 LIBRARIES = Path("usr", "lib", "x86_64-linux-gnu")
@@ -21,12 +23,14 @@ class Runtime:
         stands_for: the class of devices that it is tested in place of.
         device: selects it, as in STEREOGS_DEVICE.
         fetch: unpacks it, if necessary, and returns environment variables.
+        variants: of the kernels that are tested.
     """
 
     name: str
     stands_for: str
     device: str
     fetch: Callable[[], dict[str, str]]
+    variants: tuple[Variant, ...] = ("cpu", "gpu")
 
     def environment(self) -> dict[str, str]:
         """Environment of a process that uses this runtime.
@@ -87,8 +91,7 @@ def _rusticl() -> dict[str, str]:
 RUNTIMES = (
     Runtime("PoCL from pip", "CPU", "3.0-rc2", _installed),
     Runtime("PoCL from Debian", "CPU, newer compiler", "+debian", _debian_pocl),
-    Runtime("Intel CPU runtime", "CPU, another vendor's compiler", "Intel(R) OpenCL", _intel),
-    Runtime(
-        "Mesa rusticl on llvmpipe", "SPIR-V compiler, no double precision", "rusticl", _rusticl
-    ),
+    Runtime("Intel CPU runtime", "CPU, another compiler", "Intel(R) OpenCL", _intel),
+    # A stand-in for GPUs: llvmpipe compiles the kernels of CPUs too, which takes hours of tests.
+    Runtime("Mesa rusticl", "GPU without double precision", "rusticl", _rusticl, ("gpu",)),
 )
