@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
+	runtimes races stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
 	bench-engine bench-peer bench-error bench-skips bench-left-out bench-photos bench-priors clean help
 
 help: ## list the targets
@@ -51,6 +51,13 @@ fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, a
 
 sick: $(VENV)/.dev ## 187 components with one fault each, and what the host says about them; minutes
 	$(BIN)/python -m tests.sick
+
+# Fetched into build/runtimes with apt-get and pip, installed nowhere; skipped with a reason without a network.
+runtimes: $(VENV)/.dev ## the engine's tests on other OpenCL runtimes, fetched first; up to half an hour
+	$(BIN)/python -m tests.runtimes
+
+races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, which finds races; minutes
+	$(BIN)/python -m tests.runtimes.races
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
 	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs_plugins/tools/test_new_plugin.py

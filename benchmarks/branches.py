@@ -125,7 +125,7 @@ def _differences(one: Pipeline, other: Pipeline) -> list[Item]:
 @one_torch_thread()
 def _branch(pipeline: Pipeline, trunk: Run, moment: _Moment) -> Trained:
     begin, cpu_begin = monotonic(), process_time()
-    kept, device = moment.checkpoint, trunk.model.device
+    kept, device = moment.checkpoint, trunk.model.engine.device
     parts = Parts(pipeline, device)
     model = new_model(Gaussians(**kept.part("model")), pipeline.training, device)
     trainer = Trainer(

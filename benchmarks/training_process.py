@@ -82,7 +82,7 @@ def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[
             where=str(folder / PIPELINE),
             fix="set STEREOGS_MODELS to the folder with the networks for LPIPS (docs/prior_models.md)",
         )
-    around = circumstances(run.pipeline, run.model.device)
+    around = circumstances(run.pipeline, run.model.engine)
     # The time is the end of the run; the command is this process's, not the pipeline's.
     around["ended"], _ = around.pop("started"), around.pop("command")
     return {

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from torch import Tensor
 
 from .errors import ExplainedError
 
 if TYPE_CHECKING:
-    from .raster import Coverage, Images, Outputs
+    from .raster import Images, Outputs
+
+
+class Coverage(Protocol):
+    """Knows which Gaussians of a render reached the image."""
+
+    def visible(self) -> Tensor:
+        """Bool `[N]`; see `Rendering.visible`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from .runs.options import RunOptions, find_device
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from core_rasterizer import Camera, Device, GaussianModel
+    from core_rasterizer import Camera, Device, Engine, Model
 
     from .runs.evaluation import Picture
     from .runs.run import Run
@@ -113,7 +113,7 @@ def load_scene(
     changes: Sequence[str] = (),
     *,
     format_name: str | None = None,
-    device: Device | str | None = None,
+    device: Device | Engine | str | None = None,
 ) -> Scene:
     """Load and validate the scene in a folder, or of a pipeline.
 
@@ -262,7 +262,7 @@ def open_run(
     folder: PathLike,
     *,
     scene: Scene | None = None,
-    device: Device | str | None = None,
+    device: Device | Engine | str | None = None,
     accept_changed_inputs: bool = False,
 ) -> Run:
     """Read a run folder: its pipeline, scene and Gaussians.
@@ -335,6 +335,8 @@ def export(
         ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
             exporter failed.
     """
+    from core_rasterizer import GaussianReader
+
     from .calls.copies import copied
     from .pipeline.parts import build_part
     from .runs.results import EXPORTS, existing_files
@@ -345,13 +347,13 @@ def export(
     with one_torch_thread():
         model = _model_without(run, without)
         place.mkdir(parents=True, exist_ok=True)
-        part = build_part(item, run.pipeline.training.seed, run.model.device)
+        part = build_part(item, run.pipeline.training.seed, run.model.engine)
         with part.at_work():
             scene = copied(run.scene)
-            return existing_files(part.component.export(model.reader(), scene, place))
+            return existing_files(part.component.export(GaussianReader(model), scene, place))
 
 
-def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:
+def _model_without(run: Run, kinds: Sequence[str]) -> Model:
     """Return the Gaussians of a run except those of some kinds."""
     if not kinds:
         return run.model
@@ -376,11 +378,11 @@ def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:
         where = f"--without {','.join(kinds)}"
         raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
-    return new_model(Gaussians(**kept), run.pipeline.training, run.model.device)
+    return new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
 
 
 def render(
-    source: Run | GaussianModel,
+    source: Run | Model,
     camera: Camera,
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),

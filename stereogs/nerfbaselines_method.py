@@ -15,7 +15,7 @@ import torch
 from nerfbaselines import Cameras, Dataset, Method, MethodInfo, ModelInfo, RenderOptions
 
 import stereogs
-from core_rasterizer import GaussianModel, load_ply
+from core_rasterizer import Model, OpenCLEngine, load_ply
 from registry import SceneError
 
 PIPELINE = "weightfree_fast"
@@ -46,7 +46,7 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
     ) -> None:
         self._checkpoint = checkpoint
         self._dataset = train_dataset
-        self._model: GaussianModel | None = None
+        self._model: Model | None = None
         self._background = BLACK
         self._settings = dict(config_overrides or {})
         if checkpoint is not None:
@@ -123,7 +123,7 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
         self._settings = content["settings"] | self._settings
         self._background = tuple(content["background"])
         if (folder / GAUSSIANS).is_file():
-            self._model = GaussianModel(load_ply(folder / GAUSSIANS), stereogs.open_device())
+            self._model = OpenCLEngine(stereogs.open_device()).model(load_ply(folder / GAUSSIANS))
 
 
 def _written(value: Any) -> str:

@@ -1,18 +1,25 @@
 """OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
 
 from .array import DeviceArray, Scratch
+from .choice import Description, choose
 from .device import Device, Kind, Variant, list_devices, open_device
 from .memory import CORRECT_CPU_NAME
 from .program import Program
+from .trial import Trial, described, tried
 
 __all__ = [
     "CORRECT_CPU_NAME",
+    "Description",
     "Device",
     "DeviceArray",
     "Kind",
     "Program",
     "Scratch",
+    "Trial",
     "Variant",
+    "choose",
+    "described",
     "list_devices",
     "open_device",
+    "tried",
 ]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -76,8 +77,8 @@ class DeviceArray:
         """
         shape, begin, end = self._rows(first, last)
         if self._host is not None:
-            self._map(cl.map_flags.READ)
-            return self._host[begin:end].reshape(shape)
+            with self._mapped(cl.map_flags.READ):
+                return self._host[begin:end].reshape(shape)
         result = torch.empty(shape, dtype=self.dtype)
         if result.numel():
             offset = begin * self.dtype.itemsize
@@ -93,8 +94,8 @@ class DeviceArray:
         if not values.numel():
             return
         if self._host is not None:
-            self._map(cl.map_flags.WRITE)
-            self._host[begin:end].copy_(values.reshape(-1))
+            with self._mapped(cl.map_flags.WRITE):
+                self._host[begin:end].copy_(values.reshape(-1))
         else:
             offset = begin * self.dtype.itemsize
             with self.device.retired.drained():
@@ -126,8 +127,8 @@ class DeviceArray:
         """Set every element of rows `[first, last)` to `value`; by default all."""
         _, begin, end = self._rows(first, last)
         if self._host is not None:
-            self._map(cl.map_flags.WRITE)
-            self._host[begin:end] = value
+            with self._mapped(cl.map_flags.WRITE):
+                self._host[begin:end] = value
         elif begin < end:
             pattern = np.array(value, dtype=_NUMPY_TYPES[self.dtype])
             begin, end = begin * self.dtype.itemsize, end * self.dtype.itemsize
@@ -140,15 +141,22 @@ class DeviceArray:
             A function that waits for this read, not for work enqueued later, and returns the contents
             like `read`.
         """
+        mapped: Any = None
         if self._host is not None:
-            host, event = self._host.reshape(self.shape), self._enqueue_map(cl.map_flags.READ)
+            host = self._host.reshape(self.shape)
+            mapped, event = self._enqueue_map(cl.map_flags.READ)
         else:
             host = torch.empty(self.shape, dtype=self.dtype)
             event = cl.enqueue_copy(self.device.queue, host.numpy(), self.buffer, is_blocking=False)
             self.device.bytes_moved += host.nbytes
+        self.device.queue.flush()
 
         def result() -> Tensor:
+            nonlocal mapped
             event.wait()
+            if mapped is not None:
+                mapped.base.release()
+                mapped = None
             return host
 
         return result
@@ -159,20 +167,27 @@ class DeviceArray:
         row = math.prod(self.shape[1:])
         return (last - first, *self.shape[1:]), first * row, last * row
 
-    def _map(self, flags: Any) -> None:
-        """Make the host's view current; OpenCL guarantees that only after mapping."""
-        self._enqueue_map(flags)
+    @contextmanager
+    def _mapped(self, flags: Any) -> Iterator[None]:
+        """Make the host's view current, and the device's afterwards; OpenCL guarantees neither otherwise."""
+        mapped, _ = self._enqueue_map(flags)
         self.device.finish()
+        try:
+            yield
+        finally:
+            mapped.base.release()
 
-    def _enqueue_map(self, flags: Any) -> Any:
-        """Enqueue a map without waiting, which costs half of a blocking map. Return its event."""
-        mapped: Any
+    def _enqueue_map(self, flags: Any) -> tuple[Any, Any]:
+        """Enqueue a map without waiting, which costs half of a blocking map.
+
+        Returns:
+            The mapped array, whose `base` must be released after the event and not before, and the event.
+        """
         elements, dtype = max(1, math.prod(self.shape)), np.dtype(_NUMPY_TYPES[self.dtype])
         mapped, event = cl.enqueue_map_buffer(
             self.device.queue, self.buffer, flags, 0, (elements,), dtype, is_blocking=False
         )
-        mapped.base.release()
-        return event
+        return mapped, event
 
 
 class Scratch:

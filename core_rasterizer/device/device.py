@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import logging
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
@@ -12,10 +12,14 @@ import pyopencl as cl
 import torch
 
 from ..errors import DeviceError
+from .choice import Description, choose
 from .memory import DeviceMemory
 from .program import Program
+from .trial import seconds_of
 from .unknown_cpu import better_cpu_name, correct_cpu_name, written_cpu_name
 from .uploads import Uploads
+
+_log = logging.getLogger(__name__)
 
 Kind = Literal["cpu", "gpu", "accelerator"]
 Variant = Literal["cpu", "gpu"]
@@ -73,6 +77,18 @@ class Device(DeviceMemory):
     def could_be_built_for(self) -> str | None:
         """Processor name that STEREOGS_CORRECT_CPU_NAME=1 would write into an old PoCL, else None."""
         return better_cpu_name(self._handle)
+
+    def describe(self, index: int) -> Description:
+        """What the driver says of it; `index` is its position in `list_devices`."""
+        return Description(
+            index,
+            self.name,
+            self.platform,
+            self.kind,
+            self.driver,
+            self.compute_units,
+            self.memory_bytes,
+        )
 
     def as_variant(self, variant: Variant) -> Device:
         """The same device with other raster kernels; the GPU's also run on a CPU, slowly."""
@@ -134,26 +150,24 @@ def open_device(name: str | None = None) -> Device:
     """Choose a device; it is opened on first use.
 
     Args:
-        name: part of a device's or platform's name, in any case. None reads STEREOGS_DEVICE; if that
-            is unset, the first GPU is chosen, else the first CPU.
+        name: part of a device's or platform's name or of its driver's version, in any case. None reads
+            STEREOGS_DEVICE; if that is unset and there are several devices, the one that trained fastest in
+            a self-test is chosen. The test takes seconds and is remembered for each device and driver.
 
     Raises:
         DeviceError: no OpenCL device exists, or none has this name.
     """
     devices = list_devices()
-    if not devices:
-        raise DeviceError(
-            "no OpenCL platform was found",
-            fix="install a driver: `pip install pocl-binary-distribution` brings one for any CPU",
-        )
-    wanted = name if name is not None else os.environ.get("STEREOGS_DEVICE")
-    if wanted:
-        for device in devices:
-            if wanted.lower() in f"{device.platform} {device.name}".lower():
-                return device
-        found = ", ".join(f"{d.name!r} ({d.platform})" for d in devices)
-        raise DeviceError(f"no OpenCL device is named {wanted!r}", fix=f"choose one of: {found}")
-    return min(devices, key=lambda device: {"gpu": 0, "accelerator": 1, "cpu": 2}[device.kind])
+    described = [device.describe(index) for index, device in enumerate(devices)]
+    return devices[choose(described, name, _seconds)]
+
+
+@cache
+def _seconds() -> list[float]:
+    """Time of an iteration on each device."""
+    devices = list_devices()
+    _log.info("timing %d OpenCL devices, once for each driver", len(devices))
+    return seconds_of([device.describe(index) for index, device in enumerate(devices)])
 
 
 @cache

@@ -65,6 +65,7 @@ class DeviceMemory:
     Attributes:
         name, platform, driver: as reported by the driver.
         memory_bytes: size of the device's memory.
+        buffer_bytes: size of the largest buffer that the driver allocates.
         shares_memory: If True, device buffers are host memory, which torch accesses without a copy.
         bytes_moved: Bytes copied between the host and a device that does not share memory.
         lock: held while a kernel is enqueued, and by the owner of scratch memory while it is in use.
@@ -77,6 +78,7 @@ class DeviceMemory:
         self.platform = handle.platform.name.strip()
         self.driver = handle.driver_version.strip()
         self.memory_bytes = int(handle.global_mem_size)
+        self.buffer_bytes = int(handle.max_mem_alloc_size)
         self.shares_memory = shares_memory
         self.bytes_moved = 0
         self.lock = RLock()
@@ -132,10 +134,16 @@ class DeviceMemory:
             A buffer of `elements` elements and, where memory is shared, the flat tensor behind it.
 
         Raises:
-            MemoryBudgetError: the allocation failed.
+            MemoryBudgetError: the allocation failed, or the driver allows no buffer of this size.
         """
         flags: int = cl.mem_flags.READ_WRITE
         size = elements * dtype.itemsize
+        if size > self.buffer_bytes:
+            raise MemoryBudgetError(
+                f"a buffer of {size / 2**20:,.0f} MB is too large for the device {self.name!r}",
+                where=f"its driver allocates at most {self.buffer_bytes / 2**20:,.0f} MB at once",
+                fix=f"use {self.buffer_bytes / size:.0%} as many Gaussians or pixels, or another device",
+            )
         try:
             if not self.shares_memory:
                 return cl.Buffer(self.context, flags, size=size), None

@@ -2,7 +2,8 @@
 
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
-from .model import GaussianModel, ModelReader
+from .engine import Engine, Model, Optimizer
+from .model import GaussianModel, ModelReader, OpenCLEngine, engine_on
 from .photometric import photometric_loss
 from .topology import apply_edit, shared_among_copies
 
@@ -10,10 +11,15 @@ __all__ = [
     "Adam",
     "Carried",
     "Edit",
+    "Engine",
     "GaussianModel",
+    "Model",
     "ModelReader",
+    "OpenCLEngine",
+    "Optimizer",
     "Relocation",
     "apply_edit",
+    "engine_on",
     "photometric_loss",
     "shared_among_copies",
 ]

@@ -1,9 +1,10 @@
-"""Gaussians that are trained on an OpenCL device, and a read-only view of them."""
+"""The OpenCL engine: Gaussians that are trained on a device, and a read-only view of them."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -12,11 +13,16 @@ from ..camera import Camera
 from ..device import Device, open_device
 from ..errors import GaussianError
 from ..gaussians import Gaussians
-from ..layout import PARAMETERS, padded
+from ..layout import PARAMETER_GROUPS, PARAMETERS, padded
 from ..raster import DILATION, NEAR_PLANE, Footprint, Renderer, RenderRequest, pack
 from ..rendering import Rendering
+from .adam import Adam
 from .autograd import ACTIVATED, ParameterFunction, RenderFunction
+from .edit import Carried, Edit
+from .engine import Engine, Model
+from .photometric import photometric_loss
 from .storage import GaussianStorage
+from .topology import apply_edit
 
 
 class GaussianModel(GaussianStorage):
@@ -54,6 +60,20 @@ class GaussianModel(GaussianStorage):
         self.anchor = torch.zeros((), requires_grad=True)
         rows = pack(gaussians, dtype, padded(count))
         super().__init__(device, dtype, gaussians.sh_degree, rows, count)
+
+    @property
+    def engine(self) -> OpenCLEngine:
+        """The engine that this model belongs to."""
+        return OpenCLEngine(self.device)
+
+    @property
+    def backward_passes(self) -> int:
+        """Number of backward passes that have written gradients."""
+        return self.gradients.writes
+
+    def gradient_of_renders(self, group: str) -> Tensor:
+        """The gradient of a group of `PARAMETER_GROUPS` from renders only, `[rows, N]`."""
+        return self.gradients.of_renders(*PARAMETER_GROUPS[group])[:, : self.count]
 
     def opacities(self) -> Tensor:
         """Activated opacities `[N]` in (0, 1)."""
@@ -157,13 +177,62 @@ class GaussianModel(GaussianStorage):
         )
 
 
+@dataclass(frozen=True)
+class OpenCLEngine:
+    """Implements `Engine` on one OpenCL device."""
+
+    device: Device
+
+    @property
+    def name(self) -> str:
+        """Name in provenance.json."""
+        return "opencl"
+
+    def model(
+        self,
+        gaussians: Gaussians,
+        *,
+        dilation: float = DILATION,
+        compensate_dilation: bool = False,
+    ) -> GaussianModel:
+        """Store Gaussians on the device; see `GaussianModel`."""
+        return GaussianModel(
+            gaussians, self.device, dilation=dilation, compensate_dilation=compensate_dilation
+        )
+
+    def optimizer(self, model: GaussianModel) -> Adam:
+        """Adam for a model."""
+        return Adam(model)
+
+    def loss(
+        self,
+        image: Tensor | Rendering,
+        target: Tensor,
+        ssim_weight: float,
+        l1_weight: float | None = None,
+    ) -> Tensor:
+        """See `photometric_loss`."""
+        return photometric_loss(image, target, ssim_weight, l1_weight=l1_weight, device=self.device)
+
+    def edit(
+        self, model: GaussianModel, optimizer: Adam, edit: Edit, generator: torch.Generator
+    ) -> Carried:
+        """See `apply_edit`."""
+        return apply_edit(model, optimizer, edit, generator)
+
+
+def engine_on(device: Device | Engine) -> Engine:
+    """The OpenCL engine of a device; an engine is returned as it is."""
+    return OpenCLEngine(device) if isinstance(device, Device) else device
+
+
 class ModelReader:
-    """A read-only view of a `GaussianModel`.
+    """A read-only view of a model of any engine.
 
     It follows the model: each call returns the current state. Returned tensors are copies.
     """
 
-    def __init__(self, model: GaussianModel) -> None:
+    def __init__(self, model: Model) -> None:
         self._model = model
 
     @property
@@ -173,8 +242,8 @@ class ModelReader:
 
     @property
     def device(self) -> Device:
-        """Device that stores them."""
-        return self._model.device
+        """OpenCL device of the engine."""
+        return self._model.engine.device
 
     @property
     def sh_degree(self) -> int:

@@ -13,7 +13,7 @@ from ..layout import padded, rows_of
 from ..raster import pack
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
-from .model import GaussianModel
+from .storage import GaussianStorage
 
 _GROUP = 64
 _LARGEST_LOGIT = 16.0
@@ -22,7 +22,7 @@ _LARGEST_LOGIT = 16.0
 
 
 def apply_edit(
-    model: GaussianModel, optimizer: Adam, edit: Edit, generator: torch.Generator
+    model: GaussianStorage, optimizer: Adam, edit: Edit, generator: torch.Generator
 ) -> Carried:
     """Apply an edit to the parameters and the optimizer's moments.
 
@@ -98,7 +98,7 @@ class _Plan:
         self.restarted[: len(kept)] |= restarted[kept]
 
 
-def _share(model: GaussianModel, move: Relocation, plan: _Plan, parameters: DeviceArray) -> None:
+def _share(model: GaussianStorage, move: Relocation, plan: _Plan, parameters: DeviceArray) -> None:
     """Set the opacities and scales of relocation sources and their copies."""
     copies = 1 + torch.bincount(move.source, minlength=model.count)
     shared = (copies > 1).nonzero()[:, 0]
@@ -145,7 +145,7 @@ def shared_among_copies(opacity_logits: Tensor, copies: Tensor) -> tuple[Tensor,
 class _Mover:
     """Gathers columns of device arrays by a plan, and initializes new ones."""
 
-    def __init__(self, model: GaussianModel, plan: _Plan) -> None:
+    def __init__(self, model: GaussianStorage, plan: _Plan) -> None:
         self._device, self._dtype = model.device, model.dtype
         self._program: Program = model.device.program(
             "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP

@@ -24,10 +24,19 @@ class Budget:
         table: smallest row length of the tables of counts; the number of tiles may exceed it.
         chunks: rows of those tables.
         lanes: Gaussians per block.
+        largest_buffer: bytes that the driver allocates at once.
     """
 
-    def __init__(self, limit: int, dtype: torch.dtype, table: int, chunks: int, lanes: int) -> None:
-        self.limit = limit
+    def __init__(
+        self,
+        limit: int,
+        dtype: torch.dtype,
+        table: int,
+        chunks: int,
+        lanes: int,
+        largest_buffer: int,
+    ) -> None:
+        self.limit, self._largest_buffer = limit, largest_buffer
         self._real = dtype.itemsize
         self._table, self._chunks, self._lanes = table, chunks, lanes
 
@@ -56,7 +65,8 @@ class Budget:
             raise self._exceeded(
                 frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"
             )
-        return min(PAIR_LIMIT, (self.limit - needed) // self.bytes_of_pair)
+        in_one_buffer = self._largest_buffer // (RECORD * self._real)
+        return min(PAIR_LIMIT, in_one_buffer, (self.limit - needed) // self.bytes_of_pair)
 
     def grown(self, frame: Frame, block: Block) -> int:
         """New capacity for the pairs that a render has, with a margin.
@@ -70,7 +80,7 @@ class Budget:
                 frame,
                 block,
                 f"has more than {frame.pair_limit:,} (tile, Gaussian) pairs, which need {needed:,.0f} MB "
-                "next to the images",
+                f"next to the images, at most {self._largest_buffer / 2**20:,.0f} MB in one buffer",
             )
         return min(frame.pairs + frame.pairs // 4, frame.pair_limit)
 

@@ -61,6 +61,7 @@ class Renderer:
             BUCKETS,
             chunks_of(device),
             device.lanes,
+            device.buffer_bytes,
         )
         self._lists = TileLists(device)
         self.programs = RasterPrograms(
@@ -151,6 +152,8 @@ class Renderer:
             if wants_pose:
                 program = self.programs.projection(frame.request)
                 pose_gradient = self._poses.gradient(program, block, camera)
+            # Some drivers start no kernel before a flush or a wait.
+            self.device.queue.flush()
             return pose_gradient
 
     def _raster_backward(
@@ -228,9 +231,17 @@ class Renderer:
         reserve("transmittance", self.dtype, camera.width * camera.height)
         reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
-        self._send(frame, "camera", request.camera_block().to(self._wide))
+        self._send(frame, "camera", self._camera_numbers(request))
         if request.is_modified:
             self._send(frame, "modifiers", request.modifier_rows(capacity, self.dtype).flatten())
+
+    def _camera_numbers(self, request: RenderRequest) -> Tensor:
+        """The camera block and, on a device without double, its rounding errors."""
+        exact = request.camera_block()
+        values = exact.to(self._wide)
+        return (
+            values if self.device.supports_double else torch.cat((values, (exact - values).float()))
+        )
 
     def _send(self, frame: Frame, name: str, values: Tensor) -> None:
         """Send values in new memory, without waiting for kernels that read the last render's."""

@@ -17,7 +17,7 @@ from ..errors import PluginError
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import GaussianModel, Rendering
+    from core_rasterizer import Model, Rendering
 
     from ..contract.scene import DepthMap, Scene, TrainingScene
 
@@ -35,7 +35,7 @@ class ReadOnlyGuard:
     """
 
     tensors: Mapping[str, Tensor] = field(default_factory=dict)
-    models: tuple[GaussianModel, ...] = ()
+    models: tuple[Model, ...] = ()
     renderings: tuple[Rendering, ...] = ()
 
     def __add__(self, other: ReadOnlyGuard) -> ReadOnlyGuard:
@@ -57,12 +57,12 @@ class ReadOnlyGuard:
         """
         tensors = {**self.tensors, **self._images(fetch=every_bit)}
         marks = {name: _mark(tensor) for name, tensor in tensors.items()}
-        passes = [model.gradients.writes for model in self.models]
+        passes = [model.backward_passes for model in self.models]
         copies = {name: t.detach().clone() for name, t in tensors.items()} if every_bit else {}
         compared = self.models if every_bit else ()
-        gaussians = [model.parameters.read().clone() for model in compared]
+        gaussians = [vars(model.gaussians()) for model in compared]
         yield
-        if passes != [model.gradients.writes for model in self.models]:
+        if passes != [model.backward_passes for model in self.models]:
             raise PluginError(
                 "it ran a backward pass into the Gaussians: others' gradients would be wrong",
                 fix="return the loss, and leave `backward` to the host",
@@ -79,7 +79,7 @@ class ReadOnlyGuard:
             if after != before or (copies and not _same(tensor, copies[name])):
                 raise _overwritten(name)
         for model, parameters in zip(compared, gaussians, strict=True):
-            if not _same(model.parameters.read(), parameters):
+            if not all(_same(model.read(name), values) for name, values in parameters.items()):
                 raise _overwritten("the Gaussians")
 
     def _images(self, fetch: bool = False) -> dict[str, Tensor]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from core_rasterizer import Device
+from core_rasterizer import Device, Engine
 
 from ..calls.read_only_guard import NOTHING, ReadOnlyGuard, are_checked
 from ..contract.checks.answers import check_carried, check_state
@@ -66,7 +66,7 @@ class Parts:
     """
 
     def __init__(
-        self, pipeline: Pipeline, device: Device, constructed: Iterable[Part] = ()
+        self, pipeline: Pipeline, device: Device | Engine, constructed: Iterable[Part] = ()
     ) -> None:
         self._pipeline, self._device = pipeline, device
         self._constructed = {part.item.qualified_name: part for part in constructed}
@@ -187,10 +187,11 @@ class Parts:
                 part.component.restore(own)
 
 
-def build_part(item: Item, seed: int, device: Device, *, field: int = 0) -> Part:
+def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0) -> Part:
     """Build one component, with a seed derived from `seed` and its name.
 
     Args:
+        device: the component gets the device of an engine.
         field: number of its field of Gaussians.
 
     Raises:
@@ -198,6 +199,7 @@ def build_part(item: Item, seed: int, device: Device, *, field: int = 0) -> Part
     """
     name = f"{item.qualified_name}/{field}" if field else item.qualified_name
     own_seed = derived_seed(seed, name)
+    device = device if isinstance(device, Device) else device.device
     context = Context(item.name, own_seed, device, partial(at_work, item, own_seed))
     with context.at_work():
         component: Component[Any] = item.offer.component(item.settings, context)

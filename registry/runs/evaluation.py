@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering
+from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering
 
 from ..calls.copies import copied
 from ..contract.checks.answers import check_score
@@ -79,7 +79,7 @@ class Scores:
 
 
 def evaluate(
-    model: GaussianModel,
+    model: Model,
     scene: Scene,
     views: Iterable[View],
     metrics: Sequence[Part],
@@ -155,10 +155,10 @@ def average_error(psnr: float, ssim: float, lpips: float) -> float:
 
 
 def clamped_render(
-    model: GaussianModel, camera: Camera, background: tuple[float, float, float]
+    model: Model, camera: Camera, background: tuple[float, float, float]
 ) -> Rendering:
     """Render a camera without gradients, colours clamped to [0, 1]."""
-    return model.reader().render(camera, background=background)
+    return GaussianReader(model).render(camera, background=background)
 
 
 def as_arrays(rendering: Rendering) -> Picture:

@@ -14,7 +14,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from core_rasterizer import Device, ExplainedError, Gaussians
+from core_rasterizer import Device, Engine, ExplainedError, Gaussians
 
 from ..contract.checks.scene import validate
 from ..contract.hook_points import HOOK_POINTS
@@ -51,7 +51,7 @@ def open_run(
     path: Path,
     *,
     plugins: Plugins,
-    device: Device,
+    device: Device | Engine,
     scene: Scene | None = None,
     accept_changed_inputs: bool = False,
     to_train: bool = True,
@@ -212,8 +212,8 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    device = run.model.device
-    trainer = _trainer(newest, run.pipeline, Parts(run.pipeline, device), run.scene, device)
+    engine = run.model.engine
+    trainer = _trainer(newest, run.pipeline, Parts(run.pipeline, engine), run.scene, engine)
     try:
         for done in trainer.run():
             if done.number == last:
@@ -227,7 +227,7 @@ def replay(
     place: Path,
     *,
     plugins: Plugins,
-    device: Device,
+    device: Device | Engine,
     accept_changed_inputs: bool = False,
 ) -> Failure:
     """Repeat an iteration that failed.
@@ -268,7 +268,11 @@ def replay(
 
 
 def _trainer(
-    checkpoint: Checkpoint, pipeline: Pipeline, parts: Parts, scene: Scene, device: Device
+    checkpoint: Checkpoint,
+    pipeline: Pipeline,
+    parts: Parts,
+    scene: Scene,
+    device: Device | Engine,
 ) -> Trainer:
     """Return a new trainer that continues after a checkpoint."""
     model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)

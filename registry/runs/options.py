@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from core_rasterizer import Device, Gaussians
+    from core_rasterizer import Device, Engine, Gaussians
 
     from ..contract.scene import PointCloud, Scene
     from ..pipeline.parts import Parts
@@ -28,7 +28,7 @@ class InitialState:
         scene: the training and test views.
         points: output of the initializer.
         gaussians: initial Gaussians, created from the points.
-        device: device of the run.
+        device: device or engine of the run.
     """
 
     pipeline: Pipeline
@@ -36,7 +36,7 @@ class InitialState:
     scene: Scene
     points: PointCloud
     gaussians: Gaussians
-    device: Device
+    device: Device | Engine
 
     def of(self, pipeline: Pipeline) -> InitialState:
         """Return the state that another pipeline starts from with the same points."""
@@ -76,7 +76,7 @@ class RunOptions:
         progress: whether to print progress, or the console to print it on.
         on_begin: called with the run before the first iteration.
         callback: called after each iteration; training stops after one for which it returns False.
-        device: the OpenCL device or part of its name; None chooses one.
+        device: the OpenCL device, part of its name, or another engine; None chooses a device.
         check_plugins: compares all data that components receive before and after each call (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
@@ -89,7 +89,7 @@ class RunOptions:
     progress: bool | Console = True
     on_begin: Callable[[Run], None] | None = None
     callback: Callable[[Iteration], bool | None] | None = None
-    device: Device | str | None = None
+    device: Device | Engine | str | None = None
     check_plugins: bool = False
     hang_after: float | None = None
     fit: Plan = field(default_factory=Plan)
@@ -105,8 +105,8 @@ class RunOptions:
         return PlainConsole(markup=False, highlight=False, soft_wrap=True, quiet=not self.progress)
 
 
-def find_device(device: Device | str | None) -> Device:
-    """Return the device itself, the one with this name, or for None a chosen one."""
+def find_device(device: Device | Engine | str | None) -> Device | Engine:
+    """Return the device or engine itself, the device with this name, or for None a chosen one."""
     from core_rasterizer import open_device
 
     return open_device(device) if device is None or isinstance(device, str) else device

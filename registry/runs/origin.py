@@ -21,7 +21,7 @@ from urllib.request import url2pathname
 
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError
+from core_rasterizer import Device, Engine, ExplainedError
 
 from ..contract.scene import Scene
 from ..errors import RunError
@@ -112,7 +112,7 @@ def listed(names: tuple[str, ...]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
-def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
+def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
     """Return the current software, machine and command line, as JSON values."""
     offers = {item.qualified_name: item.offer for item in pipeline}
     authors = dict.fromkeys(offer.distribution for offer in offers.values())
@@ -121,7 +121,8 @@ def circumstances(pipeline: Pipeline, device: Device) -> dict[str, Any]:
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
-        "device": describe_device(device),
+        "engine": engine.name,
+        "device": describe_device(engine.device),
         "platform": platform.platform(),
         "processor": platform.machine(),
         "python": sys.version.split()[0],

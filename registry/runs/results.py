@@ -20,7 +20,7 @@ from ..messages.visible_text import visible
 from ..system.files import jsonable
 
 if TYPE_CHECKING:
-    from core_rasterizer import GaussianModel
+    from core_rasterizer import Model
 
     from ..contract.scene import Scene
     from ..pipeline.pipeline import Item, Pipeline
@@ -132,7 +132,7 @@ class Results(Record):
         return self.model_dump(exclude_unset=True)
 
 
-def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: int) -> Results:
+def describe(pipeline: Pipeline, scene: Scene, model: Model, iteration: int) -> Results:
     """Return results with what was trained on what, without scores and times."""
     from .origin import describe_device, foreign_package
 
@@ -143,7 +143,7 @@ def describe(pipeline: Pipeline, scene: Scene, model: GaussianModel, iteration: 
         scene=_scene(scene),
         metrics=_metrics(pipeline.items["metrics"]),
         packages={name: package for name, package in packages.items() if package},
-        device=describe_device(model.device),
+        device=describe_device(model.engine.device),
         seed=pipeline.training.seed,
         iterations=iteration,
         gaussians=model.count,

@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from torch import Tensor
 
-from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
+from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering, save_ply
 
 from ..calls.copies import copied
 from ..contract.scene import Scene
@@ -84,7 +84,7 @@ class Run:
     pipeline: Pipeline
     parts: Parts
     scene: Scene
-    model: GaussianModel
+    model: Model
     checkpoint: Callable[[], Checkpoint]
     iteration: int = 0
     initialization: dict[str, Any] = field(default_factory=dict)
@@ -184,7 +184,7 @@ class Run:
         provenance = {
             "run": self.identity,
             "seed": self.pipeline.training.seed,
-            **circumstances(self.pipeline, self.model.device),
+            **circumstances(self.pipeline, self.model.engine),
             "resumed": [],
         }
 
@@ -348,7 +348,7 @@ class Run:
         progress("files")
         results.exports, failures = self._outputs(
             exporters,
-            lambda exporter: exporter.export(self.model.reader(), copied(self.scene), place),
+            lambda exporter: exporter.export(GaussianReader(self.model), copied(self.scene), place),
         )
         results.failures += failures
         folder.write_results(results)  # for the reports

@@ -127,7 +127,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         run.checkpoint = lambda: _checkpoint(run, trainer)
         folder.forget_metrics_after(checkpoint.iteration)
         folder.note_resumption(
-            {"after": checkpoint.iteration, **circumstances(run.pipeline, device)}
+            {"after": checkpoint.iteration, **circumstances(run.pipeline, run.model.engine)}
         )
         console.print(
             f"continuing after iteration {checkpoint.iteration} of "

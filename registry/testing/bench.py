@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Device, ExplainedError, GaussianModel, photometric_loss
+from core_rasterizer import Device, ExplainedError, GaussianReader, Model, photometric_loss
 
 from .. import priors as prior_bases
 from ..contract.prior import Prior
@@ -90,7 +90,7 @@ class Bench:
         """Return the initial points, which no camera sees if the size says so."""
         return points_of(self.size)
 
-    def model(self) -> GaussianModel:
+    def model(self) -> Model:
         """Return new Gaussians at the points."""
         return new_model(initial_gaussians(self.points(), _SETTINGS), _SETTINGS, self.device)
 
@@ -119,7 +119,7 @@ class Bench:
         camera = step.sample.camera
         rendering = model.render(camera, collect_statistics=True, collect_absolute=absolute)
         render = step_renderer(other, step.sample, gradients=False)
-        step.rendered(lambda: rendering, (OtherField(1, other.reader(), render(camera), render),))
+        step.rendered(lambda: rendering, (OtherField(1, GaussianReader(other), render(camera), render),))
         return step
 
     def after_backward(self, *, absolute: bool = False) -> Step:
@@ -128,7 +128,7 @@ class Bench:
         photometric_loss(step.rendering.rgb, step.sample.target, device=self.device).backward()
         return step
 
-    def _step(self, model: GaussianModel) -> Step:
+    def _step(self, model: Model) -> Step:
         return step_of(
             model,
             self.scene,

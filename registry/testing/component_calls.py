@@ -15,7 +15,7 @@ from uuid import uuid4
 import torch
 from torch import Tensor
 
-from core_rasterizer import Rendering
+from core_rasterizer import GaussianReader, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 
 from ..contract.checks.answers import (
@@ -179,7 +179,7 @@ def _render_of(view: View, depth_factor: float) -> Rendering:
 
 def _exporter(bench: Bench, built: Any) -> Any:
     with tempfile.TemporaryDirectory() as name:
-        files = bench.call(built.export, bench.model().reader(), bench.scene, Path(name))
+        files = bench.call(built.export, GaussianReader(bench.model()), bench.scene, Path(name))
         require_files(files)
         return [(file.name, file.read_bytes()) for file in sorted(files)]
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Edit, GaussianModel, Gaussians, Relocation, Rendering
+from core_rasterizer import Camera, Edit, GaussianReader, Gaussians, Model, Relocation, Rendering
 
 from ..contract.checks.scene import validate
 from ..contract.component import Component, Settings
@@ -97,7 +97,7 @@ def points_of(size: Size) -> PointCloud:
 
 
 def step_of(
-    model: GaussianModel,
+    model: Model,
     scene: Scene,
     *,
     rendering: Rendering | None = None,
@@ -137,7 +137,7 @@ def step_of(
         iterations=iterations,
         scene=known,
         sample=sample,
-        model=model.reader(),
+        model=GaussianReader(model),
         extent=extent,
         priors=priors or {},
         render=step_renderer(model, sample),

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, Edit, GaussianModel, Rendering, apply_edit
+from core_rasterizer import Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.read_only_guard import ReadOnlyGuard, of_kinds, of_maps, of_rendering, of_scene
@@ -91,7 +91,7 @@ class Field:
         scene: TrainingScene,
         maps: Mapping[str, DepthMap],
         parts: Parts,
-        model: GaussianModel,
+        model: Model,
         index: int,
         kinds: Mapping[str, Tensor] | None = None,
     ) -> None:
@@ -99,7 +99,7 @@ class Field:
         self.prefix = f"field{index}/" if index else ""
         self.kinds = dict(kinds or {})
         self.logged: dict[str, float] = {}
-        self.optimizer = Adam(model)
+        self.optimizer = model.engine.optimizer(model)
         self._settings, self._scene, self._maps = settings, scene, maps
         self._inputs = of_scene(scene) + of_maps(maps)
         for part in parts.training:
@@ -107,7 +107,7 @@ class Field:
                 part.component.begin_training(scene)
         self.parameters = ComponentParameters(parts)
         self._trained = [model.anchor, *self.parameters.tensors]
-        self._extent, self._reader = scene.extent, model.reader()
+        self._extent, self._reader = scene.extent, GaussianReader(model)
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
         self._no_gradient: str | None = None
@@ -249,7 +249,7 @@ class Field:
                 self.model.statistics.reset()
                 continue
             with blame(part.item, iteration):
-                carried = apply_edit(self.model, self.optimizer, edit, self._topology)
+                carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
             self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
             self.parts.carry(carried.source, carried.fresh, count, iteration)

@@ -17,9 +17,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import ExplainedError, GaussianModel, Rendering, photometric_loss
+from core_rasterizer import ExplainedError, Model, Rendering
 from core_rasterizer.gaussians import undefined_places
-from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.read_only_guard import ReadOnlyGuard, are_checked
 from ..calls.watchdog import Hang
@@ -53,7 +52,7 @@ class Term:
 
 
 def photometric_term(
-    settings: TrainingSettings, shown: Tensor | Rendering, step: Step, model: GaussianModel
+    settings: TrainingSettings, shown: Tensor | Rendering, step: Step, model: Model
 ) -> Term:
     """Return L1 and D-SSIM between colours, or a render, and the target of the iteration.
 
@@ -61,12 +60,8 @@ def photometric_term(
         RunError: the colours are not finite.
     """
     try:
-        loss = photometric_loss(
-            shown,
-            step.sample.target,
-            settings.ssim_weight,
-            l1_weight=settings.l1_weight,
-            device=model.device,
+        loss = model.engine.loss(
+            shown, step.sample.target, settings.ssim_weight, settings.l1_weight
         )
     except ExplainedError as error:
         raise RunError(
@@ -97,7 +92,7 @@ def regularizing_term(
     return Term(part.item, part.item.host.weight * term)
 
 
-def without_gradient(model: GaussianModel, rendering: Rendering) -> str | None:
+def without_gradient(model: Model, rendering: Rendering) -> str | None:
     """Return the likely cause and a remedy if almost no visible Gaussian's colour has a gradient, else None.
 
     Args:
@@ -105,8 +100,8 @@ def without_gradient(model: GaussianModel, rendering: Rendering) -> str | None:
         rendering: of the same iteration.
     """
     visible = int(rendering.visible.sum())
-    colors = model.gradients.of_renders(*PARAMETER_GROUPS["sh_constant"])
-    if int(colors[:, : model.count].any(dim=0).sum()) > FEW * visible:
+    colors = model.gradient_of_renders("sh_constant")
+    if int(colors.any(dim=0).sum()) > FEW * visible:
         return None
     if visible:
         return (
@@ -123,7 +118,7 @@ def without_gradient(model: GaussianModel, rendering: Rendering) -> str | None:
 def backward(
     terms: Sequence[Term],
     iteration: int,
-    model: GaussianModel,
+    model: Model,
     parameters: ComponentParameters,
     lent: ReadOnlyGuard,
     colors: Sequence[tuple[Item, Tensor]] = (),
@@ -173,7 +168,7 @@ def in_iteration(iteration: int) -> Iterator[None]:
         raise
 
 
-def zero_gradients(model: GaussianModel, parameters: ComponentParameters) -> None:
+def zero_gradients(model: Model, parameters: ComponentParameters) -> None:
     """Clear the gradients of the Gaussians and of the components' parameters."""
     model.zero_gradients()
     parameters.zero_gradients()
@@ -193,7 +188,7 @@ def _refuse_loss(terms: Sequence[Term], iteration: int) -> None:
 def _differentiate_each(
     terms: Sequence[Term],
     iteration: int,
-    model: GaussianModel,
+    model: Model,
     parameters: ComponentParameters,
     kept: ReadOnlyGuard,
     colors: Sequence[tuple[Item, Tensor]],

@@ -7,7 +7,7 @@ import json
 import torch
 from torch import Tensor
 
-from core_rasterizer import Device, GaussianModel, Gaussians
+from core_rasterizer import Device, Engine, Gaussians, Model, engine_on
 
 from ..contract.checks.scene import check_points, is_file_name
 from ..contract.scene import PointCloud
@@ -45,15 +45,17 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
     )
 
 
-def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device) -> GaussianModel:
-    """Return Gaussians on a device, with the rendering options of the settings.
+def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device | Engine) -> Model:
+    """Return Gaussians in an engine, with the rendering options of the settings.
+
+    Args:
+        device: stands for its OpenCL engine.
 
     Raises:
         GaussianError: a parameter is not finite.
     """
-    return GaussianModel(
+    return engine_on(device).model(
         gaussians,
-        device,
         dilation=settings.dilation,
         compensate_dilation=settings.compensate_dilation,
     )

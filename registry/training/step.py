@@ -8,13 +8,13 @@ from math import cos, pi
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, GaussianModel, Rendering
+from core_rasterizer import Camera, Model, Rendering
 
 from ..contract.step import Render, Sample
 from ..pipeline.training_settings import TrainingSettings
 
 
-def step_renderer(model: GaussianModel, sample: Sample, *, gradients: bool = True) -> Render:
+def step_renderer(model: Model, sample: Sample, *, gradients: bool = True) -> Render:
     """Return the implementation of `step.render`; see `registry.contract.step.Render`.
 
     Args:

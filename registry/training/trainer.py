@@ -15,7 +15,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from core_rasterizer import GaussianError, GaussianModel, Gaussians
+from core_rasterizer import GaussianError, Gaussians, Model
 
 from ..contract.scene import DepthMap, Scene
 from ..errors import RunError
@@ -65,7 +65,7 @@ class Trainer:
         settings: TrainingSettings,
         parts: Parts,
         scene: Scene,
-        model: GaussianModel,
+        model: Model,
         maps: Mapping[str, DepthMap] | None = None,
         kinds: Mapping[str, Tensor] | None = None,
     ) -> None:
@@ -75,7 +75,7 @@ class Trainer:
         self._new_field = partial(Field, settings, known, self._maps)
         self.fields = [self._new_field(parts, model, 0, kinds)]
         for index in range(1, settings.fields):
-            twin = new_model(model.gaussians(), settings, model.device)
+            twin = new_model(model.gaussians(), settings, model.engine)
             self.fields.append(self._new_field(parts.for_field(index), twin, index, kinds))
         self._train = known.train
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
@@ -156,7 +156,7 @@ class Trainer:
         for index, one in enumerate(self.fields):
             if index:
                 gaussians = Gaussians(**part(f"{one.prefix}model"))
-                model = new_model(gaussians, self.settings, self.model.device)
+                model = new_model(gaussians, self.settings, self.model.engine)
                 one = self.fields[index] = self._new_field(one.parts, model, index)
             one.restore(part)
 
@@ -195,7 +195,7 @@ def resumed(
     settings: TrainingSettings,
     parts: Parts,
     scene: Scene,
-    model: GaussianModel,
+    model: Model,
 ) -> Trainer:
     """Return a trainer that continues after a checkpoint, whose Gaussians the model holds.
 

@@ -1,14 +1,20 @@
-"""Tests of the engine run on every OpenCL device, with both raster variants."""
+"""Tests of the engine run on every OpenCL device, or on those that STEREOGS_DEVICE names, with both raster
+variants."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+
 import pytest
 
-from core_rasterizer import Device, list_devices
+from core_rasterizer import Device, DeviceError, list_devices
 
 
 def _engines() -> list[Device]:
-    return [device.as_variant(variant) for device in list_devices() for variant in ("cpu", "gpu")]
+    wanted = os.environ.get("STEREOGS_DEVICE", "")
+    devices = [device for device in list_devices() if device.describe(0).is_named(wanted)]
+    return [device.as_variant(variant) for device in devices for variant in ("cpu", "gpu")]
 
 
 def _label(device: Device) -> str:
@@ -20,3 +26,14 @@ def device(request: pytest.FixtureRequest) -> Device:
     """A device with one of the two raster variants."""
     chosen: Device = request.param
     return chosen
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Skip what needs double precision where the device lacks it."""
+    try:
+        yield
+    except DeviceError as error:
+        if "does not support double precision" in error.what:
+            pytest.skip(error.what)
+        raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 
+import pyopencl as cl
 import pytest
 import torch
 
@@ -110,7 +111,32 @@ def test_a_gaussian_in_the_last_of_very_many_tiles(device: Device) -> None:
     assert alpha.count_nonzero() == 4
 
 
-def test_an_allocation_failure_is_explained(device: Device) -> None:
+def test_an_allocation_failure_is_explained(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise cl.RuntimeError("clCreateBuffer failed: OUT_OF_RESOURCES")
+
+    monkeypatch.setattr(cl, "Buffer", fail)
     with pytest.raises(MemoryBudgetError, match="could not allocate") as error:
-        DeviceArray(device.as_discrete(), (2**50,))
+        DeviceArray(device.as_discrete(), (16,))
     assert "in total" in error.value.where
+
+
+def test_a_buffer_larger_than_the_driver_allows_is_refused_with_numbers(device: Device) -> None:
+    small = device.as_discrete()
+    small.buffer_bytes = 2**20
+    with pytest.raises(MemoryBudgetError, match="a buffer of 4 MB is too large") as error:
+        DeviceArray(small, (2**20,))
+    assert "at most 1 MB at once" in error.value.where
+    assert "25% as many Gaussians" in error.value.fix
+    with pytest.raises(MemoryBudgetError, match="is too large"):
+        block_of(small, 20_000)  # 14 rows of 80 KB
+
+
+def test_pairs_that_do_not_fit_into_one_buffer_are_refused(device: Device) -> None:
+    view, small = view_of(500, 400), device.as_variant(device.variant)
+    small.buffer_bytes = 3 * 2**20
+    block = block_of(small, 3000, log_scale=6.0)
+    with pytest.raises(MemoryBudgetError, match="at most 3 MB in one buffer"):
+        Renderer(small).forward(block, view)

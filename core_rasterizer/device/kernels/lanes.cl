@@ -78,8 +78,9 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
 #endif
 
-/* Prefetch a cache line on a CPU, to read or to write. Any address is valid. */
-#if LANES > 1
+/* Prefetch a cache line on a CPU, to read or to write. Any address is valid. Compilers that target SPIR-V do
+ * not know the builtin, and Mesa's exits the process. */
+#if LANES > 1 && (defined(__x86_64__) || defined(__aarch64__))
 #define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
 #define PREFETCH_TO_WRITE(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 1)
 #else
@@ -96,6 +97,7 @@ typedef double wide;
 #else
 typedef real wide;
 #define WIDE_NAME REAL_NAME
+#define NO_DOUBLE /* projection.cl adds pairs of floats */
 #endif
 #if LANES == 1
 typedef wide wide_lane;

@@ -25,9 +25,11 @@ static inline void consider(
     const lane_int column = x + right;
     if (row < 0 || row >= height)
         return;
-    const lane_int at = row * width + limited(column, width - 1);
+    /* Beyond the image its own place: at the edge is a pixel of its colour, which another work-item writes. */
+    const lane_int inside = (column >= 0) & (column < width);
+    const lane_int at = inside ? row * width + column : y * width + x;
     const lane cost = gather_real(costs, at);
-    const lane_int better = (column >= 0) & (column < width) & (cost < best->cost);
+    const lane_int better = inside & (cost < best->cost);
     best->cost = better ? cost : best->cost;
     best->right = better ? (lane)right : best->right;
     best->down = better ? (lane)down : best->down;

@@ -120,15 +120,91 @@ static inline void filter_opacity(projected *g)
 #endif
 }
 
-/* Twin: reference.py, `project`. Without culling; values behind the camera are meaningless. */
-static inline void project_block(
-    projected *g, __global const real *parameters, size_t capacity, size_t i,
-    __global const wide *camera, __global const real *modifiers, int modified, int activated)
+#ifdef NO_DOUBLE
+/* An unevaluated sum of two floats, about 36 bits. Products are split into exact parts, so the results do not
+ * depend on whether the compiler contracts multiplications and additions. */
+typedef struct {
+    lane high, low;
+} pair;
+
+/* The 12 leading bits; the rest has 12 bits too, so products of two parts are exact. */
+static inline lane leading_bits(lane x)
 {
-    __global const real *row = parameters + i;
-    const lane mx = LOAD_GLOBAL(row + ROW_MEAN * capacity),
-               my = LOAD_GLOBAL(row + (ROW_MEAN + 1) * capacity),
-               mz = LOAD_GLOBAL(row + (ROW_MEAN + 2) * capacity);
+    const lane_mask bits = *(const lane_mask *)&x & (lane_mask)0xFFFFF000;
+    return *(const lane *)&bits;
+}
+
+/* Knuth's exact sum of two floats, and the rest of the terms. */
+static inline pair add_float(pair sum, lane x)
+{
+    const lane total = sum.high + x, added = total - sum.high;
+    const pair result = {total, sum.low + ((sum.high - (total - added)) + (x - added))};
+    return result;
+}
+
+/* sum + (a + rest_of_a) * b */
+static inline pair add_product(pair sum, lane a, lane rest_of_a, lane b)
+{
+    const lane a_high = leading_bits(a), b_high = leading_bits(b);
+    const lane a_low = a - a_high, b_low = b - b_high;
+    pair result = add_float(sum, a_high * b_high);
+    result.low += a_high * b_low + a_low * b_high + a_low * b_low + rest_of_a * b;
+    return result;
+}
+
+static inline pair rounded(pair sum)
+{
+    const lane total = sum.high + sum.low;
+    const pair result = {total, sum.low - (total - sum.high)};
+    return result;
+}
+
+static inline pair camera_number(__global const wide *camera, int index)
+{
+    const pair number = {(lane)camera[index], (lane)camera[CAMERA_REST + index]};
+    return number;
+}
+
+/* One camera coordinate of a mean: its row of the rotation, and its translation. */
+static inline pair camera_coordinate(__global const wide *camera, int axis, const lane *mean)
+{
+    pair sum = camera_number(camera, CAMERA_TRANSLATION + axis);
+    for (int k = 0; k < 3; k++) {
+        const pair factor = camera_number(camera, CAMERA_ROTATION + 3 * axis + k);
+        sum = add_product(sum, factor.high, factor.low, mean[k]);
+    }
+    return rounded(sum);
+}
+
+/* focal * x / z + centre: the quotient is corrected by its remainder. */
+static inline pair image_coordinate(pair x, pair z, pair focal, pair center)
+{
+    const lane quotient = x.high / z.high;
+    const pair remainder = add_product(x, -z.high, -z.low, quotient);
+    const lane rest = (remainder.high + remainder.low) / z.high;
+    pair sum = add_product(center, focal.high, focal.low, quotient);
+    sum.low += focal.high * rest;
+    return rounded(sum);
+}
+
+static inline void project_mean(
+    projected *g, lane mx, lane my, lane mz, __global const wide *camera)
+{
+    const lane mean[3] = {mx, my, mz};
+    const pair x = camera_coordinate(camera, 0, mean), y = camera_coordinate(camera, 1, mean),
+               z = camera_coordinate(camera, 2, mean);
+    const pair image_x = image_coordinate(
+        x, z, camera_number(camera, CAMERA_FX), camera_number(camera, CAMERA_CX));
+    const pair image_y = image_coordinate(
+        y, z, camera_number(camera, CAMERA_FY), camera_number(camera, CAMERA_CY));
+    g->x = x.high, g->y = y.high, g->z = z.high;
+    g->mean_x = image_x.high, g->mean_y = image_y.high;
+    g->rest_x = image_x.low, g->rest_y = image_y.low;
+}
+#else
+static inline void project_mean(
+    projected *g, lane mx, lane my, lane mz, __global const wide *camera)
+{
     __global const wide *w = camera + CAMERA_ROTATION;
     const wide_lane wide_x = TO_WIDE(mx), wide_y = TO_WIDE(my), wide_z = TO_WIDE(mz);
     const wide_lane x = w[0] * wide_x + w[1] * wide_y + w[2] * wide_z + w[9];
@@ -144,6 +220,20 @@ static inline void project_block(
     g->mean_y = FROM_WIDE(image_y);
     g->rest_x = FROM_WIDE(image_x - TO_WIDE(g->mean_x));
     g->rest_y = FROM_WIDE(image_y - TO_WIDE(g->mean_y));
+}
+#endif
+
+/* Twin: reference.py, `project`. Without culling; values behind the camera are meaningless. */
+static inline void project_block(
+    projected *g, __global const real *parameters, size_t capacity, size_t i,
+    __global const wide *camera, __global const real *modifiers, int modified, int activated)
+{
+    __global const real *row = parameters + i;
+    const lane mx = LOAD_GLOBAL(row + ROW_MEAN * capacity),
+               my = LOAD_GLOBAL(row + (ROW_MEAN + 1) * capacity),
+               mz = LOAD_GLOBAL(row + (ROW_MEAN + 2) * capacity);
+    __global const wide *w = camera + CAMERA_ROTATION;
+    project_mean(g, mx, my, mz, camera);
 
     lane rotation[9];
     read_rotation(g, LOAD_GLOBAL(row + ROW_QUATERNION * capacity),

@@ -15,6 +15,7 @@
 #define CAMERA_NEAR 25
 #define CAMERA_BACKGROUND 26
 #define CAMERA_LAST_BAND 29 /* the weight of the last SH band, where it is a fraction */
+#define CAMERA_REST 32 /* the rounding errors of all these numbers; only with NO_DOUBLE */
 
 /* One record per Gaussian for the raster stages, 16 reals: a cache line in float. */
 #define RECORD 16

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import torch
 
-from core_rasterizer import GaussianModel, Gaussians
+from core_rasterizer import Gaussians, Model
 from registry import View
 from registry.pipeline import Part, Parts
 from registry.runs import InitialState, evaluate, quick
@@ -119,7 +119,7 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> fl
     return (clock() - begin) / max(done, 1)
 
 
-def _after(initial: InitialState, model: GaussianModel, parts: Parts, clock: Clock) -> float:
+def _after(initial: InitialState, model: Model, parts: Parts, clock: Clock) -> float:
     """Return the seconds after the last iteration, extrapolated from one view of each split."""
     train, test = initial.scene.train, initial.scene.test
     every, fast = parts["metrics"], quick(parts["metrics"])

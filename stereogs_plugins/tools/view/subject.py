@@ -13,7 +13,7 @@ import torch
 from pydantic import BaseModel, Field, RootModel
 from torch import Tensor
 
-from core_rasterizer import Camera, Device, ExplainedError, GaussianModel, Gaussians, load_ply
+from core_rasterizer import Camera, Device, ExplainedError, Gaussians, Model, OpenCLEngine, load_ply
 from registry import Scene
 from registry.contract import camera_extent
 from registry.runs import Run
@@ -63,7 +63,7 @@ class Subject:
     """
 
     name: str
-    model: GaussianModel
+    model: Model
     viewpoints: tuple[Viewpoint, ...] = ()
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
@@ -82,7 +82,7 @@ def snapshot(run: Run) -> Subject:
     """
     kept = run.checkpoint()
     gaussians = Gaussians(**kept.part("model"))
-    model = new_model(gaussians, run.pipeline.training, run.model.device)
+    model = new_model(gaussians, run.pipeline.training, run.model.engine)
     return _of(run, model, kept.part("kinds"))
 
 
@@ -93,10 +93,10 @@ def of_file(path: Path, device: Device) -> Subject:
         PlyError: it cannot be read, or holds no Gaussians.
     """
     viewpoints = tuple(Viewpoint(name, camera) for name, camera in _cameras_of(path))
-    return Subject(path.name, GaussianModel(load_ply(path), device), viewpoints)
+    return Subject(path.name, OpenCLEngine(device).model(load_ply(path)), viewpoints)
 
 
-def _of(run: Run, model: GaussianModel, kinds: Mapping[str, Tensor]) -> Subject:
+def _of(run: Run, model: Model, kinds: Mapping[str, Tensor]) -> Subject:
     title = f"{run.scene.name}, {run.pipeline.name}"
     return Subject(title, model, viewpoints_of(run.scene), run.scene.background, kinds)
 

@@ -1,0 +1,141 @@
+"""The choice of a device, and what is remembered of its self-test."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
+from core_rasterizer import self_test as self_test_module
+from core_rasterizer.device import Description, Trial, choose, trial
+from core_rasterizer.raster.tile_lists import FEW
+
+INFINITE = math.inf
+
+
+@pytest.fixture(autouse=True)
+def no_device_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STEREOGS_DEVICE", raising=False)
+
+
+def devices(*kinds: str) -> list[Description]:
+    return [
+        Description(i, f"device {i}", f"maker of a {kind}", kind, "2.0", 4, 10**9)
+        for i, kind in enumerate(kinds)
+    ]
+
+
+def not_asked() -> list[float]:
+    raise AssertionError("nothing needs to be timed")
+
+
+def test_the_fastest_device_is_chosen_whatever_its_kind() -> None:
+    assert choose(devices("gpu", "cpu"), None, lambda: [0.03, 0.02]) == 1
+    assert choose(devices("cpu", "gpu"), None, lambda: [0.03, 0.02]) == 1
+
+
+def test_a_device_that_fails_its_test_is_not_chosen() -> None:
+    assert choose(devices("gpu", "cpu"), None, lambda: [INFINITE, 0.02]) == 1
+    assert choose(devices("cpu", "gpu"), None, lambda: [INFINITE, INFINITE]) == 1
+
+
+def test_nothing_is_timed_for_one_device_or_a_named_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert choose(devices("cpu"), None, not_asked) == 0
+    assert choose(devices("gpu", "cpu"), "of a CPU", not_asked) == 1
+    monkeypatch.setenv("STEREOGS_DEVICE", "device 1")
+    assert choose(devices("gpu", "cpu"), None, not_asked) == 1
+    assert choose(devices("gpu", "cpu"), "2.0", not_asked) == 0, "a driver's version"
+
+
+def test_without_devices_the_error_says_what_to_install() -> None:
+    with pytest.raises(DeviceError, match="no OpenCL platform was found"):
+        choose([], None, not_asked)
+
+
+def test_a_trial_is_remembered_for_each_device_and_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
+    asked = []
+
+    def answer(arguments: list[str], environment: object) -> dict[str, object] | str:
+        asked.append(arguments)
+        return "it died" if arguments == ["1"] else {"failure": None, "seconds": 0.5}
+
+    monkeypatch.setattr(trial, "_child", answer)
+    both = devices("gpu", "cpu")
+    assert trial.seconds_of(both) == [0.5, INFINITE]
+    assert trial.seconds_of(both) == [0.5, INFINITE]
+    assert asked == [["0"], ["1"]]
+    newer = Description(**{**vars(both[0]), "driver": "2.1"})
+    trial.seconds_of([newer])
+    assert len(asked) == 3
+    (tmp_path / "devices.json").write_text("{ damaged")
+    assert trial.seconds_of(both) == [0.5, INFINITE]
+
+
+def test_a_real_trial_in_a_child_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
+    device = list_devices()[0].describe(0)
+    found = trial.tried(device)
+    assert found.failure is None
+    assert 0 < found.seconds < 60
+    (entry,) = json.loads((tmp_path / "devices.json").read_text()).values()
+    assert entry["seconds"] == found.seconds
+
+
+def test_several_devices_are_timed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """open_device with two devices; the second is as the first, with GPU kernels."""
+    first = list_devices()[0]
+    pair = (first, first.as_variant("gpu"))
+    monkeypatch.setattr("core_rasterizer.device.device._devices", lambda: pair)
+    monkeypatch.setattr("core_rasterizer.device.device.seconds_of", lambda devices: [2.0, 1.0])
+    from core_rasterizer.device.device import _seconds
+
+    _seconds.cache_clear()
+    try:
+        assert open_device() is pair[1]
+    finally:
+        _seconds.cache_clear()
+
+
+def test_the_self_test_reaches_large_chunks_and_boxes_over_64_tiles(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts, boxes = [], []
+    original = GaussianModel.render
+
+    def render(self: GaussianModel, *arguments: object, **named: object) -> object:
+        rendering = original(self, *arguments, **named)  # type: ignore[arg-type]
+        counts.append(self.count)
+        coverage = rendering.coverage
+        assert coverage is not None
+        boxes.append(int(coverage._tiles_covered.read(0, self.count).max()))
+        return rendering
+
+    monkeypatch.setattr(GaussianModel, "render", render)
+    verdict = self_test_module.self_test(device)
+    assert verdict.passed
+    assert verdict.depth_error < 1e-6
+    assert max(counts) > FEW
+    assert max(boxes) > 64
+
+
+def test_a_wrong_result_fails_the_self_test(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = GaussianModel.gradient
+    monkeypatch.setattr(
+        GaussianModel, "gradient", lambda self, name: torch.zeros_like(original(self, name))
+    )
+    result = self_test_module.trial(device)
+    assert result == Trial("it computes wrongly", **_errors(result))
+
+
+def _errors(result: Trial) -> dict[str, object]:
+    names = ("image_error", "gradient_error", "depth_error", "built_for", "could_be_built_for")
+    return {name: getattr(result, name) for name in names}
