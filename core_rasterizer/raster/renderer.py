@@ -19,11 +19,12 @@ from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
 from .frame import Frame, Lease
+from .gpu_tile_lists import GpuTileLists
 from .images import CHANNELS, Images
 from .pose import PoseSums
 from .programs import RasterPrograms
 from .request import Footprint, RenderRequest
-from .tile_lists import BUCKETS, TileLists, chunks_of
+from .tile_lists import CpuTileLists, TileLists
 
 PAIRS_AT_FIRST = 1 << 14
 """Initial capacity of the list of (tile, Gaussian) pairs."""
@@ -55,14 +56,12 @@ class Renderer:
     ) -> None:
         self.device = device
         self.dtype = dtype
-        self.budget = Budget(
-            memory_budget or device.memory_bytes // 2,
-            dtype,
-            BUCKETS,
-            chunks_of(device),
-            device.lanes,
+        self._lists: TileLists = (
+            CpuTileLists(device) if device.variant == "cpu" else GpuTileLists(device)
         )
-        self._lists = TileLists(device)
+        self.budget = Budget(
+            memory_budget or device.memory_bytes // 2, dtype, self._lists, device.lanes
+        )
         self.programs = RasterPrograms(
             device, dtype, self._lists, footprint or Footprint(), overrides or {}
         )

@@ -27,7 +27,7 @@ HEIGHT = 24
 """Of the images, in pixels."""
 FLOAT, CAMERA, COUNTERS = 4, 32 * 8, 4 * 8
 
-LAUNCHES = {"cpu": 7, "gpu": 23}
+LAUNCHES = {"cpu": 7, "gpu": 22}
 
 
 def trainer_on(device: Device) -> Trainer:
