@@ -29,8 +29,9 @@ _GPU_GROUP = 64
 """Work-items per image row on a GPU."""
 _GPU_BAND = 16
 """Image rows per band on a GPU: enough bands for every unit, although each computes 26 rows for 16."""
-_BANDS_A_CORE = 2
-"""Bands per core on a CPU: few, because each computes ten extra rows; two balance a late start."""
+_SHORT_BAND = 20
+"""Rows of a band on a CPU below which each core takes one band instead of two. A band computes ten extra
+rows; two per core balance a late start."""
 _WORKSPACES = 4
 """Number of image sizes whose scratch memory is cached."""
 
@@ -167,9 +168,7 @@ class _Workspace:
             "optimization/photometric", dtype=dtype, LANES=lanes, GROUP=self._items
         )
         self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
-        band = _GPU_BAND
-        if device.variant == "cpu":
-            band = -(-height // (_BANDS_A_CORE * device.compute_units))
+        band = _GPU_BAND if device.variant == "gpu" else _band_of(height, device.compute_units)
         self._bands = -(-height // band)
         stride = row + 2 * _BORDER
         self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
@@ -232,6 +231,12 @@ class _Workspace:
             memory = torch.empty(values, dtype=self._dtype)
             return DeviceArray(self._device, (values,), self._dtype, over=memory)
         return self._on_device.reserve(name, self._dtype, values)
+
+
+def _band_of(height: int, cores: int) -> int:
+    """Image rows per band on a CPU."""
+    half = -(-height // (2 * cores))
+    return half if half >= _SHORT_BAND or cores == 1 else -(-height // cores)
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:
