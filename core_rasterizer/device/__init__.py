@@ -2,6 +2,7 @@
 
 from .array import DeviceArray, Scratch
 from .device import Device, Kind, Variant, list_devices, open_device
+from .host_pool import host_pool
 from .memory import CORRECT_CPU_NAME
 from .program import Program
 
@@ -13,6 +14,7 @@ __all__ = [
     "Program",
     "Scratch",
     "Variant",
+    "host_pool",
     "list_devices",
     "open_device",
 ]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, Scratch, open_device
+from ..device import Device, DeviceArray, Scratch, host_pool, open_device
 from ..errors import ExplainedError
 from ..gaussians import undefined_places
 from ..raster import Images, Outputs
@@ -228,7 +228,7 @@ class _Workspace:
         """An array for a result: new memory where it becomes a tensor, else scratch."""
         values = math.prod(self._shape)
         if self._device.shares_memory:
-            memory = torch.empty(values, dtype=self._dtype)
+            memory = host_pool.empty((values,), self._dtype)
             return DeviceArray(self._device, (values,), self._dtype, over=memory)
         return self._on_device.reserve(name, self._dtype, values)
 
