@@ -24,17 +24,21 @@ class Budget:
         dtype: of the kernels.
         lists: which need scratch memory.
         lanes: Gaussians per block.
+        bucket: bytes that the backward pass needs for each 32 pairs and for each tile.
     """
 
-    def __init__(self, limit: int, dtype: torch.dtype, lists: TileLists, lanes: int) -> None:
+    def __init__(
+        self, limit: int, dtype: torch.dtype, lists: TileLists, lanes: int, bucket: int = 0
+    ) -> None:
         self.limit = limit
+        self._bucket = bucket
         self._real = dtype.itemsize
         self._lists, self._lanes = lists, lanes
 
     @property
     def bytes_of_pair(self) -> int:
         """Its part of the lists, and a record of sums in the backward pass."""
-        return self._lists.bytes_of_pair + RECORD * self._real
+        return self._lists.bytes_of_pair + RECORD * self._real + self._bucket // 32
 
     def pair_limit(self, frame: Frame, block: Block) -> int:
         """Number of (tile, Gaussian) pairs that fit next to the image and the Gaussians.
@@ -47,7 +51,8 @@ class Budget:
         pixels = camera.width * camera.height * 11 * self._real
         # Record, slots, clamped colours.
         gaussians = block.capacity * (RECORD * self._real + 2 * 4 + 1)
-        lists = self._lists.bytes_for(block.capacity, frame.tiles[0] * frame.tiles[1])
+        tiles = frame.tiles[0] * frame.tiles[1]
+        lists = self._lists.bytes_for(block.capacity, tiles) + self._bucket * tiles
         # Each block's share of the pose gradient.
         posed = frame.request.wants_pose_gradient
         poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
