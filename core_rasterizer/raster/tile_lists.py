@@ -18,8 +18,8 @@ DIGIT_BITS = 11
 BUCKETS = 1 << DIGIT_BITS
 """Row length of the sort's table of counts, which has one row per chunk."""
 _SCAN_GROUP = 16
-_MOST_CHUNKS = 128
-_FEW_ON_MANY_CORES = 1 << 13
+_MOST_CHUNKS = 64
+FEW = 1 << 13
 
 
 def chunks_of(device: Device) -> int:
@@ -37,7 +37,7 @@ def few(device: Device) -> int:
     others save the share 1 - 1/c.
     """
     others = device.compute_units - 1
-    return _FEW_ON_MANY_CORES * (others + 1) // others if others else sys.maxsize
+    return FEW * (others + 1) // others if others else sys.maxsize
 
 
 class TileLists(ABC):
