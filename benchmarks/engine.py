@@ -40,7 +40,8 @@ COUNTS = (10_000, 50_000, 126_000)
 UNSEEN_COUNT = 1000
 """Gaussians behind the camera, to measure the fixed costs of an iteration."""
 MORE_COUNTS = (10_000, 50_000, 126_000, 300_000, 1_000_000)
-SIZES = ((252, 189), (504, 378), (1008, 756))
+SIZES = ((252, 189), (504, 378), (1008, 756), (2016, 1512), (4032, 3024))
+"""The last is a photograph of 12 megapixels."""
 RATES = dict.fromkeys(
     ("means", "log_scales", "quaternions", "opacity_logits", "sh_constant", "sh_rest"), 1e-6
 )
@@ -209,19 +210,36 @@ def options(device: Device, rounds: int = 45) -> dict[str, float]:
     }
 
 
-def peak_memory_mb(count: int) -> float:
+def peak_memory_mb(count: int, width: int = WIDTH, height: int = HEIGHT) -> float:
     """Return peak memory in a new process, above that of an interpreter with torch and a device."""
     code = (
         "import sys; from benchmarks.engine import Workload, open_device\n"
         "from registry.system.memory import peak_memory_mb as peak\n"
+        "count, *size = map(int, sys.argv[1:])\n"
         "d = open_device(); Workload(16, d).iteration(); base = peak()\n"
-        "w = Workload(int(sys.argv[1]), d); [w.iteration() for _ in range(3)]\n"
+        "w = Workload(count, d, *size); [w.iteration() for _ in range(3)]\n"
         "print(peak() - base)"
     )
     output = subprocess.run(
-        [sys.executable, "-c", code, str(count)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, *map(str, (count, width, height))],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return float(output.stdout)
+
+
+def growth_with_pixels(device: Device) -> dict[str, dict[str, float]]:
+    """Return milliseconds of an iteration and peak memory for each size of image."""
+    result: dict[str, dict[str, float]] = {"ms": {}, "ms_per_megapixel": {}, "peak_memory_mb": {}}
+    for width, height in SIZES:
+        name = f"{width}x{height}"
+        workload = Workload(COUNTS[-1], device, width, height)
+        result["ms"][name] = milliseconds(workload.iteration, 7)
+        result["ms_per_megapixel"][name] = result["ms"][name] / (width * height / 1e6)
+        del workload
+        result["peak_memory_mb"][name] = peak_memory_mb(COUNTS[-1], width, height)
+    return result
 
 
 def measure(device: Device) -> dict[str, Any]:
@@ -245,9 +263,8 @@ def measure(device: Device) -> dict[str, Any]:
     result["growth_with_count_ms"] = {
         str(count): milliseconds(Workload(count, device).iteration, 7) for count in MORE_COUNTS
     }
-    result["growth_with_pixels_ms"] = {
-        f"{width}x{height}": milliseconds(Workload(COUNTS[-1], device, width, height).iteration, 7)
-        for width, height in SIZES
+    result |= {
+        f"growth_with_pixels_{unit}": row for unit, row in growth_with_pixels(device).items()
     }
     result["peak_memory_mb"] = {str(count): peak_memory_mb(count) for count in (126_000, 1_000_000)}
     return result
@@ -273,6 +290,8 @@ def show(result: dict[str, Any]) -> None:
         "options_over_plain",
         "growth_with_count_ms",
         "growth_with_pixels_ms",
+        "growth_with_pixels_ms_per_megapixel",
+        "growth_with_pixels_peak_memory_mb",
         "peak_memory_mb",
     ):
         rows = Table(name, "")

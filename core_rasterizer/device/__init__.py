@@ -3,6 +3,7 @@
 from .array import DeviceArray, Scratch
 from .choice import Description, choose
 from .device import Device, Kind, Variant, list_devices, open_device
+from .host_pool import host_pool
 from .memory import CORRECT_CPU_NAME
 from .program import Program
 from .trial import Trial, described, tried
@@ -19,6 +20,7 @@ __all__ = [
     "Variant",
     "choose",
     "described",
+    "host_pool",
     "list_devices",
     "open_device",
     "tried",

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, Scratch, open_device
+from ..device import Device, DeviceArray, Scratch, host_pool, open_device
 from ..errors import ExplainedError
 from ..gaussians import undefined_places
 from ..raster import Images, Outputs
@@ -25,12 +25,13 @@ _BORDER = 5 * _CHANNELS
 """Zeros before and after each row of a filtered map; see the kernel."""
 _SCRATCH_ROWS = 2 * 4 + 12 * 3
 """Rows of scratch memory per band: lines and ring; see the kernel."""
-_GPU_GROUP = 64
-"""Work-items per image row on a GPU."""
-_GPU_BAND = 16
-"""Image rows per band on a GPU: enough bands for every unit, although each computes 26 rows for 16."""
-_BANDS_A_CORE = 2
-"""Bands per core on a CPU: few, because each computes ten extra rows; two balance a late start."""
+_GPU_TILE = 16
+"""Width and height of the pixels of a work-group on a GPU."""
+_DERIVATIVES = 3
+"""Numbers per pixel and channel that a GPU keeps between its two kernels."""
+_SHORT_BAND = 20
+"""Rows of a band on a CPU below which each core takes one band instead of two. A band computes ten extra
+rows; two per core balance a late start."""
 _WORKSPACES = 4
 """Number of image sizes whose scratch memory is cached."""
 
@@ -155,26 +156,84 @@ class _LossOnDevice(torch.autograd.Function):
         return upstream, None, None, None
 
 
-class _Workspace:
-    """Kernels and scratch memory for one image size; a run allocates only its result."""
+class _Bands:
+    """The kernel of a CPU: each work-item takes a band of rows."""
 
     def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
         row = _CHANNELS * width
         # An image row narrower than a vector (one or two pixels) is processed real by real.
         lanes = device.lanes if row >= device.lanes else 1
-        self._items = 1 if device.variant == "cpu" else _GPU_GROUP
         self._program = device.program(
-            "optimization/photometric", dtype=dtype, LANES=lanes, GROUP=self._items
+            "optimization/ssim", "optimization/photometric", dtype=dtype, LANES=lanes
         )
-        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
-        band = _GPU_BAND
-        if device.variant == "cpu":
-            band = -(-height // (_BANDS_A_CORE * device.compute_units))
+        band = _band_of(height, device.compute_units)
         self._bands = -(-height // band)
         stride = row + 2 * _BORDER
         self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
         self._scratch = DeviceArray(device, (self._bands * _SCRATCH_ROWS, stride), dtype)
-        self._sums = DeviceArray(device, (height, 2), dtype)
+        self.sums = DeviceArray(device, (height, 2), dtype)
+
+    def run(
+        self,
+        image: DeviceArray,
+        target: DeviceArray,
+        gradient: DeviceArray | None,
+        scales: tuple[np.generic, np.generic],
+    ) -> None:
+        """Write the sums and, if given, the gradient."""
+        self._program.run(
+            "photometric",
+            (self._bands,),
+            (1,),
+            *(image, target, self._scratch, self.sums),
+            image if gradient is None else gradient,
+            *self._size,
+            np.int32(gradient is not None),
+            *scales,
+        )
+
+
+class _Tiles:
+    """The kernels of a GPU: each work-group takes a tile of pixels."""
+
+    def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
+        self._program = device.program(
+            "optimization/ssim", "optimization/photometric_gpu", dtype=dtype
+        )
+        self._tiles = -(-height // _GPU_TILE) * -(-width // _GPU_TILE)
+        self._size = (np.int32(width), np.int32(height))
+        self.sums = DeviceArray(device, (self._tiles, 2), dtype)
+        self._derivatives = Scratch(device)
+        self._values = height * width * _CHANNELS * _DERIVATIVES
+        self._dtype = dtype
+
+    def run(
+        self,
+        image: DeviceArray,
+        target: DeviceArray,
+        gradient: DeviceArray | None,
+        scales: tuple[np.generic, np.generic],
+    ) -> None:
+        """Write the sums and, if given, the gradient."""
+        local = (_GPU_TILE * _GPU_TILE,)
+        size = (self._tiles * local[0],)
+        derivatives = image
+        if gradient is not None:
+            derivatives = self._derivatives.reserve("derivatives", self._dtype, self._values)
+        wanted = np.int32(gradient is not None)
+        images, run = (image, target, derivatives), self._program.run
+        run("dissimilarity", size, local, *images, self.sums, *self._size, wanted)
+        if gradient is not None:
+            run("gradient", size, local, *images, gradient, *self._size, *scales)
+
+
+class _Workspace:
+    """Kernels and scratch memory for one image size; a run allocates only its result."""
+
+    def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
+        kernels = _Bands if device.variant == "cpu" else _Tiles
+        self._kernels = kernels(device, height, width, dtype)
+        self._device, self._shape, self._dtype = device, (height, width, _CHANNELS), dtype
         self._on_device = Scratch(device)
 
     def run_on_host_image(
@@ -201,21 +260,13 @@ class _Workspace:
         values = math.prod(self._shape)
         real = np.float64 if self._dtype == torch.float64 else np.float32
         with self._device.lock:
-            self._program.run(
-                "photometric",
-                (self._items, self._bands),
-                (self._items, 1),
+            self._kernels.run(
                 image,
                 self._device.uploads.of(target, self._dtype),
-                self._scratch,
-                self._sums,
-                image if gradient is None else gradient,
-                *self._size,
-                np.int32(gradient is not None),
-                real(l1_weight / values),
-                real(ssim_weight / values),
+                gradient,
+                (real(l1_weight / values), real(ssim_weight / values)),
             )
-            l1, dissimilarity = map(float, self._sums.read().double().sum(dim=0) / values)
+            l1, dissimilarity = map(float, self._kernels.sums.read().double().sum(dim=0) / values)
         return l1_weight * l1 + ssim_weight * dissimilarity
 
     def _sent(self, values: Tensor) -> DeviceArray:
@@ -229,9 +280,15 @@ class _Workspace:
         """An array for a result: new memory where it becomes a tensor, else scratch."""
         values = math.prod(self._shape)
         if self._device.shares_memory:
-            memory = torch.empty(values, dtype=self._dtype)
+            memory = host_pool.empty((values,), self._dtype)
             return DeviceArray(self._device, (values,), self._dtype, over=memory)
         return self._on_device.reserve(name, self._dtype, values)
+
+
+def _band_of(height: int, cores: int) -> int:
+    """Image rows per band on a CPU."""
+    half = -(-height // (2 * cores))
+    return half if half >= _SHORT_BAND or cores == 1 else -(-height // cores)
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:

@@ -8,6 +8,7 @@ from ..errors import MemoryBudgetError
 from .block import Block
 from .frame import Frame
 from .pose import POSE_NUMBERS
+from .tile_lists import TileLists
 
 RECORD = 16
 """Numbers in a Gaussian's record, and in the sums of a pair."""
@@ -21,29 +22,30 @@ class Budget:
     Args:
         limit: bytes.
         dtype: of the kernels.
-        table: smallest row length of the tables of counts; the number of tiles may exceed it.
-        chunks: rows of those tables.
+        lists: which need scratch memory.
         lanes: Gaussians per block.
         largest_buffer: bytes that the driver allocates at once.
+        bucket: bytes that the backward pass needs for each 32 pairs and for each tile.
     """
 
     def __init__(
         self,
         limit: int,
         dtype: torch.dtype,
-        table: int,
-        chunks: int,
+        lists: TileLists,
         lanes: int,
         largest_buffer: int,
+        bucket: int = 0,
     ) -> None:
         self.limit, self._largest_buffer = limit, largest_buffer
+        self._bucket = bucket
         self._real = dtype.itemsize
-        self._table, self._chunks, self._lanes = table, chunks, lanes
+        self._lists, self._lanes = lists, lanes
 
     @property
     def bytes_of_pair(self) -> int:
-        """8 bytes in the list and a record of sums in the backward pass."""
-        return 8 + RECORD * self._real
+        """Its part of the lists, and a record of sums in the backward pass."""
+        return self._lists.bytes_of_pair + RECORD * self._real + self._bucket // 32
 
     def pair_limit(self, frame: Frame, block: Block) -> int:
         """Number of (tile, Gaussian) pairs that fit next to the image and the Gaussians.
@@ -54,13 +56,14 @@ class Budget:
         camera = frame.request.camera
         # Three images (5 numbers per pixel), the transmittance, and 5 numbers of gradients.
         pixels = camera.width * camera.height * 11 * self._real
-        # Record, cover, sort keys and orders, slots; one row of the tables of counts per chunk.
-        gaussians = block.capacity * (RECORD * self._real + 16 + 5 * 4 + 2 * 4 + 1)
-        counts = 4 * self._chunks * max(self._table, frame.tiles[0] * frame.tiles[1])
+        # Record, slots, clamped colours.
+        gaussians = block.capacity * (RECORD * self._real + 2 * 4 + 1)
+        tiles = frame.tiles[0] * frame.tiles[1]
+        lists = self._lists.bytes_for(block.capacity, tiles) + self._bucket * tiles
         # Each block's share of the pose gradient.
         posed = frame.request.wants_pose_gradient
         poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
-        needed = pixels + gaussians + counts + poses
+        needed = pixels + gaussians + lists + poses
         if needed > self.limit:
             raise self._exceeded(
                 frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, Scratch
+from ..device import Device, DeviceArray, Scratch, host_pool
 from ..errors import ExplainedError
 
 CHANNELS = {"rgb": (3,), "depth": (), "alpha": ()}
@@ -100,7 +100,7 @@ class Images:
         if not self.device.shares_memory:
             return arrays.reserve(name, self.dtype, math.prod(shape))
         # Tensors that share this memory may outlive the frame, so it cannot be reused.
-        memory = torch.empty(shape, dtype=self.dtype)
+        memory = host_pool.empty(shape, self.dtype)
         arrays[name] = DeviceArray(self.device, (memory.numel(),), self.dtype, over=memory)
         return arrays[name]
 

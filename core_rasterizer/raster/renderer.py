@@ -18,12 +18,14 @@ from ..gaussians import undefined_places
 from ..layout import PARAMETER_BITS, row_count
 from .block import Block
 from .budget import RECORD, Budget
+from .checkpoints import Checkpoints
 from .frame import Frame, Lease
+from .gpu_tile_lists import GpuTileLists
 from .images import CHANNELS, Images
 from .pose import PoseSums
 from .programs import RasterPrograms
 from .request import Footprint, RenderRequest
-from .tile_lists import BUCKETS, TileLists, chunks_of
+from .tile_lists import CpuTileLists, TileLists
 
 PAIRS_AT_FIRST = 1 << 14
 """Initial capacity of the list of (tile, Gaussian) pairs."""
@@ -55,17 +57,22 @@ class Renderer:
     ) -> None:
         self.device = device
         self.dtype = dtype
+        self._lists: TileLists = (
+            CpuTileLists(device) if device.variant == "cpu" else GpuTileLists(device)
+        )
+        self.programs = RasterPrograms(
+            device, dtype, self._lists, footprint or Footprint(), overrides or {}
+        )
+        self._checkpoints = (
+            Checkpoints(device, dtype, self.programs) if device.variant == "gpu" else None
+        )
         self.budget = Budget(
             memory_budget or device.memory_bytes // 2,
             dtype,
-            BUCKETS,
-            chunks_of(device),
+            self._lists,
             device.lanes,
             device.buffer_bytes,
-        )
-        self._lists = TileLists(device)
-        self.programs = RasterPrograms(
-            device, dtype, self._lists, footprint or Footprint(), overrides or {}
+            self._checkpoints.bytes_of_bucket if self._checkpoints else 0,
         )
         self._wide = torch.float64 if device.supports_double else dtype
         self._poses = PoseSums(device, self._wide)
@@ -166,6 +173,9 @@ class Renderer:
         """Run the blending kernels backward; return the sums of each (tile, Gaussian) pair."""
         arrays = frame.arrays
         sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
+        if self._checkpoints:
+            self._checkpoints.backward(frame, image_gradients, sums, with_depth, with_absolute)
+            return sums
         self.programs.run_on_tiles(
             self.programs.raster(absolute=with_absolute),
             "raster_backward",

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,31 +14,33 @@ import torch
 from ..device import Device, DeviceArray, Program, Scratch
 from .frame import Frame
 
-_ON_CPU = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
-_ON_GPU = ("raster/scan", "raster/sort_gpu", "raster/bin_gpu")
-_GPU_CHUNK_GROUP = 64
-"""Work-items per chunk on a GPU; each counts the elements of all items before it."""
-
-_DIGIT_BITS = 11
-BUCKETS = 1 << _DIGIT_BITS
+DIGIT_BITS = 11
+BUCKETS = 1 << DIGIT_BITS
 """Row length of the sort's table of counts, which has one row per chunk."""
-FEW = 1 << 14
-"""Up to this many Gaussians are sorted and binned by one work-item of a CPU, in one launch instead of
-fourteen. From twice as many on, two cores in parallel are faster despite the launches."""
+_SCAN_GROUP = 16
+_MOST_CHUNKS = 64
+FEW = 1 << 13
 
 
 def chunks_of(device: Device) -> int:
-    """Number of chunks of Gaussians that are sorted and binned in parallel.
+    """Number of chunks of Gaussians that the work-items of a CPU sort and bin in parallel.
 
-    On a CPU one per work-item, on a GPU one per work-group: enough to use every compute unit, few enough
-    that summing over chunks is cheap. The number for a GPU is an estimate, not a measurement.
+    Two per core, so that one that starts late is not waited for long.
     """
-    if device.variant == "cpu":
-        return min(16, 2 * device.compute_units)
-    return min(256, 2 * device.compute_units)
+    return min(_MOST_CHUNKS, 2 * device.compute_units)
 
 
-class TileLists:
+def few(device: Device) -> int:
+    """Up to this many Gaussians are sorted and binned by one work-item, in one launch instead of fourteen.
+
+    On two cores the launches take as long as half of the work on 16,384 Gaussians; on c cores the
+    others save the share 1 - 1/c.
+    """
+    others = device.compute_units - 1
+    return FEW * (others + 1) // others if others else sys.maxsize
+
+
+class TileLists(ABC):
     """Sorts the visible Gaussians by depth, and bins them by tile in that order.
 
     Args:
@@ -43,35 +49,16 @@ class TileLists:
     Attributes:
         sources: the kernels' files; they need "raster/scene" and "raster/cover".
         macros: of the kernels.
+        bytes_of_pair: memory for one (tile, Gaussian) pair while the lists are built, and of its entry.
     """
+
+    sources: tuple[str, ...]
+    macros: Mapping[str, int]
+    bytes_of_pair: int
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._chunks = chunks_of(device)
-        on_cpu = device.variant == "cpu"
-        self._few = FEW if on_cpu else -1  # also for no Gaussians
-        self._chunk_group = 1 if on_cpu else _GPU_CHUNK_GROUP
-        self.sources = _ON_CPU if on_cpu else _ON_GPU
-        self._group, self._items = (16, 1) if on_cpu else (64, 256)
-        self.macros = {
-            "DIGIT_BITS": _DIGIT_BITS,
-            "SCAN_GROUP": self._group,
-            "SCAN_ITEMS": self._items,
-            "CHUNK_GROUP": self._chunk_group,
-        }
         self._scratch = Scratch(device)
-
-    def reserve(self, capacity: int, tiles: int) -> None:
-        """Allocate scratch memory for a render's Gaussians and tiles."""
-        sizes = {
-            **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
-            "covers": 4 * capacity,
-            "counts": self._chunks * max(BUCKETS, tiles),
-            "totals": BUCKETS + 1,
-            "chunk_pairs": self._chunks + 1,
-        }
-        for name, elements in sizes.items():
-            self._scratch.reserve(name, torch.int32, elements)
 
     @property
     def keys(self) -> DeviceArray:
@@ -83,11 +70,52 @@ class TileLists:
         """Tiles that each Gaussian can touch, written by the projection: `[4 * capacity]`, 32 bits."""
         return self._scratch["covers"]
 
+    def reserve(self, capacity: int, tiles: int) -> None:
+        """Allocate scratch memory for a render's Gaussians and tiles."""
+        for name, (dtype, elements) in self._sizes(capacity, tiles).items():
+            self._scratch.reserve(name, dtype, elements)
+
+    def bytes_for(self, capacity: int, tiles: int) -> int:
+        """Scratch memory of `reserve`."""
+        sizes = self._sizes(capacity, tiles).values()
+        return sum(dtype.itemsize * elements for dtype, elements in sizes)
+
+    @abstractmethod
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
         """Fill `frame.arrays["pairs"]`, unless it is too small for all pairs.
 
         Writes the numbers of visible Gaussians and of pairs to `frame.arrays["counters"]`.
         """
+
+    @abstractmethod
+    def _sizes(self, capacity: int, tiles: int) -> dict[str, tuple[torch.dtype, int]]:
+        """Types and lengths of the scratch arrays."""
+
+
+class CpuTileLists(TileLists):
+    """On a CPU: a stable counting sort, one work-item per chunk of neighbouring Gaussians."""
+
+    sources = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
+    macros = MappingProxyType(
+        {"DIGIT_BITS": DIGIT_BITS, "SCAN_GROUP": _SCAN_GROUP, "SCAN_ITEMS": 1}
+    )
+    bytes_of_pair = 8
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(device)
+        self._chunks, self._few = chunks_of(device), few(device)
+
+    def _sizes(self, capacity: int, tiles: int) -> dict[str, tuple[torch.dtype, int]]:
+        sizes = {
+            **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
+            "covers": 4 * capacity,
+            "counts": self._chunks * max(BUCKETS, tiles),
+            "totals": BUCKETS + 1,
+            "chunk_pairs": self._chunks + 1,
+        }
+        return {name: (torch.int32, elements) for name, elements in sizes.items()}
+
+    def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
         if count <= self._few:
             self._build_alone(program, frame, count, pair_capacity)
         else:
@@ -116,7 +144,7 @@ class TileLists:
         counts, totals = scratch["counts"], scratch["totals"]
         passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
         for number, (keys, order, out) in enumerate(passes):
-            numbers = (count, number * _DIGIT_BITS, number == 0)
+            numbers = (count, number * DIGIT_BITS, number == 0)
             settings = [np.uint32(value) for value in numbers]
             self._run_chunks(program, "count_digits", scratch[keys], counts, counters, *settings)
             self._scan(program, counts, totals, BUCKETS, counters, counter=0)
@@ -161,8 +189,8 @@ class TileLists:
     ) -> None:
         program.run(
             "scan_chunks",
-            (-(-buckets // self._group) * self._group,),
-            (self._group,),
+            (-(-buckets // _SCAN_GROUP) * _SCAN_GROUP,),
+            (_SCAN_GROUP,),
             counts,
             totals,
             np.uint32(buckets),
@@ -178,11 +206,9 @@ class TileLists:
         counters: DeviceArray,
         counter: int,
     ) -> None:
-        items = (self._items,)
         program.run(
-            "scan_buckets", items, items, totals, counters, np.uint32(buckets), np.uint32(counter)
+            "scan_buckets", (1,), (1,), totals, counters, np.uint32(buckets), np.uint32(counter)
         )
 
     def _run_chunks(self, program: Program, kernel: str, *arguments: Any) -> None:
-        group = self._chunk_group
-        program.run(kernel, (self._chunks * group,), (group,), *arguments)
+        program.run(kernel, (self._chunks,), (1,), *arguments)

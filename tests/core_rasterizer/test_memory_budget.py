@@ -62,7 +62,7 @@ def test_lists_grown_for_a_small_image_do_not_hide_the_limit_of_a_large_one(devi
     """The limit of the larger image is below the existing capacity."""
     renderer = Renderer(device, memory_budget=40 * 2**20)
     small, wide = view_of(300, 200), view_of(900, 800)
-    fills = block_of(device, 60 if device.variant == "cpu" else 12, log_scale=6.0)
+    fills = block_of(device, 60 if device.variant == "cpu" else 9, log_scale=6.0)
     many = block_of(device, 4000 if device.variant == "cpu" else 900, log_scale=6.0)
     _, lease = renderer.forward(many, small)
     capacity, limit = lease.frame.arrays["pairs"].shape[0] // 2, lease.frame.pair_limit

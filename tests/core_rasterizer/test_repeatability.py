@@ -7,13 +7,54 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
-from core_rasterizer import Device
+from core_rasterizer import Device, GaussianModel, photometric_loss
+from tests.core_rasterizer.test_model import parameters, view
 from tests.core_rasterizer.training import short_training
 
 
 def test_five_runs_give_one_digest(device: Device) -> None:
     assert len({short_training(device) for _ in range(5)}) == 1
+
+
+def with_units(device: Device, units: int) -> Device:
+    """The same device as if it had another number of compute units."""
+    engine = device.as_variant(device.variant)
+    engine.compute_units = units
+    return engine
+
+
+@pytest.mark.parametrize("units", [1, 4])
+def test_one_and_four_compute_units_give_one_digest(device: Device, units: int) -> None:
+    assert short_training(with_units(device, units)) == short_training(device)
+
+
+@pytest.mark.parametrize("height", [7, 90, 378])
+def test_the_loss_is_the_same_for_any_number_of_compute_units(device: Device, height: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    rgb, target = torch.rand(2, height, 31, 3, generator=generator)
+    results = []
+    for units in (1, 2, 16, 64):
+        leaf = rgb.clone().requires_grad_()
+        loss = photometric_loss(leaf, target, device=with_units(device, units))
+        loss.backward()
+        results.append((loss.item(), leaf.grad))
+    for loss, gradient in results[1:]:
+        assert loss == results[0][0]
+        assert torch.equal(gradient, results[0][1])
+
+
+@pytest.mark.parametrize("units", [16, 64])
+def test_many_compute_units_render_the_same_image_up_to_rounding(
+    device: Device, units: int
+) -> None:
+    """Tiles are smaller then, and chunks and launches others."""
+    gaussians, images = parameters(20_000), []
+    for engine in (device, with_units(device, units)):
+        with torch.no_grad():
+            images.append(GaussianModel(gaussians, engine).render(view()).rgb)
+    assert torch.allclose(*images, atol=1e-5)
 
 
 @pytest.mark.proof

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 
-from core_rasterizer import Camera, Device, GaussianModel
-from core_rasterizer.raster import RenderRequest
+from core_rasterizer import (
+    Adam,
+    Camera,
+    Device,
+    Edit,
+    GaussianModel,
+    Gaussians,
+    apply_edit,
+    list_devices,
+    photometric_loss,
+)
+from core_rasterizer.layout import PARAMETER_GROUPS
+from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists, tile_lists
 from core_rasterizer.raster.budget import RECORD
+from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters, view
 
 CUT = 1 / 255
@@ -103,29 +117,34 @@ def test_the_number_of_chunks_changes_nothing(
     device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = lists_of(device)
-    monkeypatch.setattr("core_rasterizer.raster.tile_lists.FEW", 0)
-    for module in ("tile_lists", "renderer"):
-        monkeypatch.setattr(f"core_rasterizer.raster.{module}.chunks_of", lambda device: chunks)
+    share_among(chunks, monkeypatch)
     lists = lists_of(device)
     assert np.array_equal(lists.pairs, expected.pairs)
     assert np.array_equal(lists.starts, expected.starts)
 
 
-def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
-    device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With one chunk, with few, and with more chunks than Gaussians."""
+def share_among(chunks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tile_lists, "few", lambda device: -1)
+    monkeypatch.setattr(tile_lists, "chunks_of", lambda device: chunks)
+    monkeypatch.setattr(gpu_tile_lists, "chunks_for", lambda elements: chunks)
+
+
+def many_equal_depths() -> tuple[Gaussians, Camera]:
+    """With boxes of more than 64 tiles of 16x16 pixels."""
     gaussians = parameters(200)
     gaussians.means[:, 2] = gaussians.means[:, 2].round().clamp(min=1)
     gaussians.log_scales[::20] = 0.0
-    camera = Camera(torch.eye(4), 200.0, 200.0, 160.0, 120.0, 320, 240)
-    monkeypatch.setattr("core_rasterizer.raster.tile_lists.FEW", 0)
+    return gaussians, Camera(torch.eye(4), 200.0, 200.0, 160.0, 120.0, 320, 240)
+
+
+def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one chunk, and with more chunks than Gaussians."""
+    gaussians, camera = many_equal_depths()
     lists = []
     for chunks in (1, 256):
-        for module in ("tile_lists", "renderer"):
-            monkeypatch.setattr(
-                f"core_rasterizer.raster.{module}.chunks_of", lambda device, n=chunks: n
-            )
+        share_among(chunks, monkeypatch)
         lists.append(lists_of(device, GaussianModel(gaussians, device), camera))
     together, alone = lists
     assert np.array_equal(together.pairs, alone.pairs)
@@ -134,3 +153,105 @@ def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
     spans = np.maximum(boxes[:, 1] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 2], 0)
     if device.variant == "gpu":
         assert (spans > 64 * 16 * 16).any()
+
+
+def one_over_all_tiles() -> tuple[Gaussians, Camera]:
+    """A Gaussian behind 3,000 others that reaches each of the 8,160 tiles of 1920x1080 pixels."""
+    gaussians = parameters(3001)
+    gaussians.log_scales[:-1] -= 2
+    gaussians.means[-1] = torch.tensor([0.0, 0.0, 7.0])
+    gaussians.log_scales[-1], gaussians.opacity_logits[-1] = 4.0, 1.0
+    return gaussians, Camera(torch.eye(4), 1500.0, 1500.0, 960.0, 540.0, 1920, 1080)
+
+
+def needles() -> tuple[Gaussians, Camera]:
+    """Long diagonals: few of the tiles in their boxes are reached."""
+    gaussians = parameters(500)
+    gaussians.log_scales[:] = torch.tensor([1.5, -6.0, -6.0])
+    return gaussians, Camera(torch.eye(4), 300.0, 300.0, 320.0, 240.0, 640, 480)
+
+
+def trained() -> tuple[Gaussians, Camera]:
+    """Fitted to two noisy images, with splits and clones; some Gaussians have grown large."""
+    generator = torch.Generator().manual_seed(0)
+    cameras = [random_camera(generator, 320, 240) for _ in range(2)]
+    targets = [torch.rand(15, 20, 3, generator=generator) for _ in cameras]
+    targets = [
+        torch.nn.functional.interpolate(image.permute(2, 0, 1)[None], (240, 320))[0]
+        .permute(1, 2, 0)
+        .contiguous()
+        for image in targets
+    ]
+    model = GaussianModel(parameters(2000), list_devices()[0].as_variant("cpu"))
+    optimizer = Adam(model)
+    for step in range(60):
+        model.zero_gradients()
+        rendering = model.render(cameras[step % 2], collect_statistics=True)
+        photometric_loss(rendering, targets[step % 2]).backward()
+        optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 2e-2), active_sh_degree=3)
+        if step % 20 == 19:
+            busy = model.statistics.screen_gradient() > model.statistics.screen_gradient().median()
+            large = model.scales().amax(dim=1) > 0.2
+            edit = Edit(busy & ~large, busy & large, model.opacities() < 0.05)
+            apply_edit(model, optimizer, edit, generator)
+    return model.gaussians(), cameras[0]
+
+
+def tiles_of_16(engine: Device, scene: tuple[Gaussians, Camera]) -> tuple[Any, ...]:
+    """Lists and slots of a scene in tiles of 16x16 pixels, by either variant; candidates; steps."""
+    gaussians, camera = scene
+    model = GaussianModel(gaussians, engine)
+    renderer = Renderer(engine, overrides={"TILE_WIDTH": 16, "TILE_HEIGHT": 16})
+    request = RenderRequest(camera, (0.0, 0.0, 0.0), 0)
+    frame = renderer.forward(model.block, request)[1].frame
+    read = {
+        name: frame.arrays[name].read().numpy().copy()
+        for name in ("pairs", "tile_starts", "slot_start", "slot_count", "counters")
+    }
+    counts = read["slot_count"][: len(gaussians)]
+    return (
+        read["pairs"][: 2 * frame.pairs],
+        read["tile_starts"][: frame.tiles[0] * frame.tiles[1] + 1],
+        counts,
+        np.where(counts > 0, read["slot_start"][: len(gaussians)], 0),
+        read["counters"][:2],
+        candidates_of(renderer) // gpu_tile_lists.chunks_for(len(read["pairs"]) // 2),
+        int(read["counters"][3]),
+    )
+
+
+def candidates_of(renderer: Renderer) -> int:
+    """An upper bound: the tiles of all boxes of the last render."""
+    sizes = renderer._lists.covers.read().numpy().reshape(-1, 4)[:, 1]
+    return int(((sizes & 0xFFFF) * (sizes >> 16)).sum())
+
+
+@pytest.mark.parametrize(
+    "make",
+    [many_equal_depths, one_over_all_tiles, needles, trained],
+    ids=lambda make: make.__name__,
+)
+def test_a_gpu_makes_the_lists_of_a_cpu_and_no_work_item_takes_long(
+    device: Device,
+    make: Callable[[], tuple[Gaussians, Camera]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The same bits. Steps are loop rounds that the kernels count; the largest Gaussian adds none.
+
+    A work-item takes eight elements of a chunk. For each, sorting compares it with the 256 of the
+    round, and making pairs looks for the Gaussian that a candidate belongs to and adds up 48 numbers.
+    Candidates are the tiles of large boxes, so needles have many more of them than pairs, but every
+    work-item takes the same share.
+    """
+    if device.variant == "cpu":
+        pytest.skip("compares the other variant with this one")
+    monkeypatch.setattr(gpu_tile_lists, "MACROS", {**gpu_tile_lists.MACROS, "COUNT_STEPS": 1})
+    scene = make()
+    *ours, share, steps = tiles_of_16(device.as_variant("gpu"), scene)
+    *theirs, _, _ = tiles_of_16(device.as_variant("cpu"), scene)
+    for one, other in zip(ours, theirs, strict=True):
+        assert np.array_equal(one, other)
+    sorting = 8 * (256 + 1) + 3 * 2048 // 256
+    pairs = (share // 256 + 1) * (2 + 48 + 6 + math.log2(len(scene[0])))
+    assert 300 < steps <= max(sorting, pairs), steps
+    assert steps <= sorting or make is needles

@@ -1,8 +1,8 @@
-/* L1 + D-SSIM: the loss and its gradient image. Twin: tests/core_rasterizer/test_photometric.py.
+/* L1 + D-SSIM on a CPU: the loss and its gradient image.
  *
  * An image row is `row` = 3 * width interleaved reals, and the channels never mix, so that a vector
  * lane is simply the next real and a horizontal neighbour is CHANNELS reals away. The 11 x 11 window
- * is separable. A work-group walks down one band of the image, ROWS rows a step, and in each step
+ * is separable. A work-item walks down one band of the image, ROWS rows a step, and in each step
  *
  *   filter_columns       windows of x, x - y, (x - y)^2 and x y, downwards, into `lines`
  *   dissimilarity        the same sideways; 1 - SSIM at every pixel, its three derivatives into `ring`
@@ -15,46 +15,17 @@
  * Rows of `lines` and `ring` have `stride` reals: BORDER zeros before and after the image stand for
  * the window's zero padding, are never written, and avoid tests for the left and right edge.
  *
- * Everything is expressed in differences x - y, with e = mu_x - mu_y and v = the variance of x - y:
- *   1 - SSIM = e^2 / d1 + (n1 / d1) (v / d2),  d1 = n1 + e^2,  d2 = n2 + v,
- *   n1 = 2 mu_x mu_y + C1,  n2 = 2 cov(x, y) + C2.
- * This equals the usual formula, but does not cancel as x approaches y: for equal images the loss and its
- * gradient are exactly 0.
- *
  * A row's last block is moved left until it ends with the row, so it overlaps the block before; the
  * overlapping lanes are computed twice, with the same result, and counted once. `row` >= LANES.
  */
 
-#define CHANNELS 3
-#define RADIUS 5
-#define TAPS (2 * RADIUS + 1)
 #define BORDER (RADIUS * CHANNELS)
 #define ROWS 2 /* image rows of a step: each row that is loaded serves both */
 #define RING (TAPS + ROWS - 1) /* rows of derivatives that a step looks at */
-#define MAPS 4
-#define DERIVATIVES 3
-#define C1 ((real)0.0001)
-#define C2 ((real)0.0009)
 
-/* exp(-k^2 / (2 * 1.5^2)) for k = -5 .. 5, divided by their sum. */
-__constant real window[TAPS] = {
-    (real)0.00102838008447911, (real)0.00759875813523919, (real)0.0360007721284308,
-    (real)0.109360689509700,   (real)0.213005537711254,   (real)0.266011724861794,
-    (real)0.213005537711254,   (real)0.109360689509700,   (real)0.0360007721284308,
-    (real)0.00759875813523919, (real)0.00102838008447911};
-
-/* GROUP work-items share a row; on a CPU it is one, without barriers. */
-#if GROUP == 1
-#define STEP_TOGETHER()
-#define SHARE_SUMS()
-#else
-#define STEP_TOGETHER() barrier(CLK_GLOBAL_MEM_FENCE)
-#define SHARE_SUMS() barrier(CLK_LOCAL_MEM_FENCE)
-#endif
-
-/* Start of this work-item's next block; see the note on a row's last block. */
+/* Start of the next block; see the note on a row's last block. */
 #define FOR_EACH_BLOCK(block, row) \
-    for (int block = get_local_id(0) * LANES; block < (row); block += GROUP * LANES)
+    for (int block = 0; block < (row); block += LANES)
 #define BLOCK_START(block, row) ((block) < (row) - LANES ? (block) : (row) - LANES)
 
 static inline lane filter_row(__global const real *map)
@@ -141,26 +112,10 @@ static inline void filter_columns(
         filter_columns_of(image, target, lines, top, height, row, stride, 0);
 }
 
-/* Adds up a row's two sums over the work-items that share it, in their order. */
-static inline void write_sums(__local real *found, real absolute, real structural, __global real *sums)
-{
-    const int item = get_local_id(0);
-    found[2 * item] = absolute;
-    found[2 * item + 1] = structural;
-    SHARE_SUMS();
-    for (int which = item; which < 2; which += GROUP) {
-        real sum = found[which];
-        for (int other = 1; other < GROUP; other++)
-            sum += found[2 * other + which];
-        sums[which] = sum;
-    }
-    SHARE_SUMS();
-}
-
 /* Row y. Writes two sums over the row, of |x - y| and of 1 - SSIM, unless sums is null. */
 static inline void dissimilarity(
     __global const real *image, __global const real *target, __global const real *lines,
-    __global real *derivatives, __global real *sums, __local real *found, int row, int stride)
+    __global real *derivatives, __global real *sums, int row, int stride)
 {
     const lane last = lanes_of_last_block(row);
     lane absolute = (lane)0, structural = (lane)0;
@@ -172,18 +127,9 @@ static inline void dissimilarity(
         const lane square = filter_row(lines + 2 * stride + at);
         const lane product = filter_row(lines + 3 * stride + at);
 
-        const lane means = mean * (mean - e), ee = e * e;
-        const lane n1 = 2 * means + C1, n2 = 2 * (product - means) + C2;
-        const lane v = square - ee;
-        const lane d1 = n1 + ee, d2 = n2 + v;
-        const lane inverse1 = 1 / d1, inverse2 = 1 / d2;
-        const lane lost = ee * inverse1 + n1 * inverse1 * v * inverse2;
-
-        /* SSIM as a function of the windows of x, (x - y)^2 and x y, with those of y held. */
-        const lane by_mean =
-            2 * inverse1 * inverse2 * ((n2 - n1) * (lost * mean - e) - (1 - lost) * mean * (v - ee));
-        const lane by_square = (lost - 1) * inverse2;
-        const lane by_product = 2 * n1 * inverse1 * v * inverse2 * inverse2;
+        lane by_mean, by_square, by_product;
+        const lane lost
+            = dissimilarity_of(mean, e, square, product, &by_mean, &by_square, &by_product);
         STORE_GLOBAL(derivatives + at, by_mean);
         STORE_GLOBAL(derivatives + stride + at, by_square);
         STORE_GLOBAL(derivatives + 2 * stride + at, by_product);
@@ -193,8 +139,10 @@ static inline void dissimilarity(
         absolute += own * lane_abs(d);
         structural += own * lost;
     }
-    if (sums) /* the same for the whole group */
-        write_sums(found, sum_lanes(absolute), sum_lanes(structural), sums);
+    if (sums) {
+        sums[0] = sum_lanes(absolute);
+        sums[1] = sum_lanes(structural);
+    }
 }
 
 static inline __attribute__((always_inline)) void filter_derivatives_of(
@@ -255,54 +203,47 @@ static inline void gradient(
         const lane by_product = filter_row(lines + 2 * stride + at);
         const lane b = LOAD_GLOBAL(target + start);
         const lane d = LOAD_GLOBAL(image + start) - b;
-        const lane sign = d > (lane)0 ? (lane)1 : d < (lane)0 ? (lane)-1 : (lane)0;
-        const lane slope
-            = l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + b * by_product);
-        /* Values above 1e12 may overflow; undefined gradients become 0. */
-        STORE_GLOBAL(result + start, lane_abs(slope) < (lane)REAL_LARGEST ? slope : (lane)0);
+        STORE_GLOBAL(result + start,
+            slope_of(by_mean, by_square, by_product, d, b, l1_scale, ssim_scale));
     }
 }
 
-/* One work-group per band of band_rows rows. `sums` gets two sums a row; `result`
+/* One work-item per band of band_rows rows. `sums` gets two sums a row; `result`
  * the gradient, if with_gradient; the scales are the weights of the two terms over the number of
  * reals in the image. `scratch` holds the lines and the ring of every band. */
-__kernel void photometric(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void photometric(
     __global const real *image, __global const real *target, __global real *scratch,
     __global real *sums, __global real *result, int height, int row, int stride, int band_rows,
     int with_gradient, real l1_scale, real ssim_scale)
 {
-    __local real found[2 * GROUP];
-    const int first = get_group_id(1) * band_rows;
+    const int first = get_global_id(0) * band_rows;
     const int end = first + band_rows < height ? first + band_rows : height;
     const int around = with_gradient ? RADIUS : 0;
     const int begin = first > around ? first - around : 0;
     const int beyond = end + around < height ? end + around : height;
     __global real *lines
-        = scratch + get_group_id(1) * (size_t)(ROWS * MAPS + RING * DERIVATIVES) * stride;
+        = scratch + get_global_id(0) * (size_t)(ROWS * MAPS + RING * DERIVATIVES) * stride;
     __global real *ring = lines + ROWS * MAPS * stride;
 
     for (int top = begin; top < end + around; top += ROWS) {
         if (top < beyond) {
             filter_columns(image, target, lines, top, height, row, stride);
-            STEP_TOGETHER();
-            for (int r = 0, y = top; r < ROWS && y < beyond; r++, y++) {
+                for (int r = 0, y = top; r < ROWS && y < beyond; r++, y++) {
                 dissimilarity(
                     image + (size_t)y * row, target + (size_t)y * row, lines + r * MAPS * stride,
                     ring + (y % RING) * DERIVATIVES * stride,
-                    y >= first && y < end ? sums + 2 * y : 0, found, row, stride);
+                    y >= first && y < end ? sums + 2 * y : 0, row, stride);
             }
-            STEP_TOGETHER();
-        }
+            }
         const int behind = top - RADIUS;
         if (!with_gradient || behind + ROWS <= first)
             continue;
         filter_derivatives(ring, lines, behind, height, row, stride);
-        STEP_TOGETHER();
         for (int r = 0, y = behind; r < ROWS && y < end; r++, y++)
             if (y >= first)
                 gradient(
                     image + (size_t)y * row, target + (size_t)y * row, lines + r * MAPS * stride,
                     result + (size_t)y * row, row, stride, l1_scale, ssim_scale);
-        STEP_TOGETHER();
     }
 }

@@ -1,9 +1,8 @@
 /* Rasterization on a GPU: one work-group per tile, one work-item per pixel; records are staged in local
- * memory. The pair buffer is the same as on a CPU. Sums over a tile's pixels have a fixed order. */
+ * memory. The pair buffer is the same as on a CPU. */
 
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 #define BATCH 32 /* records staged at a time */
-#define SEGMENTS 16 /* sums in parallel; a divisor of GROUP */
 
 /* Copies the records of pairs [p, p + BATCH) into local memory. */
 static inline void stage(
@@ -30,9 +29,12 @@ static inline real distance_y(__local const real *g, int y)
     return (y + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
 }
 
+/* Whether (int)x0 <= x < (int)x1 and the same for y. Integer coordinates need no conversion of the record's
+ * floats, which GPUs do at a quarter of the rate of comparisons. */
 static inline int in_box(__local const real *g, int x, int y)
 {
-    return x >= (int)g[REC_X0] && x < (int)g[REC_X1] && y >= (int)g[REC_Y0] && y < (int)g[REC_Y1];
+    const real right = x + 1, bottom = y + 1;
+    return right > g[REC_X0] && right <= g[REC_X1] && bottom > g[REC_Y0] && bottom <= g[REC_Y1];
 }
 
 /* True in every work-item if `open` is true in any. */
@@ -98,43 +100,29 @@ void raster(
     final_transmittance[pixel] = left;
 }
 
-/* Sums PAIR_LAST + 1 values over the group into `out`: first SEGMENTS strided sums in parallel, then the
- * sum of these. This needs two barriers, a tree one per level. None is needed at the end: `parts` is written
- * again only after the first barrier of the next call, which its readers have to reach first. */
-static inline void sum_group(
-    __local real *scratch, __local real *parts, const real *values, __global real *out)
+/* The backward pass has one work-item per pair, not per pixel, so that nothing is summed across work-items
+ * (Taming 3DGS, Mallick et al. 2024, section 4.3). A bucket is BUCKET neighbouring pairs of a tile. First,
+ * `checkpoint` walks each tile like `raster` and stores the state of every pixel before each bucket; then
+ * the buckets are independent. Bucket k of a tile has the place tile_starts[tile] / BUCKET + tile + k, which no
+ * other has, without a prefix sum. */
+
+#define BUCKET BATCH
+
+static inline uint place_of_buckets(__global const uint *tile_starts, uint tile)
 {
-    const uint id = get_local_id(0);
-    for (int k = 0; k <= PAIR_LAST; k++)
-        scratch[k * GROUP + id] = values[k];
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint part = id; part < (PAIR_LAST + 1) * SEGMENTS; part += GROUP) {
-        __local const real *all = scratch + part / SEGMENTS * GROUP + part % SEGMENTS;
-        real sum = all[0];
-        for (uint k = SEGMENTS; k < GROUP; k += SEGMENTS)
-            sum += all[k];
-        parts[part] = sum;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint k = id; k <= PAIR_LAST; k += GROUP) {
-        real sum = parts[k * SEGMENTS];
-        for (uint part = 1; part < SEGMENTS; part++)
-            sum += parts[k * SEGMENTS + part];
-        out[k] = sum;
-    }
+    return tile_starts[tile] / BUCKET + tile;
 }
 
-/* See raster_cpu.cl for the formula. */
+/* Stores transmittance and `rest` (see raster_cpu.cl) of each pixel, or in `open` that all are finished. */
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void raster_backward(
+void checkpoint(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
-    __global const real *d_depth, __global const real *d_alpha, __global real *pair_sums,
-    int tiles_x, int with_depth)
+    __global const real *d_depth, __global const real *d_alpha, __global real *checkpoints,
+    __global uint *open, int tiles_x, int with_depth)
 {
     __local real staged[BATCH * RECORD];
-    __local real scratch[(PAIR_LAST + 1) * GROUP], parts[(PAIR_LAST + 1) * SEGMENTS];
     __local int flag;
     const uint tile = get_group_id(0), local_id = get_local_id(0);
     const int x = (int)(tile % tiles_x) * TILE_WIDTH + (int)(local_id % TILE_WIDTH);
@@ -151,52 +139,141 @@ void raster_backward(
         rest = rgb[3 * pixel] * red + rgb[3 * pixel + 1] * green + rgb[3 * pixel + 2] * blue
             + depth[pixel] * z - final_transmittance[pixel] * d_alpha[pixel];
     }
-
     const uint end = tile_starts[tile + 1];
-    for (uint p = tile_starts[tile]; p < end; p += BATCH) {
-        const uint batch = min((uint)BATCH, end - p);
-        if (!any_in_group(&flag, t > 0)) {
-            const size_t last = (size_t)end * (PAIR_LAST + 1);
-            for (size_t k = (size_t)p * (PAIR_LAST + 1) + local_id; k < last; k += GROUP)
-                pair_sums[(size_t)pairs[k / (PAIR_LAST + 1)].y * PAIR + k % (PAIR_LAST + 1)] = 0;
+    size_t place = place_of_buckets(tile_starts, tile);
+    int any = 1;
+    for (uint p = tile_starts[tile]; p < end; p += BUCKET, place++) {
+        any = any && any_in_group(&flag, t > 0);
+        if (local_id == 0)
+            open[place] = any;
+        if (!any) /* the same for the whole group */
+            continue;
+        checkpoints[place * 2 * GROUP + local_id] = t;
+        checkpoints[(place * 2 + 1) * GROUP + local_id] = rest;
+        if (p + BUCKET >= end)
             break;
-        }
         stage(staged, records, pairs, p, end);
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (uint k = 0; k < batch; k++) {
+        for (uint k = 0; k < BUCKET; k++) {
             __local const real *g = staged + k * RECORD;
-            real sums[PAIR_LAST + 1];
-            for (int s = 0; s <= PAIR_LAST; s++)
-                sums[s] = 0;
-            if (t > 0 && in_box(g, x, y)) {
-                const real dx = distance_x(g, x), dy = distance_y(g, y);
-                const meeting m = meet(exponent_at(g, dx, dy), g[REC_OPACITY], t);
-                t = keep_transmittance(m, t);
-                const real value
-                    = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;
-                rest -= m.weight * value;
-                if (m.weight > 0 && m.raw <= ALPHA_MAX) {
-                    const real d_p = (m.next * value - rest) / (1 - m.alpha) * m.alpha;
-                    sums[PAIR_P] = d_p;
-                    sums[PAIR_PX] = d_p * dx;
-                    sums[PAIR_PY] = d_p * dy;
-                    sums[PAIR_PXX] = d_p * dx * dx;
-                    sums[PAIR_PXY] = d_p * dx * dy;
-                    sums[PAIR_PYY] = d_p * dy * dy;
-#ifdef ABSOLUTE
-                    const real slope_x = 2 * g[REC_A] * dx + g[REC_B] * dy;
-                    const real slope_y = g[REC_B] * dx + 2 * g[REC_C] * dy;
-                    sums[PAIR_ABSOLUTE_X] = fabs(d_p * slope_x);
-                    sums[PAIR_ABSOLUTE_Y] = fabs(d_p * slope_y);
-#endif
-                }
-                sums[PAIR_RED] = m.weight * red;
-                sums[PAIR_GREEN] = m.weight * green;
-                sums[PAIR_BLUE] = m.weight * blue;
-                sums[PAIR_Z] = m.weight * z;
-                sums[PAIR_TOUCHED] = m.weight;
-            }
-            sum_group(scratch, parts, sums, pair_sums + (size_t)pairs[p + k].y * PAIR);
+            if (t < 0 || !in_box(g, x, y))
+                continue;
+            const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
+            const meeting m = meet(exponent, g[REC_OPACITY], t);
+            t = keep_transmittance(m, t);
+            rest -= m.weight
+                * (g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z);
         }
     }
+}
+
+/* The pixels of a tile in local memory. */
+typedef struct {
+    real t[GROUP], rest[GROUP], red[GROUP], green[GROUP], blue[GROUP], z[GROUP];
+} tile_pixels;
+
+static inline void load_pixels(
+    __local tile_pixels *pixels, uint tile, int tiles_x, __global const wide *camera,
+    __global const real *d_rgb, __global const real *d_depth, __global const real *checkpoint,
+    int with_depth)
+{
+    const int width = (int)camera[CAMERA_WIDTH], height = (int)camera[CAMERA_HEIGHT];
+    for (int k = get_local_id(0); k < GROUP; k += BUCKET) {
+        const int x = (int)(tile % tiles_x) * TILE_WIDTH + k % TILE_WIDTH;
+        const int y = (int)(tile / tiles_x) * TILE_HEIGHT + k / TILE_WIDTH;
+        const int inside = x < width && y < height;
+        const size_t pixel = inside ? (size_t)y * width + x : 0;
+        pixels->t[k] = checkpoint[k];
+        pixels->rest[k] = checkpoint[GROUP + k];
+        pixels->red[k] = d_rgb[3 * pixel];
+        pixels->green[k] = d_rgb[3 * pixel + 1];
+        pixels->blue[k] = d_rgb[3 * pixel + 2];
+        pixels->z[k] = with_depth ? d_depth[pixel] : (real)0;
+    }
+}
+
+/* Adds what a pixel contributes to the sums of a pair, and moves the pixel behind the Gaussian. */
+static inline void add_pixel(
+    real *sums, __local const real *g, __local tile_pixels *pixels, int k, int x, int y)
+{
+    const real t = pixels->t[k], dx = distance_x(g, x), dy = distance_y(g, y);
+    const real red = pixels->red[k], green = pixels->green[k], blue = pixels->blue[k],
+               z = pixels->z[k];
+    const meeting m = meet(exponent_at(g, dx, dy), g[REC_OPACITY], t);
+    pixels->t[k] = keep_transmittance(m, t);
+    const real value
+        = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;
+    const real rest = pixels->rest[k] - m.weight * value;
+    pixels->rest[k] = rest;
+    if (m.weight > 0 && m.raw <= ALPHA_MAX) {
+        const real d_p = (m.next * value - rest) / (1 - m.alpha) * m.alpha;
+        sums[PAIR_P] += d_p;
+        sums[PAIR_PX] += d_p * dx;
+        sums[PAIR_PY] += d_p * dy;
+        sums[PAIR_PXX] += d_p * dx * dx;
+        sums[PAIR_PXY] += d_p * dx * dy;
+        sums[PAIR_PYY] += d_p * dy * dy;
+#ifdef ABSOLUTE
+        sums[PAIR_ABSOLUTE_X] += fabs(d_p * (2 * g[REC_A] * dx + g[REC_B] * dy));
+        sums[PAIR_ABSOLUTE_Y] += fabs(d_p * (g[REC_B] * dx + 2 * g[REC_C] * dy));
+#endif
+    }
+    sums[PAIR_RED] += m.weight * red;
+    sums[PAIR_GREEN] += m.weight * green;
+    sums[PAIR_BLUE] += m.weight * blue;
+    sums[PAIR_Z] += m.weight * z;
+    sums[PAIR_TOUCHED] += m.weight;
+}
+
+/* One work-group per bucket. In each round a work-item meets one pixel, a round after the work-item of the
+ * pair before, so that pixels meet pairs in depth order and pairs sum over pixels in a fixed order. */
+__kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
+void raster_backward(
+    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const wide *camera, __global const real *d_rgb, __global const real *d_depth,
+    __global const real *checkpoints, __global const uint *open, __global real *pair_sums, uint tiles,
+    int tiles_x, int with_depth)
+{
+    __local real staged[BATCH * RECORD];
+    __local tile_pixels pixels;
+    const size_t place = get_group_id(0);
+    const int id = get_local_id(0);
+    uint tile = 0;
+    for (uint beyond = tiles; beyond - tile > 1;) { /* the last tile whose buckets do not begin later */
+        const uint middle = tile + (beyond - tile) / 2;
+        if (place_of_buckets(tile_starts, middle) <= place)
+            tile = middle;
+        else
+            beyond = middle;
+    }
+    const uint end = tile_starts[tile + 1];
+    const size_t first
+        = tile_starts[tile] + (place - place_of_buckets(tile_starts, tile)) * BUCKET;
+    if (first >= end) /* an unused place */
+        return;
+    const int has_pair = first + id < end;
+    real sums[PAIR_LAST + 1];
+    for (int k = 0; k <= PAIR_LAST; k++)
+        sums[k] = 0;
+    if (open[place]) { /* the same for the whole group */
+        for (uint k = id; k < BATCH * RECORD; k += BUCKET)
+            if (first + k / RECORD < end)
+                staged[k] = records[(size_t)pairs[first + k / RECORD].x * RECORD + k % RECORD];
+        load_pixels(&pixels, tile, tiles_x, camera, d_rgb, d_depth, checkpoints + place * 2 * GROUP,
+            with_depth);
+        const int x0 = (int)(tile % tiles_x) * TILE_WIDTH, y0 = (int)(tile / tiles_x) * TILE_HEIGHT;
+        __local const real *g = staged + id * RECORD;
+        for (int round = 0; round < GROUP + BUCKET - 1; round++) {
+            barrier(CLK_LOCAL_MEM_FENCE);
+            const int k = round - id;
+            if (!has_pair || k < 0 || k >= GROUP || pixels.t[k] < 0)
+                continue;
+            const int x = x0 + k % TILE_WIDTH, y = y0 + k / TILE_WIDTH;
+            if (in_box(g, x, y))
+                add_pixel(sums, g, &pixels, k, x, y);
+        }
+    }
+    if (has_pair)
+        for (int k = 0; k <= PAIR_LAST; k++)
+            pair_sums[(size_t)pairs[first + id].y * PAIR + k] = sums[k];
 }

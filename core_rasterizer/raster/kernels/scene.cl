@@ -66,6 +66,7 @@
 /* The counters block: unsigned 64-bit numbers. */
 #define COUNT_VISIBLE 0
 #define COUNT_PAIRS 1
+#define COUNT_LAST 3
 
 /* Thresholds of blending; benchmarks build with other values. */
 #ifndef ALPHA_CUT_INVERSE
