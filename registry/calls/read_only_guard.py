@@ -6,7 +6,7 @@ or `.data`, are only found by comparing every bit: in a component's first call, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -148,6 +148,31 @@ def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
             for kind, value in vars(known).items()
         }
     )
+
+
+class ImageSums:
+    """Sums of a render's images on first access, to find writes past torch; these reach the device."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[Tensor, Tensor]] = {}
+
+    def note(self, name: str, image: Tensor) -> None:
+        """Keep the sum of an image; see `Rendering.noting`."""
+        self._sums[name] = image.detach(), image.detach().sum()
+
+    def check(self, due: Iterable[object]) -> None:
+        """Refuse images whose sum has changed since.
+
+        Args:
+            due: names of the components that received them.
+        """
+        for name, (image, total) in self._sums.items():
+            if not _same(image.sum(), total):
+                raise PluginError(
+                    f"a component wrote into the rendered {name}, which it may only read",
+                    where=f"one of {', '.join(map(str, due))}",
+                    fix="train again with --check-plugins, which names the component",
+                )
 
 
 def _mark(tensor: Tensor) -> tuple[int, bool, int]:

@@ -14,7 +14,7 @@ from time import monotonic
 
 from rich.console import Console
 
-from ..calls.read_only_guard import checked_plugins, of_scene
+from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
@@ -24,6 +24,7 @@ from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
+from ..pipeline.repeats import answer_of
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
@@ -175,7 +176,8 @@ def _initialized(
     initializer, known = parts.one("initializer"), scene.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
-        points = initializer.component.initialize(known, parts.priors)
+        given, twice = (known, parts.priors), are_checked()
+        points = answer_of(initializer.component, "initialize", given, twice=twice)
         check_maps(points.maps, known)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
