@@ -19,7 +19,7 @@ from ..contract.prior import Prior
 from ..contract.step import Step
 from ..errors import PluginError
 
-_RECORDS = (".facts", ".pictures")
+_RECORDS = ("facts", "pictures")
 """Parts of answers that may differ: they do not change the Gaussians, and facts may be seconds."""
 
 
@@ -88,6 +88,11 @@ def first_difference(first: Any, second: Any) -> str | None:
 
     Compares tensors, numbers, text, and dataclasses, mappings and sequences of them.
     """
+    if is_dataclass(first) and type(first) is type(second):
+        both = {
+            field.name: [getattr(v, field.name) for v in (first, second)] for field in fields(first)
+        }
+        first, second = ({n: v[i] for n, v in both.items() if v[0] is not v[1]} for i in range(2))
     one, other = digests(first), digests(second)
     return next((name for name in one | other if one.get(name) != other.get(name)), None)
 
