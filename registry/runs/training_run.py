@@ -12,6 +12,7 @@ from itertools import chain, count
 from pathlib import Path
 from time import monotonic
 
+import torch
 from rich.console import Console
 
 from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
@@ -39,7 +40,7 @@ from .opening import keep_failure, open_run
 from .options import InitialState, RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
 from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
-from .run import Run, Stages
+from .run import SUMS, Run, Stages
 
 AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
@@ -221,7 +222,7 @@ def _train_to_end(
 
     Returns the pipeline to start training again with if the plan corrects itself.
     """
-    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
+    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics, run.sums)
     with _explaining_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
@@ -306,6 +307,8 @@ def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
     with _failures_kept(run, trainer):
         state = trainer.state()
+    for name, pair in run.sums.items():
+        state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
     )
