@@ -267,12 +267,16 @@ def _explaining_how_to_continue(run: Run) -> Iterator[None]:
     path = run.folder.path
     try:
         yield
+        run.check_folder()
     except KeyboardInterrupt as stop:
         kept = "trained scene" if run.finished else "last checkpoint"
         rest = "scores it and writes its page" if run.finished else "continues from it"
         stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
         raise
-    except OSError as error:
+    except (OSError, RunError) as error:
+        run.check_folder()
+        if isinstance(error, RunError):
+            raise
         raise RunError(
             f"a file of the run cannot be written: {error.strerror or error}",
             where=str(path),
