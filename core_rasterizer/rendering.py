@@ -79,6 +79,18 @@ class Rendering:
         vars(rendering).update(coverage=coverage, image=image)
         return rendering
 
+    def noting(self, note: Callable[[str, Tensor], None]) -> Rendering:
+        """The same rendering; `note` is called with each image and its name on first access."""
+        image = vars(self)["image"]
+
+        def noted(name: str) -> Tensor:
+            made: Tensor = image(name)
+            note(name, made)
+            return made
+
+        vars(self)["image"] = noted
+        return self
+
     if not TYPE_CHECKING:  # so that type checkers find misspelt names
 
         def __getattr__(self, name: str) -> Any:

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 from .contract.checks.scene import validate
 from .contract.components import IN_MEMORY
 from .contract.scene import PointCloud, Scene, View
-from .errors import PipelineError, RunError, SceneError
-from .messages.suggestions import did_you_mean, listing
+from .errors import PipelineError, SceneError
 from .pipeline.edits import SECTIONS
 from .pipeline.pipeline import Item, Pipeline
 from .pipeline.pipeline import build_pipeline as checked_pipeline
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "build_pipeline",
-    "export",
-    "find_exporter",
     "load_scene",
     "open_run",
     "render",
@@ -299,86 +296,6 @@ def results(folder: PathLike) -> dict[str, Any]:
         RunError: the folder is not a run, or the file is damaged.
     """
     return RunFolder.existing(Path(folder).expanduser()).results()
-
-
-def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
-    """Return an exporter with its settings.
-
-    Raises:
-        ExplainedError: no such exporter, or wrong settings.
-    """
-    from .inspection.scene_source import single_item
-
-    return single_item(Plugins().find(SECTIONS["exporters"], format_name), changes)
-
-
-def export(
-    run: Run,
-    format_name: str,
-    folder: PathLike | None = None,
-    *,
-    changes: Sequence[str] = (),
-    without: Sequence[str] = (),
-) -> list[Path]:
-    """Write the Gaussians of a run with any installed exporter.
-
-    Args:
-        format_name: name of the exporter: "ply", "gltf", ...
-        folder: created if missing; None: `exports` in the run folder.
-        changes: `key=value`, settings of the exporter.
-        without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
-
-    Returns:
-        The files that were written.
-
-    Raises:
-        ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
-            exporter failed.
-    """
-    from core_rasterizer import GaussianReader
-
-    from .calls.copies import copied
-    from .pipeline.parts import build_part
-    from .runs.results import EXPORTS, existing_files
-    from .training.trainer import one_torch_thread
-
-    item = find_exporter(format_name, changes)
-    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
-    with one_torch_thread():
-        model = _model_without(run, without)
-        place.mkdir(parents=True, exist_ok=True)
-        part = build_part(item, run.pipeline.training.seed, run.model.engine)
-        with part.at_work():
-            scene = copied(run.scene)
-            return existing_files(part.component.export(GaussianReader(model), scene, place))
-
-
-def _model_without(run: Run, kinds: Sequence[str]) -> Model:
-    """Return the Gaussians of a run except those of some kinds."""
-    if not kinds:
-        return run.model
-    import torch
-
-    from core_rasterizer import Gaussians
-
-    from .training.initial_model import new_model
-
-    known = run.kinds
-    for kind in kinds:
-        if kind not in known:
-            raise RunError(
-                f"the run's Gaussians have no kind {kind!r}{did_you_mean(kind, known)}",
-                where="--without",
-                fix=f"kinds: {listing(known)}"
-                if known
-                else "its initializer does not distinguish kinds, or an older version trained it",
-            )
-    left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
-    if left_out.all():
-        where = f"--without {','.join(kinds)}"
-        raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
-    kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
-    return new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
 
 
 def render(

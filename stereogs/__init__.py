@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from registry.runs.evaluation import Picture
     from registry.session import (
         build_pipeline,
-        export,
         load_scene,
         open_run,
         render,
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
         train,
     )
     from registry.training import Iteration
+    from stereogs_plugins.tools.export import export
     from stereogs_plugins.tools.quality import within
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)

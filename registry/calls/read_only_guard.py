@@ -6,10 +6,11 @@ or `.data`, are only found by comparing every bit: in a component's first call, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from ..errors import PluginError
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
     from ..contract.scene import DepthMap, Scene, TrainingScene
 
+_Mark = tuple[int, bool, object]
+_mark: Callable[[Tensor], _Mark] = attrgetter("_version", "requires_grad", "_backward_hooks")
+"""Values that change with every write through torch, and with a first hook."""
 _CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 
 
@@ -56,9 +60,9 @@ class ReadOnlyGuard:
             PluginError: names the first.
         """
         tensors = {**self.tensors, **self._images(fetch=every_bit)}
-        marks = {name: _mark(tensor) for name, tensor in tensors.items()}
+        marks = _marks(tensors.values())
         passes = [model.backward_passes for model in self.models]
-        copies = {name: t.detach().clone() for name, t in tensors.items()} if every_bit else {}
+        copies = [tensor.detach().clone() for tensor in tensors.values()] if every_bit else []
         compared = self.models if every_bit else ()
         gaussians = [vars(model.gaussians()) for model in compared]
         yield
@@ -67,16 +71,15 @@ class ReadOnlyGuard:
                 "it ran a backward pass into the Gaussians: others' gradients would be wrong",
                 fix="return the loss, and leave `backward` to the host",
             )
-        for name, tensor in {**self.tensors, **self._images()}.items():
-            # An image that was fetched within the block has had no writes before.
-            before = marks.get(name, (0, tensor.requires_grad, 0))
-            after = _mark(tensor)
-            if after[2] > before[2]:
-                raise PluginError(
-                    f"it registered a hook on {name}: others' gradients would be wrong",
-                    fix="register hooks on tensors of its own, for example `tensor.clone()`",
-                )
-            if after != before or (copies and not _same(tensor, copies[name])):
+        for name, image in self._images().items():
+            if name not in tensors:  # fetched within the block, with no writes before
+                tensors[name] = image
+                marks.append((0, image.requires_grad, None))
+        after = _marks(tensors.values())
+        if after != marks:
+            _refuse_change(tensors, marks, after)
+        for (name, tensor), copy in zip(tensors.items(), copies, strict=False):
+            if not _same(tensor, copy):
                 raise _overwritten(name)
         for model, parameters in zip(compared, gaussians, strict=True):
             if not all(_same(model.read(name), values) for name, values in parameters.items()):
@@ -150,10 +153,48 @@ def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
     )
 
 
-def _mark(tensor: Tensor) -> tuple[int, bool, int]:
-    """Return values that change with every write through torch, and the number of hooks."""
-    version = 0 if tensor.is_inference() else tensor._version
-    return version, tensor.requires_grad, len(tensor._backward_hooks or ())
+class ImageSums:
+    """Sums of a render's images on first access, to find writes past torch; these reach the device."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[Tensor, Tensor]] = {}
+
+    def note(self, name: str, image: Tensor) -> None:
+        """Keep the sum of an image; see `Rendering.noting`."""
+        self._sums[name] = image.detach(), image.detach().sum()
+
+    def check(self, due: Iterable[object]) -> None:
+        """Refuse images whose sum has changed since.
+
+        Args:
+            due: names of the components that received them.
+        """
+        for name, (image, total) in self._sums.items():
+            if not _same(image.sum(), total):
+                raise PluginError(
+                    f"a component wrote into the rendered {name}, which it may only read",
+                    where=f"one of {', '.join(map(str, due))}",
+                    fix="train again with --check-plugins, which names the component",
+                )
+
+
+def _marks(tensors: Collection[Tensor]) -> list[_Mark]:
+    try:
+        return list(map(_mark, tensors))
+    except RuntimeError:  # tensors made in inference mode count no writes
+        return [(0, t.requires_grad, None) if t.is_inference() else _mark(t) for t in tensors]
+
+
+def _refuse_change(names: Iterable[str], marks: list[_Mark], after: list[_Mark]) -> None:
+    """Name the first tensor whose mark has changed."""
+    for name, before, now in zip(names, marks, after, strict=True):
+        if now[2] is not before[2]:
+            raise PluginError(
+                f"it registered a hook on {name}: others' gradients would be wrong",
+                fix="register hooks on tensors of its own, for example `tensor.clone()`",
+            )
+        if now != before:
+            raise _overwritten(name)
 
 
 def _same(tensor: Tensor, copy: Tensor) -> bool:

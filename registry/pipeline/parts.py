@@ -22,11 +22,12 @@ from ..contract.prior import Prior
 from ..errors import RunError
 from .blame import at_work
 from .pipeline import Item, Pipeline
+from .repeats import answer_of
 
 TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
 """The sections whose components take part in the training loop; each field has its own."""
-_LOOK_EVERY = 10
-"""Iterations between two checks that take longer, see `Part.looks`."""
+_LOOK_EVERY = 11
+"""Calls between two checks that take longer, see `Part.looks`; prime: a component's own cycle meets them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +45,26 @@ class Part:
         In its first call of the loop every bit of the data is compared; for other calls see `looks`.
         """
         number, seed = iteration or 0, self.component.context.seed
-        look, first = self.looks(number), self._first(number)
+        look, first = self.looks(number), self._call(number) == 0
         return at_work(self.item, seed, iteration, lent, look=look, every_bit=first)
 
     def looks(self, iteration: int) -> bool:
-        """Whether to make checks that take longer: in the first call, each tenth iteration, or if checked."""
-        return self._first(iteration) or iteration % _LOOK_EVERY == 0 or are_checked()
+        """Whether to make checks that take longer: in the first call, every eleventh, or if checked."""
+        return self._call(iteration) % _LOOK_EVERY == 0 or are_checked()
 
-    def _first(self, iteration: int) -> bool:
-        return iteration < self.item.schedule.start + self.item.schedule.every
+    def answer(self, method: str, step: Any, *given: Any) -> Any:
+        """Return the component's answer to a call of the training loop.
+
+        A copy is asked too in the second call; if checked, also in the first and in every eleventh.
+        """
+        number = self._call(step.iteration)
+        twice = number == 1 or (are_checked() and number % _LOOK_EVERY == 0)
+        return answer_of(self.component, method, (step, *given), twice=twice)
+
+    def _call(self, iteration: int) -> int:
+        """Return the number of the call by the schedule; 0: the first, or before it."""
+        schedule = self.item.schedule
+        return max(0, iteration - schedule.start) // schedule.every
 
 
 class Parts:

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering
 
 from ..calls.copies import copied
+from ..calls.read_only_guard import are_checked
 from ..contract.checks.answers import check_score
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
+from ..pipeline.repeats import answer_of
 from ..toolkit.drawing.pictures import save_view_pictures
 
 Floats = NDArray[np.float32]
@@ -101,8 +103,10 @@ def evaluate(
             name = part.item.name
             try:
                 with part.at_work():
-                    given = copied((rendering, view, scene))
-                    score = check_score(part.component.measure_view(*given))
+                    given, again = (copied((rendering, view, scene)) for _ in range(2))
+                    twice, metric = are_checked(), part.component
+                    answer = answer_of(metric, "measure_view", given, twice=twice, again=again)
+                    score = check_score(answer)
             except ExplainedError as error:
                 scores.failures.setdefault(part.item.qualified_name, error)
                 score = Unavailable(error.what)

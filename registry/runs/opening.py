@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from time import monotonic
@@ -22,7 +22,7 @@ from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
-from ..pipeline.pipeline import Pipeline, load_pipeline
+from ..pipeline.pipeline import load_pipeline
 from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import parse
 from ..plugins.discovery import Plugins
@@ -31,14 +31,13 @@ from ..training.checkpoint import (
     Checkpoint,
     explain_misfit,
     load_checkpoint,
-    read_checkpoint,
     write_checkpoint,
 )
 from ..training.initial_model import new_model
-from ..training.trainer import Trainer, resumed
-from .folder import PIPELINE, RunFolder
+from ..training.trainer import resumed
+from .folder import RunFolder
 from .origin import compare_inputs, input_digests, with_packages
-from .run import Run, Stages
+from .run import SUMS, Run, Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]
 """Sections that may change before a run is resumed: no bit depends on them."""
@@ -113,6 +112,7 @@ def open_run(
         iteration=checkpoint.iteration,
         initialization=facts,
         seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
+        sums={name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()},
         folder=folder,
         changed=changed,
         identity=folder.identity,
@@ -171,14 +171,6 @@ def _quoted(lines: list[str]) -> str:
     return f"`{lines[0]}`" if lines else "nothing"
 
 
-@dataclass(frozen=True)
-class Failure:
-    """An iteration that failed before, with the error `what`, and succeeds now."""
-
-    iteration: int
-    what: str
-
-
 def keep_failure(run: Run, iteration: int, error: Exception) -> None:
     """Keep the checkpoint before a failed iteration, and add the replay command to the `fix` of the error.
 
@@ -213,7 +205,9 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         newest.iteration + 1,
     )
     engine = run.model.engine
-    trainer = _trainer(newest, run.pipeline, Parts(run.pipeline, engine), run.scene, engine)
+    model = new_model(Gaussians(**newest.part("model")), run.pipeline.training, engine)
+    parts = Parts(run.pipeline, engine)
+    trainer = resumed(newest, run.pipeline.training, parts, run.scene, model)
     try:
         for done in trainer.run():
             if done.number == last:
@@ -221,59 +215,3 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
     except ExplainedError as error:
         _log.warning("iteration %d failed already: %s", trainer.iteration + 1, error.what)
     return newest
-
-
-def replay(
-    place: Path,
-    *,
-    plugins: Plugins,
-    device: Device | Engine,
-    accept_changed_inputs: bool = False,
-) -> Failure:
-    """Repeat an iteration that failed.
-
-    Args:
-        place: the folder that `keep_failure` wrote, or a file in it.
-        accept_changed_inputs: continue even if photographs, cameras or model files have changed.
-
-    Returns:
-        The earlier failure, if the iteration succeeds now.
-
-    Raises:
-        ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
-    """
-    place = place.parent if place.is_file() else place
-    fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
-    if not place.is_dir():
-        raise RunError("there is no such folder", where=str(place), fix=fix)
-    checkpoint = read_checkpoint(place)
-    pipeline = load_pipeline(place / PIPELINE, plugins)
-    notes, last = checkpoint.notes, pipeline.training.iterations
-    iteration, inputs = notes.get("iteration"), notes.get("inputs")
-    if type(iteration) is not int or not isinstance(inputs, dict):
-        what = "this is the checkpoint of a run, not of a failed iteration"
-        raise RunError(what, where=str(place), fix=fix)
-    if not checkpoint.iteration < iteration <= last:
-        what = (
-            f"iteration {iteration} does not come after {checkpoint.iteration} in a run of {last}"
-        )
-        raise RunError(what, where=str(place), fix=fix)
-    parts = Parts(pipeline, device)
-    scene = load(parts.one("scene"))
-    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
-    with explain_misfit(place):
-        trainer = _trainer(checkpoint, pipeline, parts, scene, device)
-    next(done for done in trainer.run() if done.number == iteration)
-    return Failure(iteration, str(notes.get("what")))
-
-
-def _trainer(
-    checkpoint: Checkpoint,
-    pipeline: Pipeline,
-    parts: Parts,
-    scene: Scene,
-    device: Device | Engine,
-) -> Trainer:
-    """Return a new trainer that continues after a checkpoint."""
-    model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
-    return resumed(checkpoint, pipeline.training, parts, scene, model)

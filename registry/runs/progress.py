@@ -18,7 +18,7 @@ from ..system.files import jsonable
 from ..toolkit.progress.stages import STAGES, Stage, progress
 from ..training.trainer import Iteration, Trainer
 from .evaluation import Scores
-from .run import Run
+from .run import Run, Sums
 
 EVERY = 50
 """Iterations that share a line of metrics.jsonl."""
@@ -58,11 +58,15 @@ class TrainingProgress:
 
 
 class MetricsLog:
-    """Averages the numbers of iterations into lines of metrics.jsonl, which `write_line` receives."""
+    """Averages the numbers of iterations into lines of metrics.jsonl.
 
-    def __init__(self, write_line: Callable[[dict[str, Any]], None]) -> None:
-        self._write_line = write_line
-        self._sums: dict[str, tuple[float, int]] = {}
+    Args:
+        write_line: receives each line.
+        sums: sum and count of each number since the last line; changed in place.
+    """
+
+    def __init__(self, write_line: Callable[[dict[str, Any]], None], sums: Sums) -> None:
+        self._write_line, self._sums = write_line, sums
 
     def add(self, done: Iteration, seconds: float, *, last: bool) -> None:
         """Add an iteration after `seconds` of training; write a line in every 50th and in the last."""
@@ -71,7 +75,7 @@ class MetricsLog:
             self._sums[name] = (total + value, count + 1)
         if last or done.number % EVERY == 0:
             means = {name: total / count for name, (total, count) in self._sums.items()}
-            self._sums = {}
+            self._sums.clear()
             line = {"iteration": done.number, "seconds": round(seconds, 3)}
             self.write({**line, "gaussians": done.gaussians, **means})
 

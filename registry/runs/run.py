@@ -39,6 +39,9 @@ from .origin import (
 )
 from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
 
+Sums = dict[str, tuple[float, int]]
+SUMS = "sums"
+"""Prefix of `Run.sums` in checkpoints."""
 _log = logging.getLogger(__name__)
 
 
@@ -75,6 +78,7 @@ class Run:
         pictures: pictures drawn by the initializer, `[H, W, 3]` in [0, 1] by name.
         seconds: wall-clock time of each stage.
         metrics: lines of metrics.jsonl; empty for a run read from a folder.
+        sums: sum and count of each number that the next line will average.
         folder: the run folder; None: in memory only.
         changed: inputs that changed since the run began, and were accepted.
         identity: unique identifier of the run; "" without a folder.
@@ -91,6 +95,7 @@ class Run:
     pictures: dict[str, Tensor] = field(default_factory=dict)
     seconds: Stages = field(default_factory=Stages)
     metrics: list[dict[str, Any]] = field(default_factory=list)
+    sums: Sums = field(default_factory=dict)
     folder: RunFolder | None = None
     changed: tuple[str, ...] = ()
     identity: str = ""
@@ -255,11 +260,7 @@ class Run:
         results = self._scored({})
         if before not in (None, results.hash):
             _log.warning("the hash was %s when the run was finished before", before)
-        results.initialization = jsonable(self.initialization)
-        per_second = self.iteration / max(self.seconds.training, 1e-9)
-        results.iterations_per_second = round(per_second, 3)
         results.peak_memory_mb = peak_memory_mb()
-        self._add_times(results)
         begin = monotonic()
         self._write_with_outputs(results)
         self.seconds.outputs = monotonic() - begin
@@ -331,6 +332,11 @@ class Run:
         results.changed_inputs = folder.inputs()[1]
         scores = self.evaluate(folder.folder(RENDERS))
         add_scores(results, **scores)
+        if not before:
+            results.initialization = jsonable(self.initialization)
+            per_second = self.iteration / max(self.seconds.training, 1e-9)
+            results.iterations_per_second = round(per_second, 3)
+            self._add_times(results)
         return results
 
     def _add_times(self, results: Results) -> None:

@@ -12,9 +12,10 @@ from itertools import chain, count
 from pathlib import Path
 from time import monotonic
 
+import torch
 from rich.console import Console
 
-from ..calls.read_only_guard import checked_plugins, of_scene
+from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
@@ -24,6 +25,7 @@ from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
+from ..pipeline.repeats import answer_of
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
@@ -38,7 +40,7 @@ from .opening import keep_failure, open_run
 from .options import InitialState, RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
 from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
-from .run import Run, Stages
+from .run import SUMS, Run, Stages
 
 AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
@@ -175,7 +177,8 @@ def _initialized(
     initializer, known = parts.one("initializer"), scene.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
-        points = initializer.component.initialize(known, parts.priors)
+        given, twice = (known, parts.priors), are_checked()
+        points = answer_of(initializer.component, "initialize", given, twice=twice)
         check_maps(points.maps, known)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
@@ -219,7 +222,7 @@ def _train_to_end(
 
     Returns the pipeline to start training again with if the plan corrects itself.
     """
-    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics)
+    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics, run.sums)
     with _explaining_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
@@ -264,12 +267,16 @@ def _explaining_how_to_continue(run: Run) -> Iterator[None]:
     path = run.folder.path
     try:
         yield
+        run.check_folder()
     except KeyboardInterrupt as stop:
         kept = "trained scene" if run.finished else "last checkpoint"
         rest = "scores it and writes its page" if run.finished else "continues from it"
         stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
         raise
-    except OSError as error:
+    except (OSError, RunError) as error:
+        run.check_folder()
+        if isinstance(error, RunError):
+            raise
         raise RunError(
             f"a file of the run cannot be written: {error.strerror or error}",
             where=str(path),
@@ -304,6 +311,8 @@ def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
 def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
     with _failures_kept(run, trainer):
         state = trainer.state()
+    for name, pair in run.sums.items():
+        state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
     )

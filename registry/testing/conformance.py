@@ -22,12 +22,13 @@ from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..messages.terminal import CommandParser, HelpFormatter
 from ..pipeline.parts import TRAINING_SECTIONS
+from ..pipeline.repeats import digests, first_difference
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import parse, to_yaml
 from ..plugins.commands import COMMANDS, Verb
 from ..plugins.discovery import GROUP, Plugins, check_offer
 from ..training.gradients import check_groups
-from .assertions import digests, first_difference, require
+from .assertions import require
 from .bench import Bench, Refused
 from .component_calls import CALLS
 from .processes import in_other_processes

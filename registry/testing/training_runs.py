@@ -16,6 +16,7 @@ from core_rasterizer import Gaussians
 from ..contract.component import Component, Settings
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
+from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
 from ..plugins.discovery import Plugins
 from ..runs.options import RunOptions
@@ -23,7 +24,7 @@ from ..runs.training_run import resume, start
 from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..training.initial_model import new_model
 from ..training.trainer import Trainer
-from .assertions import first_difference, no_side_effects, require
+from .assertions import no_side_effects, require
 from .bench import Bench
 from .scenes import UNDER_TEST, RandomEdits, pipeline_item, pipeline_of
 

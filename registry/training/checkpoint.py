@@ -166,6 +166,9 @@ def read_checkpoint(place: Path) -> Checkpoint:
         RunError: it is damaged, or has another format.
     """
     try:
+        for name in (_MANIFEST, _PIPELINE, _TENSORS):
+            if not (place / name).is_file():  # reading a pipe would not end
+                raise ValueError(f"{name} is missing, or not a file")
         manifest = json.loads((place / _MANIFEST).read_bytes())
         if manifest["format"] != FORMAT:
             raise RunError(

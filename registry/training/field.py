@@ -20,7 +20,14 @@ from torch import Tensor
 from core_rasterizer import Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.read_only_guard import ReadOnlyGuard, of_kinds, of_maps, of_rendering, of_scene
+from ..calls.read_only_guard import (
+    ImageSums,
+    ReadOnlyGuard,
+    of_kinds,
+    of_maps,
+    of_rendering,
+    of_scene,
+)
 from ..contract.checks.answers import (
     check_colors,
     check_edit,
@@ -136,7 +143,7 @@ class Field:
         )
         for part in self.parts.due("samplers", iteration):
             with part.at_work(iteration, self.lent):
-                answer = part.component.sample(self._step, self._step.sample)
+                answer = part.answer("sample", self._step, self._step.sample)
                 sample = check_sample(answer, self.model.count)
             render = step_renderer(self.model, sample)
             self._step = replace(self._step, sample=sample, render=render)
@@ -167,7 +174,7 @@ class Field:
         scale: Tensor | None = None
         for part in self.parts.due("modifiers", step.iteration):
             with part.at_work(step.iteration, self.lent):
-                factor = check_opacity_scale(part.component.opacity_scale(step), self.model.count)
+                factor = check_opacity_scale(part.answer("opacity_scale", step), self.model.count)
             scale = factor if scale is None else scale * factor
         growing = [  # now or in a later iteration
             part.component
@@ -183,6 +190,8 @@ class Field:
             collect_statistics=bool(growing),
             collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
+        self._image_sums = ImageSums()
+        self._rendering.noting(self._image_sums.note)
         self.lent += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
         step.rendered(lambda: self._rendering)
 
@@ -205,7 +214,7 @@ class Field:
         for part in self.parts.due("appearances", step.iteration):
             before = shown if colors else shown.rgb
             with part.at_work(step.iteration, self.lent + ReadOnlyGuard({"the colours": before})):
-                shown = check_colors(part.component.colors(step, before), before.shape)
+                shown = check_colors(part.answer("colors", step, before), before.shape)
                 if part.looks(step.iteration):
                     check_path("the image", shown, [self.model.anchor])
             colors.append((part.item, before))
@@ -214,6 +223,8 @@ class Field:
         terms = [photometric]
         for part in self._regularizers("together"):
             terms.append(regularizing_term(part, step, self.lent, self.logged, self._trained))
+        due = [*self.parts.due("appearances", step.iteration), *self._regularizers("together")]
+        self._image_sums.check(part.item.qualified_name for part in due)
         loss = backward(terms, step.iteration, self.model, self.parameters, self.lent, colors)
         if step.iteration % LOOK_EVERY == 1 and not self._no_gradient:
             self._no_gradient = without_gradient(self.model, self._rendering)
@@ -227,7 +238,7 @@ class Field:
         self._reset = False
         for part in self.parts.due("opacity", self._step.iteration):
             with part.at_work(self._step.iteration, self.lent):
-                answer = part.component.update(self._step)
+                answer = part.answer("update", self._step)
                 update = check_opacity_update(answer, self.model.count)
             if update is not None:
                 kept = update.opacities.float().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
@@ -241,7 +252,7 @@ class Field:
         for part in self.parts.due("densification", iteration):
             count = self.model.count
             with part.at_work(iteration, self.lent):
-                wanted = check_edit(part.component.refine(self._step), count)
+                wanted = check_edit(part.answer("refine", self._step), count)
             if wanted is None:
                 continue
             edit = self._within_limits(wanted)
@@ -272,7 +283,7 @@ class Field:
         """Add the offsets of perturbations to the parameters."""
         for part in self.parts.due("perturbations", self._step.iteration):
             with part.at_work(self._step.iteration, self.lent):
-                offsets = check_offsets(part.component.offsets(self._step), self.model.read)
+                offsets = check_offsets(part.answer("offsets", self._step), self.model.read)
             with blame(part.item, self._step.iteration):
                 for name, offset in offsets.items():
                     self.model.write(name, self.model.read(name) + offset)

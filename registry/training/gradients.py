@@ -85,7 +85,7 @@ def regularizing_term(
         trained: leaves; a gradient of the term must reach one of them.
     """
     with part.at_work(step.iteration, lent):
-        term = check_loss(part.component.loss(step))
+        term = check_loss(part.answer("loss", step))
         if term.requires_grad and part.looks(step.iteration):
             check_path("the loss", term, trained)
     logged[part.item.qualified_name] = float(term.detach())

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import os
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
+from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_run, console, open_given
+from registry.messages import did_you_mean, listing
+
+if TYPE_CHECKING:
+    from core_rasterizer import Model
+    from registry.pipeline import Item
+    from registry.runs import Run
 
 MOST_LINES = 3
 """Largest number of files per folder that are listed one by one."""
@@ -55,7 +64,6 @@ class Export(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Export and print the written files."""
         output = console()
-        from registry.session import export, find_exporter
 
         find_exporter(arguments.format, arguments.set)  # fails before the scene is loaded
         opened = open_given(arguments)
@@ -73,6 +81,85 @@ class Export(Command):
             else:
                 output.print(*(f"exported  {path}" for path in inside), sep="\n")
         return 0
+
+
+def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
+    """Return an exporter with its settings.
+
+    Raises:
+        ExplainedError: no such exporter, or wrong settings.
+    """
+    from registry.inspection import single_item
+    from registry.pipeline import SECTIONS
+    from registry.plugins import Plugins
+
+    return single_item(Plugins().find(SECTIONS["exporters"], format_name), changes)
+
+
+def export(
+    run: Run,
+    format_name: str,
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    changes: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> list[Path]:
+    """Write the Gaussians of a run with any installed exporter.
+
+    Args:
+        format_name: name of the exporter: "ply", "gltf", ...
+        folder: created if missing; None: `exports` in the run folder.
+        changes: `key=value`, settings of the exporter.
+        without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
+            exporter failed.
+    """
+    from core_rasterizer import GaussianReader
+    from registry.pipeline import build_part
+    from registry.runs import EXPORTS, copied, existing_files
+    from registry.training import one_torch_thread
+
+    item = find_exporter(format_name, changes)
+    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
+    with one_torch_thread():
+        model = _model_without(run, without)
+        place.mkdir(parents=True, exist_ok=True)
+        part = build_part(item, run.pipeline.training.seed, run.model.engine)
+        with part.at_work():
+            scene = copied(run.scene)
+            return existing_files(part.component.export(GaussianReader(model), scene, place))
+
+
+def _model_without(run: Run, kinds: Sequence[str]) -> Model:
+    """Return the Gaussians of a run except those of some kinds."""
+    if not kinds:
+        return run.model
+    import torch
+
+    from core_rasterizer import Gaussians
+    from registry.training import new_model
+
+    known = run.kinds
+    for kind in kinds:
+        if kind not in known:
+            raise RunError(
+                f"the run's Gaussians have no kind {kind!r}{did_you_mean(kind, known)}",
+                where="--without",
+                fix=f"kinds: {listing(known)}"
+                if known
+                else "its initializer does not distinguish kinds, or an older version trained it",
+            )
+    left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
+    if left_out.all():
+        where = f"--without {','.join(kinds)}"
+        raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
+    kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
+    return new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
 
 
 def _names(text: str) -> tuple[str, ...]:

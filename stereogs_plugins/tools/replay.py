@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
+from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_accept_changed_inputs, add_device, console
+
+if TYPE_CHECKING:
+    from core_rasterizer import Device
+    from registry.plugins import Plugins
 
 _EPILOG = """\
 examples:
@@ -16,6 +22,14 @@ examples:
 A run whose iteration fails saves the state before it. This command repeats the iteration: it reproduces
 the error, or succeeds if the cause has been fixed.
 """
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An iteration that failed before, with the error `what`, and succeeds now."""
+
+    iteration: int
+    what: str
 
 
 class Replay(Command):
@@ -35,7 +49,6 @@ class Replay(Command):
         """Repeat the iteration; return 0 if it succeeds."""
         from core_rasterizer import open_device
         from registry.plugins import Plugins
-        from registry.runs import repeat_failure
         from registry.training import one_torch_thread
 
         with one_torch_thread():
@@ -49,6 +62,57 @@ class Replay(Command):
             f"iteration {failure.iteration} succeeds now; it had failed with: {failure.what}"
         )
         return 0
+
+
+def repeat_failure(
+    place: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    accept_changed_inputs: bool = False,
+) -> Failure:
+    """Repeat an iteration that failed.
+
+    Args:
+        place: a folder in RUN/failures, or a file in it.
+        accept_changed_inputs: continue even if photographs, cameras or model files have changed.
+
+    Returns:
+        The earlier failure, if the iteration succeeds now.
+
+    Raises:
+        ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
+    """
+    from core_rasterizer import Gaussians
+    from registry.inspection import load
+    from registry.pipeline import Parts, load_pipeline
+    from registry.runs import FAILURES, compare_inputs
+    from registry.training import explain_misfit, new_model, read_checkpoint, resumed
+
+    place = place.parent if place.is_file() else place
+    fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
+    if not place.is_dir():
+        raise RunError("there is no such folder", where=str(place), fix=fix)
+    checkpoint = read_checkpoint(place)
+    pipeline = load_pipeline(place / "pipeline.yaml", plugins)
+    notes, last = checkpoint.notes, pipeline.training.iterations
+    iteration, inputs = notes.get("iteration"), notes.get("inputs")
+    if type(iteration) is not int or not isinstance(inputs, dict):
+        what = "this is the checkpoint of a run, not of a failed iteration"
+        raise RunError(what, where=str(place), fix=fix)
+    if not checkpoint.iteration < iteration <= last:
+        what = (
+            f"iteration {iteration} does not come after {checkpoint.iteration} in a run of {last}"
+        )
+        raise RunError(what, where=str(place), fix=fix)
+    parts = Parts(pipeline, device)
+    scene = load(parts.one("scene"))
+    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
+    with explain_misfit(place):
+        model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
+        trainer = resumed(checkpoint, pipeline.training, parts, scene, model)
+    next(done for done in trainer.run() if done.number == iteration)
+    return Failure(iteration, str(notes.get("what")))
 
 
 @hookimpl

@@ -18,7 +18,7 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from .feature_networks import KeypointNetworks, Keypoints, LearnedFeatures
     from .model_file import Sha256, read_model_file
-    from .onnx_model import OnnxModel, OnnxModelSettings, OnnxTensor
+    from .onnx_model import OnnxModel, OnnxModelSettings, OnnxTensor, answers_within
     from .onnx_session import OnnxProvider, first_line
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -32,6 +32,7 @@ __all__ = [
     "OnnxProvider",
     "OnnxTensor",
     "Sha256",
+    "answers_within",
     "first_line",
     "read_model_file",
 ]

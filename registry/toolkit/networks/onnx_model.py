@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +39,19 @@ if TYPE_CHECKING:
 _log = logging.getLogger("stereogs.priors")
 _TYPES = ("float", "float16", "double", "uint8", "int32", "int64", "bool")
 """Element types by ONNX's names, which are names of torch too."""
+
+
+_LIMIT: ContextVar[float] = ContextVar("limit", default=TIME_LIMIT)
+
+
+@contextmanager
+def answers_within(seconds: float) -> Iterator[None]:
+    """Within the block, stop a graph that takes longer to answer, instead of after `TIME_LIMIT`."""
+    token = _LIMIT.set(seconds)
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
 
 
 @dataclass(frozen=True)
@@ -93,6 +108,8 @@ class OnnxModel:
         self.provider = running_provider(self._session, provider)
         self.inputs = _described(self._session.get_inputs(), self.path)
         self.outputs = _described(self._session.get_outputs(), self.path)
+        if not (self.inputs and self.outputs):
+            raise self._mismatch("the model has no input or no output")
         self._logged = False
 
     @property
@@ -123,7 +140,7 @@ class OnnxModel:
 
         Raises:
             PluginError: A name or shape does not match the graph, the model fails, or it takes more
-                than an hour.
+                than an hour, or than `answers_within` allows.
         """
         import numpy as np
         import torch
@@ -160,15 +177,15 @@ class OnnxModel:
         """Run the session with a time limit: a graph may contain an endless loop."""
         import onnxruntime
 
-        options = onnxruntime.RunOptions()
-        timer = threading.Timer(TIME_LIMIT, setattr, (options, "terminate", True))
+        options, limit = onnxruntime.RunOptions(), _LIMIT.get()
+        timer = threading.Timer(limit, setattr, (options, "terminate", True))
         timer.daemon = True
         timer.start()
         try:
             return self._session.run(None, feed, options)
         except Exception as error:  # onnxruntime's exceptions have no common base class
             if options.terminate:
-                what = f"the model did not finish within {TIME_LIMIT:g} s"
+                what = f"the model did not finish within {limit:g} s"
                 fix = "use smaller images; if that does not help, the graph has an endless loop"
             else:
                 what = f"the model failed: {first_line(error)}"

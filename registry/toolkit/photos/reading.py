@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import zipfile
 from contextlib import contextmanager
@@ -70,8 +71,8 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
     """Read a JSON file and validate it against a pydantic model, with strict types.
 
     Raises:
-        SceneError: The file is missing, larger than 12 MB, not JSON, lacks a field, or has a field
-            of a wrong type.
+        SceneError: The file is missing, larger than 12 MB, not JSON, lacks a field, has a field of a
+            wrong type, or names one twice.
     """
     _require_file(path, f"the file {path.name}", fix)
     size = path.stat().st_size
@@ -84,13 +85,31 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
     with decoding(path.name, path, fix):
         content = path.read_bytes()
     try:
-        return model.model_validate_json(content, strict=True)
+        read = model.model_validate_json(content, strict=True)
+        json.loads(content, object_pairs_hook=_refuse_repeated)
+        return read
+    except _RepeatedName as error:
+        raise SceneError(
+            f"{path.name} has the field {error} twice", where=str(path), fix=fix
+        ) from error
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         what = f"the field {'.'.join(map(str, first['loc']))!r} cannot be used"
         if first["type"] == "json_invalid":
             what = f"{path.name} cannot be read"
         raise SceneError(f"{what}: {first['msg']}", where=str(path), fix=fix) from error
+
+
+class _RepeatedName(Exception):
+    """A name occurs twice in an object."""
+
+
+def _refuse_repeated(pairs: list[tuple[str, object]]) -> None:
+    names = set[str]()
+    for name, _ in pairs:
+        if name in names:
+            raise _RepeatedName(repr(name))
+        names.add(name)
 
 
 def read_array(path: Path, what: str, fix: str) -> Array:

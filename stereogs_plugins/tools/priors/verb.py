@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from .prior_trials import Guess, Trial, Truth
 
 FAULT = 1
+LONGEST = 120.0
+"""Seconds for each answer on the small scene: an endless loop ends then."""
 
 _EPILOG = """\
 examples:
@@ -32,7 +34,8 @@ examples:
 Prints the file's inputs and outputs, tries the settings that each installed prior suggests for the file
 on a rendered room with known depth, and prints errors, seconds and the YAML of the best settings. A file
 does not say what its numbers mean (0..1 or 0..255, depth or inverse depth); wrong settings give plausible
-but wrong results, which only the error reveals. Exit status 1 if no settings worked.
+but wrong results, which only the error reveals. Each answer may take two minutes. Exit status 1 if no
+settings worked.
 """
 
 
@@ -62,7 +65,7 @@ class Priors(Command):
         """Print the file's properties, try settings and print the best; return 1 if none worked."""
         from core_rasterizer import open_device
         from registry.plugins import Plugins
-        from registry.toolkit.networks import OnnxModel
+        from registry.toolkit.networks import OnnxModel, answers_within
         from registry.training import one_torch_thread
 
         from .prior_trials import guesses, known_truth
@@ -72,7 +75,7 @@ class Priors(Command):
         _print_properties(model, output)
         found = guesses(model, plugins, arguments.set)
         device = open_device(arguments.device)
-        with one_torch_thread(), _quiet_priors():
+        with one_torch_thread(), _quiet_priors(), answers_within(LONGEST):
             truth = known_truth(plugins, device)
             trials = list(_successful(found, truth, device, output))
         if not trials:

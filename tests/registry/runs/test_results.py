@@ -146,6 +146,19 @@ def test_eval_refuses_gaussians_that_were_not_scored(
     assert (folder.path / "results.json").read_text() == before
 
 
+def test_eval_without_results_knows_what_the_folder_knows(
+    train: Callable[[], Run], toys: Plugins, device: Device
+) -> None:
+    folder = train().folder_or_refuse()
+    before = folder.results()
+    (folder.path / "results.json").unlink()
+    after = open_run(folder.path, plugins=toys, device=device).renew()
+    assert after["initialization"] == before["initialization"]
+    assert after["seconds"] == before["seconds"] > 0
+    assert after["stages"]["initialization"] == before["stages"]["initialization"]
+    assert after["iterations_per_second"] > 0
+
+
 def test_eval_refuses_a_checkpoint_older_than_the_results(
     train: Callable[[], Run], toys: Plugins, device: Device
 ) -> None:

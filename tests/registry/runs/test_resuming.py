@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
@@ -22,10 +23,10 @@ from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.progress import MetricsLog
 from registry.runs.run import Run
-from registry.runs.training_run import resume
+from registry.runs.training_run import resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
 from registry.training.trainer import Trainer
-from tests.registry.runs.toy_run import resumed, run
+from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyScene
 
 
@@ -94,6 +95,35 @@ def test_a_finished_run_may_be_resumed_to_the_same_results(
     assert resumed(folder.path, toys, device).finished
     assert folder.results()["hash"] == before["hash"]
     assert folder.results()["test"] == before["test"]
+
+
+def test_a_resumed_run_writes_the_same_metrics(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    """The mean of a line covers the iterations before the stop too."""
+
+    def lines(folder: Path) -> list[dict[str, Any]]:
+        written = map(json.loads, (folder / "metrics.jsonl").read_text().splitlines())
+        return [{k: v for k, v in line.items() if k != "seconds"} for line in written]
+
+    run(toys, device, tmp_path / "whole")
+    options = RunOptions(device=device, progress=False, callback=lambda done: done.number < 17)
+    start(pipeline(toys), options, tmp_path / "parts")
+    assert resumed(tmp_path / "parts", toys, device).finished
+    assert lines(tmp_path / "parts") == lines(tmp_path / "whole")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("name", ["manifest.json", "pipeline.yaml", "tensors.safetensors"])
+def test_a_pipe_in_place_of_a_file_is_refused(
+    toys: Plugins, device: Device, tmp_path: Path, name: str
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    for place in (folder.path / "checkpoint").iterdir():
+        (place / name).unlink()
+        os.mkfifo(place / name)
+    with pytest.raises(RunError, match=f"{name} is missing, or not a file"):
+        resumed(folder.path, toys, device)
 
 
 def test_a_failure_leaves_the_last_checkpoint(

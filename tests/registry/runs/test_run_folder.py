@@ -150,7 +150,7 @@ def test_a_full_disk_at_the_start_names_the_run_folder(tmp_path: Path) -> None:
 
 
 def test_metrics_lines_are_averages_and_json(tmp_path: Path) -> None:
-    log = MetricsLog(RunFolder(tmp_path).append_metrics)
+    log = MetricsLog(RunFolder(tmp_path).append_metrics, {})
     for number in range(1, 76):
         extra = {"rare": float("inf")} if number == 60 else {}
         log.add(Iteration(number, float(number), 7, extra), 0.5 * number, last=number == 75)

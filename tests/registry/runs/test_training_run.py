@@ -5,6 +5,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -18,6 +19,7 @@ from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
 from registry.runs.results import RENDERS
+from registry.runs.run import Run
 from registry.runs.training_run import start
 from registry.training.trainer import Iteration
 from tests.registry.runs.toy_run import pipeline, resumed, run
@@ -233,6 +235,33 @@ def test_a_folder_that_disappears_stops_the_run_which_is_kept(
     again = resumed(kept, toys, device)
     assert again.finished
     assert again.hash == start(text, RunOptions(device=device, progress=False)).hash
+
+
+@pytest.mark.parametrize("removed", [True, False])
+def test_a_folder_that_disappears_while_views_are_scored_is_kept(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    removed: bool,
+) -> None:
+    out = tmp_path / "run"
+    evaluate = Run.evaluate
+
+    def disappear(run: Run, pictures: Path | None = None) -> Any:
+        if removed:
+            shutil.rmtree(out)
+        else:
+            out.rename(tmp_path / "elsewhere")
+        return evaluate(run, pictures)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "evaluate", disappear)
+        with pytest.raises(RunError, match="moved or removed") as caught:
+            start(pipeline(toys), RunOptions(device=device, progress=False), out)
+    kept = tmp_path / "run-kept-1"
+    assert caught.value.fix == f"stereogs resume {kept}"
+    assert resumed(kept, toys, device).folder_or_refuse().results()["hash"]
 
 
 def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(

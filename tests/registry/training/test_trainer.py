@@ -238,7 +238,7 @@ def test_checked_plugins_end_in_the_same_bits(make: Any) -> None:
     assert plain.model.digest() == checked.model.digest()
 
 
-def test_global_random_numbers_are_checked_in_the_first_call_and_every_tenth_iteration(
+def test_global_random_numbers_are_checked_in_the_first_call_and_every_eleventh(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def draw(self: ToyTerm, step: Step) -> torch.Tensor:
@@ -248,14 +248,60 @@ def test_global_random_numbers_are_checked_in_the_first_call_and_every_tenth_ite
 
     monkeypatch.setattr(ToyTerm, "loss", draw)
     text = "regularizers: [{use: toy_term, start: 3, every: 2, phase: 0}]\n"
-    for late in (4, 10):
+    for late in (4, 26):
         with pytest.raises(PluginError, match="global generator") as caught:
-            train(make(text))
+            train(make(text, "training.iterations=26"))
         assert f"iteration {late}" in caught.value.where
     late = 6
     train(make(text))
     with checked_plugins(), pytest.raises(PluginError, match="global generator"):
         train(make(text))
+
+
+@pytest.mark.parametrize("cycle", range(10))
+def test_no_cycle_of_ten_iterations_hides_from_the_checks(
+    make: Any, monkeypatch: pytest.MonkeyPatch, cycle: int
+) -> None:
+    def draw(self: ToyTerm, step: Step) -> torch.Tensor:
+        drawn = torch.rand(()) if step.iteration % 10 == cycle else torch.ones(())
+        return step.rendering.alpha.mean() * drawn
+
+    monkeypatch.setattr(ToyTerm, "loss", draw)
+    with pytest.raises(PluginError, match=r"global generator|same call was repeated"):
+        train(make("regularizers: [toy_term]\n", "training.iterations=110"))
+
+
+def test_a_call_is_repeated_on_a_copy_with_the_same_state(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counters, lists and the generator may change with each call."""
+
+    def loss(self: Any, step: Step) -> torch.Tensor:
+        self.calls = [*getattr(self, "calls", []), step.iteration]
+        drawn = torch.rand((), generator=self.generator)
+        return step.rendering.alpha.mean() * drawn * len(self.calls)
+
+    monkeypatch.setattr(ToyTerm, "loss", loss)
+    plain, checked = make("regularizers: [toy_term]\n"), make("regularizers: [toy_term]\n")
+    train(plain)
+    with checked_plugins():
+        train(checked)
+    assert plain.model.digest() == checked.model.digest()
+
+
+def test_a_component_that_cannot_be_copied_is_called_once(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def loss(self: Any, step: Step) -> torch.Tensor:
+        self.lines = iter(line for line in "abc")
+        calls.append(step.iteration)
+        return step.rendering.alpha.mean()
+
+    monkeypatch.setattr(ToyTerm, "loss", loss)
+    train(make("regularizers: [toy_term]\n"))
+    assert calls == sorted(set(calls))
 
 
 def test_a_loss_that_overflows_stops_the_run(make: Any) -> None:

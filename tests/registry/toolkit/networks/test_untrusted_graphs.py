@@ -13,7 +13,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from registry import PluginError
-from registry.toolkit.networks import OnnxModel, onnx_session
+from registry.toolkit.networks import OnnxModel, answers_within, onnx_session
 from tests.fuzzing.formats.arrays_and_models import small_network
 from tests.registry.toolkit.networks.conftest import FLOAT, LONG, addition, saved
 
@@ -79,15 +79,24 @@ def test_no_other_file_is_read(
         OnnxModel(saved(tmp_path / "models", model))
 
 
-def test_an_endless_graph_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_endless_graph_is_stopped(tmp_path: Path) -> None:
     model = small_network()
     rounds = model.graph.initializer[0]
     rounds.CopyFrom(numpy_helper.from_array(np.array(1 << 62), "rounds"))
-    monkeypatch.setattr("registry.toolkit.networks.onnx_model.TIME_LIMIT", 0.3)
     network = OnnxModel(saved(tmp_path, model), provider="cpu")
-    with pytest.raises(PluginError, match=r"did not finish within 0\.3 s") as caught:
+    with answers_within(0.3), pytest.raises(PluginError, match=r"within 0\.3 s") as caught:
         network.run({"x": torch.ones(1, 1, 4, 4)})
     assert "endless loop" in caught.value.fix
+
+
+def test_a_graph_without_inputs_is_refused(tmp_path: Path) -> None:
+    constant = helper.make_node("Constant", [], ["y"], value=numpy_helper.from_array(np.ones(3)))
+    output = helper.make_tensor_value_info("y", TensorProto.DOUBLE, [3])
+    model = helper.make_model(helper.make_graph([constant], "g", [], [output]), ir_version=8)
+    del model.opset_import[:]
+    model.opset_import.append(helper.make_opsetid("", 17))
+    with pytest.raises(PluginError, match="has no input"):
+        OnnxModel(saved(tmp_path, model))
 
 
 def test_no_thread_outlives_a_run(tmp_path: Path) -> None:

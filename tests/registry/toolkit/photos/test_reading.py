@@ -60,3 +60,13 @@ def test_documents_are_regular_files_of_limited_size(tmp_path: Path) -> None:
         read_document(path, Document, "")
     with pytest.raises(SceneError, match="is not a regular file"):
         read_document(Path("/dev/zero"), Document, "")
+
+
+@pytest.mark.parametrize(
+    "text", ['{"number": 3, "number": 4}', '{"number": 3, "inner": [{"a": 1, "a": 1}]}']
+)
+def test_a_field_that_occurs_twice_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=r"a\.json has the field '(number|a)' twice"):
+        read_document(path, Document, "")

@@ -1,0 +1,142 @@
+"""Repeat a call into a component on a copy of it, and compare the answers bit by bit."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from core_rasterizer import GaussianModel, GaussianReader
+
+from ..calls.process_state import own_random_numbers
+from ..contract.prior import Prior
+from ..contract.step import Step
+from ..errors import PluginError
+
+_RECORDS = ("facts", "pictures")
+"""Parts of answers that may differ: they do not change the Gaussians, and facts may be seconds."""
+
+
+def answer_of(
+    component: Any,
+    method: str,
+    given: tuple[Any, ...],
+    *,
+    twice: bool,
+    again: tuple[Any, ...] | None = None,
+) -> Any:
+    """Return a component's answer to a call.
+
+    Args:
+        given: the arguments.
+        twice: ask a copy of the component (`copy.deepcopy`) first, and compare. If the component cannot be
+            copied, or its copy fails, nothing is compared.
+        again: the arguments for the copy; None: the same.
+
+    Raises:
+        PluginError: the answers differ.
+    """
+    first = _answer_of_copy(component, method, again or given) if twice else None
+    answer = getattr(component, method)(*given)
+    path = None if first is None else first_difference(first.answer, answer)
+    if path is not None and not path.startswith(_RECORDS):
+        raise PluginError(
+            f"it gave another answer when the same call was repeated{path and f' ({path})'}: no run could "
+            "be repeated or resumed",
+            fix="use neither time, id() nor generators without a seed: draw from self.generator, and keep "
+            "what changes between calls in attributes",
+        )
+    return answer
+
+
+@dataclass(frozen=True)
+class _First:
+    """The answer of a copy, and objects that occupy the addresses of those that it has freed."""
+
+    answer: Any
+    occupied: list[object]
+
+
+def _answer_of_copy(component: Any, method: str, given: tuple[Any, ...]) -> _First | None:
+    """Return the answer of a copy; None if it fails."""
+    shared = [component.context, component.settings, *given]
+    priors = [v for value in given if isinstance(value, Mapping) for v in value.values()]
+    for step in given:
+        if isinstance(step, Step):
+            shared += [step.scene, *step.scene.train, *step.maps.values()]
+            priors += step.priors.values()
+    states = [prior.generator.get_state() for prior in priors]
+    try:
+        twin = copy.deepcopy(component, {id(value): value for value in [*shared, *priors]})
+        with own_random_numbers(component.context.seed):
+            return _First(getattr(twin, method)(*given), [object() for _ in range(64)])
+    except Exception:  # if the component fails too, it is reported
+        return None
+    finally:
+        for prior, state in zip(priors, states, strict=True):
+            prior.generator.set_state(state)
+
+
+def first_difference(first: Any, second: Any) -> str | None:
+    """Return the path of the first part in which two values differ by a bit; None if they are equal.
+
+    Compares tensors, numbers, text, and dataclasses, mappings and sequences of them.
+    """
+    if is_dataclass(first) and type(first) is type(second):
+        both = {
+            field.name: [getattr(v, field.name) for v in (first, second)] for field in fields(first)
+        }
+        first, second = ({n: v[i] for n, v in both.items() if v[0] is not v[1]} for i in range(2))
+    one, other = digests(first), digests(second)
+    return next((name for name in one | other if one.get(name) != other.get(name)), None)
+
+
+def digests(value: Any) -> dict[str, str]:
+    """Return a digest of every part of a value, by its path."""
+    return dict(_digests("", value))
+
+
+def _digests(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Yield the path and a digest of every mutable part of a value; of a folder, every file."""
+    if isinstance(value, Tensor):
+        content = value.detach().cpu().contiguous().numpy().tobytes()
+        yield name, f"{value.dtype}{tuple(value.shape)}{_digest(content)}"
+    elif isinstance(value, GaussianReader | GaussianModel):
+        yield name, value.digest()
+    elif isinstance(value, Path):
+        for file in sorted(value.rglob("*")) if value.is_dir() else [value]:
+            if file.is_file():
+                path = file.relative_to(value.parent)
+                yield f"{name}: the file {path}", _digest(file.read_bytes())
+    elif isinstance(value, Prior):
+        return
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _digests(f"{name}.{key}".lstrip("."), inner)
+        yield f"{name} (its names)", repr(sorted(map(str, value)))
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            yield from _digests(f"{name}[{index}]", inner)
+        yield f"{name} (its length)", repr(len(value))
+    elif is_dataclass(value) and not isinstance(value, type):
+        for field in fields(value):
+            if not field.name.startswith("_"):
+                yield from _digests(f"{name}.{field.name}", getattr(value, field.name))
+        if isinstance(value, Step):
+            yield from _digests(f"{name}.others", value.others)
+            with suppress(PluginError):  # not rendered yet
+                yield from _digests(f"{name}.rendering", value.rendering)
+    elif isinstance(value, bytes):
+        yield name, _digest(value)
+    elif isinstance(value, str | int | float | None):
+        yield name, repr(value)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
