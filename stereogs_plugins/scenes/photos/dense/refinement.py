@@ -1,0 +1,119 @@
+"""Refinement of estimated cameras by dense matches (matches.py).
+
+Few photographs share too few keypoints to determine focal length and poses exactly. Robust bundle adjustment
+of the model's points, then of dense matches too, determines them better. Every fourth match takes no part in
+it: the result is kept only if these agree better with the new cameras.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from registry import SceneError
+
+from ..mapping import MAX_ERROR, is_plausible, sampson_distances
+from .matches import Match, dense_matches
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+MOST_PHOTOS = 24
+"""More photographs determine the cameras without dense matches, which would take long."""
+HELD_OUT_EVERY = 4
+LOSS_SCALE = 0.5
+"""Error in pixels from which the soft L1 loss is linear. Half of the matches are exact to 0.15 pixels."""
+_MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
+
+
+def refine(colmap: Any, model: Any, images: Path) -> Any:
+    """Return a pycolmap model with refined cameras and points, or the same one if that does not help.
+
+    Args:
+        images: folder of the photographs, named by index.
+    """
+    from core_rasterizer import CameraError
+
+    if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
+        return model
+    start = _adjusted(colmap, model, [])
+    try:
+        matches = dense_matches(start, images)
+    except (SceneError, CameraError):  # the lens is not plausible
+        return model
+    left_out = matches[::HELD_OUT_EVERY]
+    fitted = [match for k, match in enumerate(matches) if k % HELD_OUT_EVERY]
+    if not fitted:
+        return model
+    refined = _adjusted(colmap, start, fitted)
+    plausible = all(is_plausible(camera) for camera in refined.cameras.values())
+    return refined if plausible and _error(refined, left_out) < _error(model, left_out) else model
+
+
+def _adjusted(colmap: Any, model: Any, matches: Sequence[Match]) -> Any:
+    """A copy of a model after bundle adjustment; its points are those of the model that agree."""
+    adjusted = colmap.Reconstruction()
+    for camera in model.cameras.values():
+        adjusted.add_camera_with_trivial_rig(camera)
+    points = [point for _, point in sorted(model.points3D.items())]
+    tracks = [
+        [(e.image_id, model.image(e.image_id).points2D[e.point2D_idx].xy) for e in p.track.elements]
+        for p in points
+    ]
+    tracks += [list(match.seen.items()) for match in matches]
+    keypoints: dict[int, list[Any]] = {k: [] for k in model.reg_image_ids()}
+    elements = []
+    for track in tracks:
+        elements.append([colmap.TrackElement(k, len(keypoints[k])) for k, _ in track])
+        for k, place in track:
+            keypoints[k].append(place)
+    for k, places in keypoints.items():
+        image = model.image(k)
+        copied = colmap.Image(
+            name=image.name, keypoints=np.array(places), camera_id=image.camera_id, image_id=k
+        )
+        adjusted.add_image_with_trivial_frame(copied, image.cam_from_world())
+    positions = [point.xyz for point in points] + [match.point for match in matches]
+    for position, seen in zip(positions, elements, strict=True):
+        adjusted.add_point3D(position, colmap.Track(elements=seen))
+    # All free: COLMAP's own choice may fix three points, which has two constraints too many.
+    everything = colmap.BundleAdjustmentConfig()
+    for k in keypoints:
+        everything.add_image(k)
+    colmap.create_default_bundle_adjuster(_options(colmap), everything, adjusted).solve()
+    adjusted.update_point_3d_errors()
+    for number, key in enumerate(sorted(adjusted.point3D_ids())):
+        point = adjusted.point3D(key)
+        if number < len(points) and point.error <= MAX_ERROR:
+            point.color = points[number].color
+        else:
+            adjusted.delete_point3D(key)
+    return adjusted
+
+
+def _options(colmap: Any) -> Any:
+    options = colmap.BundleAdjustmentOptions(print_summary=False)
+    options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
+    options.ceres.loss_function_scale = LOSS_SCALE
+    solver = options.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations = 1, _MOST_ITERATIONS
+    solver.function_tolerance = _TOLERANCE
+    return options
+
+
+def _error(model: Any, matches: Sequence[Match]) -> float:
+    """Mean distance of matches from their epipolar lines, each at most `MAX_ERROR` pixels."""
+    places: dict[tuple[int, int], list[tuple[NDArray[np.float64], ...]]] = {}
+    for match in matches:
+        (here, corner), *others = match.seen.items()
+        for there, place in others:
+            places.setdefault((here, there), []).append((corner, place))
+    distances = [
+        sampson_distances(model, pair, *np.array(of_pair).swapaxes(0, 1))
+        for pair, of_pair in places.items()
+    ]
+    return float(np.minimum(np.concatenate(distances), MAX_ERROR).mean())
