@@ -119,20 +119,25 @@ def _matched(
     height, width = views[here].grey.shape
     masks, depths = {}, {}
     for there, (where, depth) in hints.items():
-        mask = where.numpy().astype(np.uint8)
-        mask = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
-        masks[there] = cv2.erode(mask, np.ones((_BORDER, _BORDER), np.uint8))
+        inside = cv2.erode(
+            cv2.resize(
+                where.numpy().astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+            ),
+            np.ones((_BORDER, _BORDER), np.uint8),
+        )
+        masks[there] = np.asarray(inside, np.uint8)
         depths[there] = torch.from_numpy(cv2.resize(depth.numpy(), (width, height)))
     if not masks:
         return []
     anywhere = np.max([*masks.values()], axis=0)
-    corners = cv2.goodFeaturesToTrack(
+    found_corners = cv2.goodFeaturesToTrack(
         *(_bytes(views[here].grey), count, _CORNER_QUALITY, _CORNER_DISTANCE), mask=anywhere
     )
-    if corners is None:
+    if found_corners is None:
         return []
+    corners = np.asarray(found_corners, np.float32)
     columns, rows = np.rint(corners[:, 0].T).astype(int)
-    own = _in_photograph(model, here, views[here], corners[:, 0] + 0.5)
+    own = _in_photograph(model, here, views[here], corners[:, 0].astype(np.float64) + 0.5)
     seen: list[dict[int, _Array]] = [{} for _ in corners]
     points = np.zeros((len(corners), 3))
     for there, depth in depths.items():
@@ -161,10 +166,21 @@ def _flow(
     u, v = here.camera.pixel_centers()
     ends = there.camera.project(here.camera.unproject(u, v, depth))
     first, second = _bytes(here.grey), _bytes(sampled(there.grey.double(), *ends[:2], "bilinear"))
-    options = {"winSize": (_WINDOW, _WINDOW), "maxLevel": 1, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    moved, good, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, corners.copy(), **options)
-    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, corners.copy(), **options)
-    found = (good > 0) & (again > 0)
+
+    def follow(
+        start: NDArray[np.uint8], end: NDArray[np.uint8], places: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        moved, good, _ = cv2.calcOpticalFlowPyrLK(
+            *(start, end, places, corners.copy()),
+            winSize=(_WINDOW, _WINDOW),
+            maxLevel=1,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        return np.asarray(moved, np.float32), np.asarray(good) > 0
+
+    moved, there_found = follow(first, second, corners)
+    back, back_found = follow(second, first, moved)
+    found = there_found & back_found
     found &= np.linalg.norm(back - corners, axis=2) < _MOST_RETURN
     found &= np.linalg.norm(moved - corners, axis=2) < _MOST_FLOW
     return moved[:, 0].astype(np.float64), found[:, 0]
