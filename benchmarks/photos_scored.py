@@ -56,9 +56,11 @@ def psnr_of_both(
     points = model.tracks().seen_by(train)
     loaded = _loaded(found, train, test)
     near, far = estimate_bounds(loaded.training_cameras, points, "")
+    # Depth is proportional to the focal length: the disparities are known.
+    ratio = scale * true[0].lens.fx / true[0].lens.width / (found[0].lens.fx / found[0].lens.width)
     first = _psnr(loaded.scene("photos", Path("photos"), (near, far), None, ()))
     scene = _loaded(true, train, test).scene(
-        "photos", Path("photos"), (near * scale, far * scale), None, ()
+        "photos", Path("photos"), (near * ratio, far * ratio), None, ()
     )
     return first, _psnr(scene)
 

@@ -96,7 +96,14 @@ def _write(found: Reconstruction, folder: Path) -> None:
         for file in _FILES:
             shutil.copy(piece.folder / file, target)
     summary = {
-        "pieces": [{"members": p.members, "plausible": p.plausible} for p in found.pieces],
+        "pieces": [
+            {
+                "members": piece.members,
+                "plausible": piece.plausible,
+                "focal_is_known": piece.focal_is_known,
+            }
+            for piece in found.pieces
+        ],
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
         "tried": found.tried,

@@ -75,11 +75,13 @@ class Piece(NamedTuple):
         folder: COLMAP model with photographs named by index.
         members: sorted indices of its photographs.
         plausible: True if its lenses are plausible.
+        focal_is_known: False if neither matches nor EXIF determine the focal length.
     """
 
     folder: Path
     members: list[int]
     plausible: bool = True
+    focal_is_known: bool = True
 
 
 def place_cameras(

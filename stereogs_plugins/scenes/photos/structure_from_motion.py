@@ -115,9 +115,9 @@ def reconstruct(
         placed = found.rank[1]
         _log.info("%s: the cameras of %d of %d photographs fit together", name, placed, len(photos))
     assert best is not None
-    if best.pieces:
-        _refine(colmap, best.pieces[0], images)
-    return replace(best, tried=tuple(tried))
+    main, others = best.pieces[:1], best.pieces[1:]
+    refined = [_refined(colmap, piece, images, photos) for piece in main]
+    return replace(best, pieces=refined + others, tried=tuple(tried))
 
 
 def _ways(
@@ -157,10 +157,13 @@ def _placed(
     return Reconstruction(pieces, matches, [features[k] for k in range(count)], doubts=doubts)
 
 
-def _refine(colmap: Any, piece: Piece, images: Path) -> None:
-    if piece.plausible:
-        model = colmap.Reconstruction(piece.folder)
-        refine(colmap, model, images).write(piece.folder)
+def _refined(colmap: Any, piece: Piece, images: Path, photos: Sequence[UnposedPhoto]) -> Piece:
+    if not piece.plausible:
+        return piece
+    model = colmap.Reconstruction(piece.folder)
+    model, focal_is_known = refine(colmap, model, images, photos[piece.members[0]].focal)
+    model.write(piece.folder)
+    return piece._replace(focal_is_known=focal_is_known)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:

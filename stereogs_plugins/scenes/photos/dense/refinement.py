@@ -7,7 +7,7 @@ it: the result is kept only if these agree better with the new cameras.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,34 +27,83 @@ MOST_PHOTOS = 24
 HELD_OUT_EVERY = 4
 LOSS_SCALE = 0.5
 """Error in pixels from which the soft L1 loss is linear. Half of the matches are exact to 0.15 pixels."""
+OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
+"""The points determine the focal length if a change by this factor increases the cost by that factor."""
 _MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
 
 
-def refine(colmap: Any, model: Any, images: Path) -> Any:
-    """Return a pycolmap model with refined cameras and points, or the same one if that does not help.
+class Refined(NamedTuple):
+    """A refined pycolmap model, and whether points or EXIF determine its focal length."""
+
+    model: Any
+    focal_is_known: bool
+
+
+def refine(colmap: Any, model: Any, images: Path, focal: float | None = None) -> Refined:
+    """Refine the cameras and points of a pycolmap model, which is returned unchanged if that does not help.
 
     Args:
         images: folder of the photographs, named by index.
+        focal: focal length of all photographs by EXIF, in units of the longer side. It is used instead of
+            the estimated one if the points do not determine that.
     """
     from core_rasterizer import CameraError
 
     if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
-        return model
+        return Refined(model, True)
     start = _adjusted(colmap, model, [])
+    determined = _determines_focal(colmap, start)
+    fixed = False
+    if focal is not None and not determined:
+        fixed = True
+        start = _adjusted(colmap, _with_focal(colmap, start, focal), [], fixed)
     try:
         matches = dense_matches(start, images)
     except (SceneError, CameraError):  # the lens is not plausible
-        return model
+        return Refined(model, determined)
     left_out = matches[::HELD_OUT_EVERY]
     fitted = [match for k, match in enumerate(matches) if k % HELD_OUT_EVERY]
     if not fitted:
-        return model
-    refined = _adjusted(colmap, start, fitted)
-    plausible = all(is_plausible(camera) for camera in refined.cameras.values())
-    return refined if plausible and _error(refined, left_out) < _error(model, left_out) else model
+        return Refined(model, determined)
+    refined = _adjusted(colmap, start, fitted, fixed)
+    helps = all(is_plausible(camera) for camera in refined.cameras.values())
+    helps = helps and (fixed or _error(refined, left_out) < _error(model, left_out))
+    return Refined(refined if helps else model, determined or (fixed and helps))
 
 
-def _adjusted(colmap: Any, model: Any, matches: Sequence[Match]) -> Any:
+def _determines_focal(colmap: Any, model: Any) -> bool:
+    """Whether another focal length increases the cost clearly; True for several lenses."""
+    if len(model.cameras) > 1:
+        return True
+    (lens,) = model.cameras.values()
+    longer = max(lens.width, lens.height)
+    costs = [
+        _cost(
+            _adjusted(
+                colmap, _with_focal(colmap, model, factor * lens.focal_length / longer), [], True
+            )
+        )
+        for factor in (1.0, OTHER_FOCAL, 1 / OTHER_FOCAL)
+    ]
+    return min(costs[1:]) > LEAST_INCREASE * costs[0]
+
+
+def _with_focal(colmap: Any, model: Any, focal: float) -> Any:
+    """A copy of a model with this focal length in units of the longer side."""
+    changed = colmap.Reconstruction(model)
+    for camera in changed.cameras.values():
+        camera.params = [focal * max(camera.width, camera.height), *camera.params[1:]]
+    return changed
+
+
+def _cost(model: Any) -> float:
+    """Sum of the soft L1 loss of the errors of all points."""
+    errors = [point.error for point in model.points3D.values()]
+    lengths = [point.track.length() for point in model.points3D.values()]
+    return float(np.dot(lengths, np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1))
+
+
+def _adjusted(colmap: Any, model: Any, matches: Sequence[Match], fixed_focal: bool = False) -> Any:
     """A copy of a model after bundle adjustment; its points are those of the model that agree."""
     adjusted = colmap.Reconstruction()
     for camera in model.cameras.values():
@@ -84,7 +133,9 @@ def _adjusted(colmap: Any, model: Any, matches: Sequence[Match]) -> Any:
     everything = colmap.BundleAdjustmentConfig()
     for k in keypoints:
         everything.add_image(k)
-    colmap.create_default_bundle_adjuster(_options(colmap), everything, adjusted).solve()
+    colmap.create_default_bundle_adjuster(
+        _options(colmap, fixed_focal), everything, adjusted
+    ).solve()
     adjusted.update_point_3d_errors()
     for number, key in enumerate(sorted(adjusted.point3D_ids())):
         point = adjusted.point3D(key)
@@ -95,8 +146,9 @@ def _adjusted(colmap: Any, model: Any, matches: Sequence[Match]) -> Any:
     return adjusted
 
 
-def _options(colmap: Any) -> Any:
+def _options(colmap: Any, fixed_focal: bool) -> Any:
     options = colmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = not fixed_focal
     options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = LOSS_SCALE
     solver = options.ceres.solver_options

@@ -49,8 +49,9 @@ def test_inexact_cameras_become_exact(model: Any, images: Path, room: Scene) -> 
     turned, focal = errors(model, room)
     assert turned > 0.35
     assert focal > 0.03
-    refined = refine(colmap, model, images)
+    refined, focal_is_known = refine(colmap, model, images)
     assert refined is not model
+    assert focal_is_known
     turned, focal = errors(refined, room)
     assert turned < 0.1
     assert focal < 0.01
@@ -84,4 +85,23 @@ def test_many_photographs_are_left_as_they_are(
 ) -> None:
     monkeypatch.setattr("stereogs_plugins.scenes.photos.dense.refinement.MOST_PHOTOS", 4)
     assert MOST_PHOTOS > model.num_reg_images() > 4
-    assert refine(colmap, model, images) is model
+    assert refine(colmap, model, images).model is model
+
+
+def test_exif_replaces_a_focal_length_that_points_do_not_determine(
+    model: Any, images: Path, room: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = "stereogs_plugins.scenes.photos.dense.refinement"
+    camera = room.train[0].camera
+    right, wrong = (factor * camera.fx / camera.width for factor in (1, 1.06))
+    for key in model.point3D_ids():
+        if key % 8:
+            model.delete_point3D(key)
+    assert errors(refine(colmap, model, images, wrong).model, room)[1] < 0.02, "points determine it"
+    monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
+    refined, focal_is_known = refine(colmap, model, images, right)
+    assert focal_is_known
+    turned, focal = errors(refined, room)
+    assert turned < 0.1
+    assert focal < 1e-9
+    assert not refine(colmap, model, images).focal_is_known
