@@ -1,8 +1,9 @@
 """Cameras estimated by `photos`, compared with published ones: `make bench-photos`.
 
 Evenly spaced and neighbouring pictures of every data set, without and with networks (`STEREOGS_MODELS`). The
-search uses nothing else. Finished cases are kept in `benchmarks/records/photos.jsonl`: the same command
-continues where it stopped. With `--write-docs` rewrites the tables.
+search uses nothing else. One of the placed pictures is held out from a training with the found cameras, and
+from one with the published ones. Finished cases are kept in `benchmarks/records/photos.jsonl`: the same
+command continues where it stopped. With `--write-docs` rewrites the tables.
 """
 
 from __future__ import annotations
@@ -22,9 +23,16 @@ from numpy.typing import NDArray
 
 from benchmarks import pages
 from benchmarks.photos_published import SCENES, Published, pictures
-from registry.toolkit.photos import Decoder, evenly_spaced, longest_side, read_colmap_model
+from benchmarks.photos_scored import psnr_of_both
+from registry.toolkit.photos import (
+    ColmapModel,
+    Decoder,
+    evenly_spaced,
+    longest_side,
+    read_colmap_model,
+)
 from stereogs_plugins.scenes.photos.learned_matches import FOLDER_VARIABLE
-from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction, reconstruct
+from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
 from stereogs_plugins.scenes.photos.unposed_photos import MIN_PHOTOS, UnposedPhoto, image_index
 
 PAGE = pages.DOCS / "your_own_photographs.md"
@@ -59,6 +67,7 @@ class Record:
         placed: Number of pictures whose cameras fit together.
         errors: None if fewer than `MIN_PHOTOS` were placed.
         cpu_seconds: CPU seconds of the search over all threads, without reading the folder.
+        psnr: with estimated and with published cameras (`photos_scored`); None without errors.
     """
 
     scene: str
@@ -68,6 +77,12 @@ class Record:
     placed: int
     errors: Errors | None
     cpu_seconds: float
+    psnr: tuple[float, float] | None = None
+
+    @property
+    def finished(self) -> bool:
+        """False if the record was written before scenes were trained."""
+        return self.errors is None or self.psnr is not None
 
     @property
     def case(self) -> tuple[str, str, bool]:
@@ -98,14 +113,19 @@ def measure(scene: str, chosen: str, networks: bool) -> Record | None:
         found = reconstruct(photos, decoder, True, Path(name))
         seconds = round(time.process_time() - start, 1)
         placed = len(found.pieces[0].members) if found.pieces else 0
-        errors = _errors(found, photos, published) if placed >= MIN_PHOTOS else None
-    return Record(scene, chosen, networks, count, placed, errors, seconds)
+        errors = psnr = None
+        if placed >= MIN_PHOTOS:
+            model = read_colmap_model(found.pieces[0].folder, "")
+            errors, scale = _errors(model, photos, published)
+            true = [published[photo.path.stem] for photo in photos]
+            psnr = psnr_of_both(model, photos, true, scale)
+    return Record(scene, chosen, networks, count, placed, errors, seconds, psnr)
 
 
 def _errors(
-    found: Reconstruction, photos: list[UnposedPhoto], published: dict[str, Published]
-) -> Errors:
-    model = read_colmap_model(found.pieces[0].folder, "")
+    model: ColmapModel, photos: list[UnposedPhoto], published: dict[str, Published]
+) -> tuple[Errors, float]:
+    """Errors, and the scale of the published world in units of the estimated one."""
     truth = [published[photos[image_index(image.name)].path.stem] for _, image in model.images]
     poses = np.array([image.world_to_camera for _, image in model.images])
     true = np.array([one.pose for one in truth])
@@ -120,7 +140,8 @@ def _errors(
     scale = (places * moved).sum() / (moved**2).sum()
     position = np.linalg.norm(places - scale * moved) / np.linalg.norm(places)
     rotation = (round(float(np.median(angles)), 2), round(float(angles.max()), 2))
-    return Errors(rotation, round(float(position), 4), round(float(focal), 4))
+    errors = Errors(rotation, round(float(position), 4), round(float(focal), 4))
+    return errors, float(scale)
 
 
 def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -166,18 +187,21 @@ def table(records: Iterable[Record]) -> str:
     """Return every record with all of its errors."""
     rows = []
     for record in records:
-        cells = ["-", "-", "-", "-"]
+        cells, psnr = ["-", "-", "-", "-"], ["", ""]
         if record.errors is not None:
             median, largest = record.errors.rotation
             cells = [f"{median:.2f}°", f"{largest:.2f}°", f"{100 * record.errors.position:.1f} %"]
             cells.append(f"{100 * record.errors.focal:+.1f} %")
+        if record.psnr is not None:
+            psnr = [f"{value:.1f}" for value in record.psnr]
         kind = "with networks" if record.networks else "SIFT"
         placed = f"{record.placed} of {record.pictures}"
         rows.append(
-            [record.scene, record.chosen, kind, placed, *cells, f"{record.cpu_seconds:.0f}"]
+            [record.scene, record.chosen, kind, placed, *cells, f"{record.cpu_seconds:.0f}", *psnr]
         )
     headings = ["pictures of", "set", "matches", "placed", "rotation, median", "largest"]
-    return pages.table([*headings, "position", "focal length", "CPU s"], rows, left=3)
+    headings += ["position", "focal length", "CPU s", "PSNR", "with published cameras"]
+    return pages.table(headings, rows, left=3)
 
 
 def main() -> None:
@@ -190,11 +214,11 @@ def main() -> None:
             raise SystemExit(f"set {variable} (docs/your_own_photographs.md)")
     records = read_records()
     for case in () if arguments.finished else cases():
-        if case in records:
+        if case in records and records[case].finished:
             continue
         scene, chosen, networks = case
         plain = records.get((scene, chosen, False))
-        if networks and plain is not None and plain.placed == plain.pictures:
+        if networks and plain is not None and plain.finished and plain.placed == plain.pictures:
             record: Record | None = replace(plain, networks=True)  # they are not asked
         else:
             print(*case, flush=True)

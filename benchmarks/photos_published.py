@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from registry.toolkit.photos import Lens, pose_from_opengl, read_colmap_model
-from stereogs_plugins.scenes.dtu.cameras import FULL_SIZE, calibrated
+from stereogs_plugins.scenes.dtu.cameras import calibrated
 from stereogs_plugins.scenes.llff import read_poses
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 
@@ -38,11 +38,16 @@ class Published:
 
     Args:
         pose: `[4, 4]`, world to camera.
-        focal: Focal length in units of the picture's longer side.
+        lens: Its lens.
     """
 
     pose: NDArray[np.float64]
-    focal: float
+    lens: Lens
+
+    @property
+    def focal(self) -> float:
+        """Focal length in units of the picture's longer side."""
+        return self.lens.fx / max(self.lens.width, self.lens.height)
 
 
 def pictures(scene: str) -> tuple[list[UnposedPhoto], dict[str, Published]]:
@@ -67,10 +72,6 @@ def _published(folder: Path) -> Iterator[tuple[str, Published]]:
     return _colmap(folder)
 
 
-def _focal(lens: Lens) -> float:
-    return lens.fx / max(lens.width, lens.height)
-
-
 def _llff(folder: Path) -> Iterator[tuple[str, Published]]:
     rows = read_poses(folder / "poses_bounds.npy")
     listed = folder / "split.json"
@@ -79,26 +80,30 @@ def _llff(folder: Path) -> Iterator[tuple[str, Published]]:
     else:
         names = [path.stem for path in sorted((folder / "images_8").iterdir())]
     for name, row in zip(names, rows, strict=True):
-        yield name, Published(row.world_to_camera, _focal(row.lens))
+        yield name, Published(row.world_to_camera, row.lens)
 
 
 def _dtu(folder: Path) -> Iterator[tuple[str, Published]]:
     numbers = {int(path.stem): path.stem for path in (folder / "image").iterdir()}
     for number, camera in calibrated(folder / "cameras_sphere.npz", list(numbers)).cameras.items():
-        yield numbers[number], Published(camera.world_to_camera, camera.lens.fx / max(FULL_SIZE))
+        yield numbers[number], Published(camera.world_to_camera, camera.lens)
 
 
 def _transforms(content: dict[str, Any], folder: Path) -> Iterator[tuple[str, Published]]:
     if "fl_x" in content:
-        focal = content["fl_x"] / content["w"]
+        fx, fy, cx, cy, width, height = (
+            float(content[key]) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")
+        )
+        lens = Lens(fx, fy, cx, cy, width, height)
     else:
         focal = 0.5 / np.tan(content["camera_angle_x"] / 2)
+        lens = Lens(focal, focal, 0.5, 0.5, 1, 1)  # square
     for frame in content["frames"]:
         pose = pose_from_opengl(frame["transform_matrix"], str(folder))
-        yield Path(frame["file_path"]).stem, Published(pose, float(focal))
+        yield Path(frame["file_path"]).stem, Published(pose, lens)
 
 
 def _colmap(folder: Path) -> Iterator[tuple[str, Published]]:
     model = read_colmap_model(folder / "sparse" / "0", "")
     for _, image in model.images:
-        yield Path(image.name).stem, Published(image.world_to_camera, _focal(model.lens(image)))
+        yield Path(image.name).stem, Published(image.world_to_camera, model.lens(image))

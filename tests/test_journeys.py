@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -161,3 +162,41 @@ def test_lengths_are_compared(tmp_path: Path) -> None:
     page = (tmp_path / "bench" / "index.html").read_text()
     assert "against seconds" in page
     assert "against pipeline" not in page
+
+
+ROOM = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
+
+
+@pytest.mark.proof
+def test_an_own_pipeline_is_written_trained_ablated_and_exported(tmp_path: Path) -> None:
+    assert "next: stereogs train mine.yaml" in shell("stereogs init mine", tmp_path)
+    again = shell("stereogs init mine", tmp_path, status=2)
+    assert "mine.yaml" in again
+    pipeline = tmp_path / "mine.yaml"
+    text = pipeline.read_text()
+    pipeline.write_text(text.replace("gradient_threshold", "gradient_treshold"))
+    misspelt = shell("stereogs train mine.yaml", tmp_path, status=2)
+    assert "mine.yaml:" in misspelt
+    assert "gradient_threshold" in misspelt
+    pipeline.write_text(text)
+
+    short = f"{ROOM} --set training.iterations=40"
+    output = shell(f"stereogs train mine.yaml {short} --out run", tmp_path)
+    assert "0:00 left" not in output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert results["train"]["psnr"] > 12
+
+    ablation = f"stereogs ablate mine.yaml --toggle densification {short} --jobs 1 --out parts"
+    assert "densification" in shell(ablation, tmp_path)
+    rows = (tmp_path / "parts" / "ablation.csv").read_text().splitlines()
+    assert len(rows) >= 3, "a heading, on and off"
+    assert (tmp_path / "parts" / "index.html").is_file()
+
+    if shutil.which("splat-transform"):
+        shell("stereogs export run --format sog", tmp_path)
+        assert (tmp_path / "run" / "exports" / "scene.sog").is_file()
+    else:
+        refused = shell("stereogs export run --format sog", tmp_path, status=2)
+        (command,) = [line for line in refused.splitlines() if "npx @playcanvas" in line]
+        assert command.endswith("scene.ply run/exports/scene.sog")
+        assert (tmp_path / "run" / "exports" / "scene.ply").is_file()

@@ -24,6 +24,8 @@ EVERY = 50
 """Iterations that share a line of metrics.jsonl."""
 OBSERVERS = "observers"
 """Folder in the run folder, with a folder for the files of each observer."""
+_GROWTH = 1.3
+"""An iteration takes up to twice as long at the end, with more Gaussians and larger images."""
 _SMOOTHING = 0.05
 """Weight of the newest loss in the shown one: the losses of single views differ too much."""
 
@@ -40,7 +42,7 @@ class TrainingProgress:
     def __init__(self, first: int, total: int) -> None:
         self._first, self._loss, self._gaussians = first, math.nan, 0
         self.stage = Stage("training", first, total, STAGES.clock())
-        self.stage.detail = self._detail
+        self.stage.growth, self.stage.detail = _GROWTH, self._detail
 
     def update(self, done: Iteration) -> None:
         """Report a complete iteration."""

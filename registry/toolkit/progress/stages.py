@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from bisect import bisect_right
@@ -32,12 +33,14 @@ class Stage:
 
     Attributes:
         began, latest: times of the first and the latest report.
+        growth: expected mean duration of a later step in units of the first sixth's.
         detail: returns more text about the state, or "".
     """
 
     def __init__(self, name: str, done: int, total: int | None, now: float) -> None:
         self.name, self.done, self.total = name, done, total
         self.began = self.latest = now
+        self.growth = 1.0
         self.detail: Callable[[], str] = str
         self._samples = [(done, now)]
 
@@ -59,7 +62,8 @@ class Stage:
     def seconds_left(self, now: float) -> float | None:
         """Estimate the rest from the second half of the steps so far; None until it is known.
 
-        If steps have become slower, they are expected to become slower still.
+        If steps have become slower, they are expected to become slower still; during the first sixth of
+        the steps also without that (`growth`).
         """
         (first, began), (done, latest) = self._samples[0], self._samples[-1]
         steps = done - first
@@ -70,18 +74,18 @@ class Stage:
         middle = bisect_right(self._samples, (first + steps // 2, latest)) - 1
         half, split = self._samples[min(middle, len(self._samples) - 2)]
         step = (latest - split) / (done - half)
-        left = (self.total - done) * step
+        growth = self.growth if steps * _LEAST_SHARE < self.total else 1.0
         if half > first and steps >= _MOST_AWAITED:
             slower = 1 - (split - began) / (half - first) / step
-            left *= min(max(1 + slower * (self.total - half) / steps, 1), _TREND_LIMIT)
-        return max(left - (now - latest), 0.0)
+            growth = max(growth, min(1 + slower * (self.total - half) / steps, _TREND_LIMIT))
+        return max((self.total - done) * step * growth - (now - latest), 0.0)
 
     def text(self, now: float, *, running: bool) -> str:
         """Return the steps, the time left or, after the end, the time taken, and the detail."""
-        left = self.seconds_left(now) if running else None
+        left = self.seconds_left(now) if running and self.done != self.total else None
         parts = [f"{self.done}/{self.total}"] if self.total else []
-        if left is not None:
-            parts.append(f"{_minutes(left)} left")
+        if left:
+            parts.append(f"{_minutes(math.ceil(left))} left")
         elif not running:
             parts.append(f"{now - self.began:.1f} s")
         elif not self.total:

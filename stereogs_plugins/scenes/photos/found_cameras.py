@@ -20,7 +20,10 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .dense_check import DenseCheck
+from .dense.check import DenseCheck
+from .dense.matches import dense_matches
+from .dense.refinement import refine
+from .dense.views import View
 from .learned_matches import add_learned_matches
 from .mapping import Piece, place_cameras
 from .no_depth import doubt_of
@@ -72,6 +75,9 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
             reconstruct,
             place_cameras,
             DenseCheck,
+            View,
+            dense_matches,
+            refine,
             doubt_of,
             add_learned_matches,
             KeypointNetworks,
@@ -90,7 +96,14 @@ def _write(found: Reconstruction, folder: Path) -> None:
         for file in _FILES:
             shutil.copy(piece.folder / file, target)
     summary = {
-        "pieces": [{"members": p.members, "plausible": p.plausible} for p in found.pieces],
+        "pieces": [
+            {
+                "members": piece.members,
+                "plausible": piece.plausible,
+                "focal_is_known": piece.focal_is_known,
+            }
+            for piece in found.pieces
+        ],
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,
         "tried": found.tried,

@@ -88,13 +88,10 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         found, other_files = read_folder(folder)
         _warn_of_left_out(folder, other_files)
         names = [photo.name for photo in found]
-        group = largest_group(
-            self._find_cameras(found),
-            names,
-            str(folder),
-            require_all=settings.require_all_photos,
-        )
+        cameras = self._find_cameras(found)
+        group = largest_group(cameras, names, str(folder), require_all=settings.require_all_photos)
         _warn_of_disconnected(names, group)
+        _warn_of_focal_length(cameras)
         model = group.model
         placed = _posed(model, found)
         test_every = settings.test_every
@@ -205,6 +202,17 @@ def _warn_of_disconnected(names: list[str], group: LargestGroup) -> None:
             "WARNING: %d of %d photographs connect; the scene is made of these. Left out:\n%s\n  fix    %s",
             *(len(names) - len(group.left_out), len(names)),
             *("\n".join(reason_lines(group.left_out, names)), advice.replace("\n", "\n         ")),
+        )
+
+
+def _warn_of_focal_length(cameras: FoundCameras) -> None:
+    model = cameras.model
+    if model is not None and not cameras.reconstruction.pieces[0].focal_is_known:
+        lens = model.lens(model.images[0][1])
+        _log.warning(
+            "the photographs hardly determine the focal length (%.2f times the longer side is used), so the "
+            "scene may be stretched in depth; take some from farther to the side, or keep their EXIF data",
+            lens.fx / max(lens.width, lens.height),
         )
 
 

@@ -57,7 +57,7 @@ class Trust(NamedTuple):
 LEAST_MATCHES = 15
 """Least number of matches that support a pair."""
 LEAST_CHECKED = 30
-"""Matches that connect two photographs if the pictures confirm it (dense_check.py). Fewer are inexact: once,
+"""Matches that connect two photographs if the pictures confirm it (dense/check.py). Fewer are inexact: once,
 cameras were off by ten degrees along the epipolar lines, which pictures do not show."""
 SIFT_TRUST = Trust(LEAST_MATCHES, 60)
 LEARNED_TRUST = Trust(150, 200)
@@ -75,11 +75,13 @@ class Piece(NamedTuple):
         folder: COLMAP model with photographs named by index.
         members: sorted indices of its photographs.
         plausible: True if its lenses are plausible.
+        focal_is_known: False if neither matches nor EXIF determine the focal length.
     """
 
     folder: Path
     members: list[int]
     plausible: bool = True
+    focal_is_known: bool = True
 
 
 def place_cameras(
@@ -185,12 +187,13 @@ def _pieces(found: list[Any], folder: Path) -> list[Piece]:
         path.mkdir()
         model.write(path)
         members = sorted(image_index(model.image(k).name) for k in model.reg_image_ids())
-        plausible = all(_is_plausible(camera) for camera in model.cameras.values())
+        plausible = all(is_plausible(camera) for camera in model.cameras.values())
         pieces.append(Piece(path, members, plausible))
     return sorted(pieces, key=lambda piece: (not piece.plausible, -len(piece.members)))
 
 
-def _is_plausible(camera: Any) -> bool:
+def is_plausible(camera: Any) -> bool:
+    """Whether focal length and distortion of a camera are possible."""
     focal = camera.focal_length / max(camera.width, camera.height)
     bend = float(camera.params[camera.extra_params_idxs()[0]])
     shortest = FOCAL_RANGE[0] if camera.has_prior_focal_length else SHORTEST_GUESS
@@ -288,7 +291,7 @@ def _supports(
                 opened.read_keypoints(image)[:, :2][matches[:, side]]
                 for side, image in enumerate((first, second))
             )
-            errors = _sampson_distances(model, (first, second), *points)
+            errors = sampson_distances(model, (first, second), *points)
             deep = has_depth(colmap, geometry) or _shows_depth(
                 opened, model, geometry, (first, second), max_error
             )
@@ -307,12 +310,12 @@ def _shows_depth(
         database.read_keypoints(image)[:, :2][matches[:, side]].astype(np.float64)
         for side, image in enumerate(pair)
     )
-    agreeing = _sampson_distances(model, pair, first, second) <= max_error
+    agreeing = sampson_distances(model, pair, first, second) <= max_error
     errors = transfer_errors(np.asarray(geometry.H), first[agreeing], second[agreeing])
     return bool((errors > max_error).sum() >= LEAST_OFF_SURFACE * len(errors) > 0)
 
 
-def _sampson_distances(
+def sampson_distances(
     model: Any, pair: tuple[int, int], first_points: _Array, second_points: _Array
 ) -> _Array:
     """Sampson distances `[M]` of points `[M, 2]`, in pixels of the first camera."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Doubt = Literal["position", "surface", "pictures"]
-"""Why matches of a pair do not connect it: no depth, or the dense check (dense_check.py) failed."""
+"""Why matches of a pair do not connect it: no depth, or the dense check (dense/check.py) failed."""
 LEAST_DEVIATION = 0.015
 """Least deviation of the singular values of K^-1 H K from 1 if H is not from a rotation."""
 LEAST_OFF_SURFACE = 0.01

@@ -4,7 +4,7 @@ SIFT (Lowe 2004), exhaustive matching, two-view geometry by RANSAC, then mapping
 every photograph, it is repeated with domain-size pooling (Dong and Soatto 2015), which tolerates wider
 baselines and takes several times as long, then with additional matches of two networks (learned_matches.py)
 if their files exist. The result is deterministic: random choices are seeded, photographs are numbered before
-threads start, and mapping uses one thread.
+threads start, and mapping uses one thread. Dense matches then refine the cameras (dense/refinement.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
-from .dense_check import DenseCheck
+from .dense.check import DenseCheck
+from .dense.refinement import refine
 from .learned_matches import add_learned_matches, known_files
 from .mapping import (
     LEARNED_TRUST,
@@ -114,7 +115,9 @@ def reconstruct(
         placed = found.rank[1]
         _log.info("%s: the cameras of %d of %d photographs fit together", name, placed, len(photos))
     assert best is not None
-    return replace(best, tried=tuple(tried))
+    main, others = best.pieces[:1], best.pieces[1:]
+    refined = [_refined(colmap, piece, images, photos) for piece in main]
+    return replace(best, pieces=refined + others, tried=tuple(tried))
 
 
 def _ways(
@@ -152,6 +155,15 @@ def _placed(
     pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
     doubts |= dict.fromkeys(check.rejected, "pictures")
     return Reconstruction(pieces, matches, [features[k] for k in range(count)], doubts=doubts)
+
+
+def _refined(colmap: Any, piece: Piece, images: Path, photos: Sequence[UnposedPhoto]) -> Piece:
+    if not piece.plausible:
+        return piece
+    model = colmap.Reconstruction(piece.folder)
+    model, focal_is_known = refine(colmap, model, images, photos[piece.members[0]].focal)
+    model.write(piece.folder)
+    return piece._replace(focal_is_known=focal_is_known)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import io
+import random
 
 import pytest
 from rich.console import Console
 
+from registry.runs.progress import TrainingProgress
 from registry.toolkit.progress import stages as module
 from registry.toolkit.progress.display import showing
 from registry.toolkit.progress.parallel import in_parallel
@@ -73,6 +75,43 @@ def test_time_passes_between_two_steps() -> None:
         stage.reached(done, 10.0 * done)
     assert stage.seconds_left(25.0) == pytest.approx(15)
     assert stage.seconds_left(99.0) == 0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_time_left_of_a_training_on_a_busy_machine(seed: int, clock: Clock) -> None:
+    """Ten seconds after the start, with the share of a processor that changes every eight seconds or so."""
+    generator = random.Random(seed)
+    now, changes, share, stage = clock.now, 0.0, 1.0, TrainingProgress(0, 600).stage
+    estimate = at = None
+    for done in range(1, 601):
+        work = 0.03 * (1 + done / 600)  # becomes twice as slow
+        while work > 0:
+            if now >= changes:
+                share, changes = (
+                    1 / generator.choice([6, 9, 12]),
+                    now + generator.expovariate(1 / 8),
+                )
+            worked = min(work, (changes - now) * share)
+            work, now = work - worked, now + worked / share
+        stage.reached(done, now)
+        if now >= 10 and estimate is None:
+            estimate, at = stage.seconds_left(now), now
+    assert estimate is not None
+    assert at is not None
+    assert 0.5 < estimate / (now - at) < 2
+
+
+def test_no_time_left_is_given_at_the_end() -> None:
+    stage = Stage("training", 0, 20, 0.0)
+    for done in range(1, 21):
+        stage.reached(done, done * 0.4)
+        assert "0:00 left" not in stage.text(done * 0.4, running=True)
+    assert "left" not in stage.text(8.0, running=True)
+    late = Stage("depth", 0, 4, 0.0)
+    for done in (1, 2):
+        late.reached(done, 10.0 * done)
+    assert late.text(19.5, running=True).endswith("0:21 left")
+    assert late.text(99.0, running=True) == "2/4", "the estimate was too short"
 
 
 def test_what_begins_a_stage() -> None:

@@ -1,0 +1,1 @@
+"""Depth of pairs of photographs by plane sweep: it checks estimated cameras and refines them."""

@@ -1,0 +1,171 @@
+"""Refinement of estimated cameras by dense matches (matches.py).
+
+Few photographs share too few keypoints to determine focal length and poses exactly. Robust bundle adjustment
+of the model's points, then of dense matches too, determines them better. Every fourth match takes no part in
+it: the result is kept only if these agree better with the new cameras.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from registry import SceneError
+
+from ..mapping import MAX_ERROR, is_plausible, sampson_distances
+from .matches import Match, dense_matches
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+MOST_PHOTOS = 24
+"""More photographs determine the cameras without dense matches, which would take long."""
+HELD_OUT_EVERY = 4
+LOSS_SCALE = 0.5
+"""Error in pixels from which the soft L1 loss is linear. Half of the matches are exact to 0.15 pixels."""
+OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
+"""The points determine the focal length if a change by this factor increases the cost by that factor."""
+_MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
+
+
+class Refined(NamedTuple):
+    """A refined pycolmap model, and whether points or EXIF determine its focal length."""
+
+    model: Any
+    focal_is_known: bool
+
+
+def refine(colmap: Any, model: Any, images: Path, focal: float | None = None) -> Refined:
+    """Refine the cameras and points of a pycolmap model, which is returned unchanged if that does not help.
+
+    Args:
+        images: folder of the photographs, named by index.
+        focal: focal length of all photographs by EXIF, in units of the longer side. It is used instead of
+            the estimated one if the points do not determine that.
+    """
+    from core_rasterizer import CameraError
+
+    if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
+        return Refined(model, True)
+    start = _adjusted(colmap, model, [])
+    determined = _determines_focal(colmap, start)
+    fixed = False
+    if focal is not None and not determined:
+        fixed = True
+        start = _adjusted(colmap, _with_focal(colmap, start, focal), [], fixed)
+    try:
+        matches = dense_matches(start, images)
+    except (SceneError, CameraError):  # the lens is not plausible
+        return Refined(model, determined)
+    left_out = matches[::HELD_OUT_EVERY]
+    fitted = [match for k, match in enumerate(matches) if k % HELD_OUT_EVERY]
+    if not fitted:
+        return Refined(model, determined)
+    refined = _adjusted(colmap, start, fitted, fixed)
+    helps = all(is_plausible(camera) for camera in refined.cameras.values())
+    helps = helps and (fixed or _error(refined, left_out) < _error(model, left_out))
+    return Refined(refined if helps else model, determined or (fixed and helps))
+
+
+def _determines_focal(colmap: Any, model: Any) -> bool:
+    """Whether another focal length increases the cost clearly; True for several lenses."""
+    if len(model.cameras) > 1:
+        return True
+    (lens,) = model.cameras.values()
+    longer = max(lens.width, lens.height)
+    costs = [
+        _cost(
+            _adjusted(
+                colmap, _with_focal(colmap, model, factor * lens.focal_length / longer), [], True
+            )
+        )
+        for factor in (1.0, OTHER_FOCAL, 1 / OTHER_FOCAL)
+    ]
+    return min(costs[1:]) > LEAST_INCREASE * costs[0]
+
+
+def _with_focal(colmap: Any, model: Any, focal: float) -> Any:
+    """A copy of a model with this focal length in units of the longer side."""
+    changed = colmap.Reconstruction(model)
+    for camera in changed.cameras.values():
+        camera.params = [focal * max(camera.width, camera.height), *camera.params[1:]]
+    return changed
+
+
+def _cost(model: Any) -> float:
+    """Sum of the soft L1 loss of the errors of all points."""
+    errors = [point.error for point in model.points3D.values()]
+    lengths = [point.track.length() for point in model.points3D.values()]
+    return float(np.dot(lengths, np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1))
+
+
+def _adjusted(colmap: Any, model: Any, matches: Sequence[Match], fixed_focal: bool = False) -> Any:
+    """A copy of a model after bundle adjustment; its points are those of the model that agree."""
+    adjusted = colmap.Reconstruction()
+    for camera in model.cameras.values():
+        adjusted.add_camera_with_trivial_rig(camera)
+    points = [point for _, point in sorted(model.points3D.items())]
+    tracks = [
+        [(e.image_id, model.image(e.image_id).points2D[e.point2D_idx].xy) for e in p.track.elements]
+        for p in points
+    ]
+    tracks += [list(match.seen.items()) for match in matches]
+    keypoints: dict[int, list[Any]] = {k: [] for k in model.reg_image_ids()}
+    elements = []
+    for track in tracks:
+        elements.append([colmap.TrackElement(k, len(keypoints[k])) for k, _ in track])
+        for k, place in track:
+            keypoints[k].append(place)
+    for k, places in keypoints.items():
+        image = model.image(k)
+        copied = colmap.Image(
+            name=image.name, keypoints=np.array(places), camera_id=image.camera_id, image_id=k
+        )
+        adjusted.add_image_with_trivial_frame(copied, image.cam_from_world())
+    positions = [point.xyz for point in points] + [match.point for match in matches]
+    for position, seen in zip(positions, elements, strict=True):
+        adjusted.add_point3D(position, colmap.Track(elements=seen))
+    # All free: COLMAP's own choice may fix three points, which has two constraints too many.
+    everything = colmap.BundleAdjustmentConfig()
+    for k in keypoints:
+        everything.add_image(k)
+    colmap.create_default_bundle_adjuster(
+        _options(colmap, fixed_focal), everything, adjusted
+    ).solve()
+    adjusted.update_point_3d_errors()
+    for number, key in enumerate(sorted(adjusted.point3D_ids())):
+        point = adjusted.point3D(key)
+        if number < len(points) and point.error <= MAX_ERROR:
+            point.color = points[number].color
+        else:
+            adjusted.delete_point3D(key)
+    return adjusted
+
+
+def _options(colmap: Any, fixed_focal: bool) -> Any:
+    options = colmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = not fixed_focal
+    options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
+    options.ceres.loss_function_scale = LOSS_SCALE
+    solver = options.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations = 1, _MOST_ITERATIONS
+    solver.function_tolerance = _TOLERANCE
+    return options
+
+
+def _error(model: Any, matches: Sequence[Match]) -> float:
+    """Mean distance of matches from their epipolar lines, each at most `MAX_ERROR` pixels."""
+    places: dict[tuple[int, int], list[tuple[NDArray[np.float64], ...]]] = {}
+    for match in matches:
+        (here, corner), *others = match.seen.items()
+        for there, place in others:
+            places.setdefault((here, there), []).append((corner, place))
+    distances = [
+        sampson_distances(model, pair, *np.array(of_pair).swapaxes(0, 1))
+        for pair, of_pair in places.items()
+    ]
+    return float(np.minimum(np.concatenate(distances), MAX_ERROR).mean())

@@ -1,0 +1,107 @@
+"""Dense matches correct inexact cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from registry import Scene
+from registry.toolkit.photos import import_pycolmap
+from stereogs_plugins.scenes.photos.dense.matches import dense_matches
+from stereogs_plugins.scenes.photos.dense.refinement import MOST_PHOTOS, refine
+from stereogs_plugins.scenes.photos.mapping import MAX_ERROR, sampson_distances
+from stereogs_plugins.scenes.photos.unposed_photos import image_index
+
+colmap = import_pycolmap(3)
+
+
+def errors(model: Any, room: Scene) -> tuple[float, float]:
+    """Largest error of rotations relative to the first, degrees, and relative error of the focal length."""
+    found = {
+        image_index(model.image(k).name): model.image(k).cam_from_world().rotation.matrix()
+        for k in model.reg_image_ids()
+    }
+    true = [view.camera.world_to_camera[:3, :3].numpy() for view in room.train]
+    turns = [found[k] @ found[0].T @ (true[k] @ true[0].T).T for k in found]
+    cosines = [(np.trace(turn) - 1) / 2 for turn in turns]
+    (lens,) = model.cameras.values()
+    focal = lens.focal_length / lens.width * room.train[0].camera.width / room.train[0].camera.fx
+    return float(np.degrees(np.arccos(np.clip(min(cosines), -1, 1)))), abs(focal - 1)
+
+
+def move(model: Any, axis: NDArray[np.float64], degrees: float) -> None:
+    """Turn the last camera on the spot."""
+    frame = model.frame(model.image(max(model.reg_image_ids())).frame_id)
+    half = np.radians(degrees) / 2
+    turn = colmap.Rotation3d(np.array([*np.sin(half) * axis, np.cos(half)]))
+    pose = frame.rig_from_world
+    frame.rig_from_world = type(pose)(turn * pose.rotation, turn * pose.translation)
+
+
+def test_inexact_cameras_become_exact(model: Any, images: Path, room: Scene) -> None:
+    move(model, np.array([0.6, 0.0, 0.8]), 0.4)
+    (lens,) = model.cameras.values()
+    lens.params = lens.params * [1.04, 1, 1, 1]
+    turned, focal = errors(model, room)
+    assert turned > 0.35
+    assert focal > 0.03
+    refined, focal_is_known = refine(colmap, model, images)
+    assert refined is not model
+    assert focal_is_known
+    turned, focal = errors(refined, room)
+    assert turned < 0.1
+    assert focal < 0.01
+    assert refined.num_points3D() > 0.9 * model.num_points3D()
+    assert max(point.error for point in refined.points3D.values()) <= MAX_ERROR
+    colors = {tuple(point.color) for point in model.points3D.values()}
+    assert {tuple(point.color) for point in refined.points3D.values()} <= colors
+
+
+def test_matches_do_not_depend_on_exact_cameras(model: Any, images: Path) -> None:
+    """Those found with a turned camera agree with the right cameras."""
+    right = colmap.Reconstruction(model)
+    move(model, np.array([1.0, 0.0, 0.0]), 0.2)
+    matches = dense_matches(model, images)
+    assert len(matches) > 500
+    last = max(model.reg_image_ids())
+    for here in sorted(model.reg_image_ids()):
+        seen = [m.seen for m in matches if next(iter(m.seen)) == here and last in m.seen]
+        if here == last or not seen:
+            continue
+        pair = [np.array([one[k] for one in seen]) for k in (here, last)]
+        means = [
+            float(np.median(sampson_distances(m, (here, last), *pair))) for m in (right, model)
+        ]
+        assert means[0] < 0.3
+        assert means[0] < 0.6 * means[1]
+
+
+def test_many_photographs_are_left_as_they_are(
+    model: Any, images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stereogs_plugins.scenes.photos.dense.refinement.MOST_PHOTOS", 4)
+    assert MOST_PHOTOS > model.num_reg_images() > 4
+    assert refine(colmap, model, images).model is model
+
+
+def test_exif_replaces_a_focal_length_that_points_do_not_determine(
+    model: Any, images: Path, room: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = "stereogs_plugins.scenes.photos.dense.refinement"
+    camera = room.train[0].camera
+    right, wrong = (factor * camera.fx / camera.width for factor in (1, 1.06))
+    for key in model.point3D_ids():
+        if key % 8:
+            model.delete_point3D(key)
+    assert errors(refine(colmap, model, images, wrong).model, room)[1] < 0.02, "points determine it"
+    monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
+    refined, focal_is_known = refine(colmap, model, images, right)
+    assert focal_is_known
+    turned, focal = errors(refined, room)
+    assert turned < 0.1
+    assert focal < 1e-9
+    assert not refine(colmap, model, images).focal_is_known
