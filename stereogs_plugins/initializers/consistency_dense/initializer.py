@@ -69,9 +69,13 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             confirmed = without_outvoted(scene.train, confirmed, scene.bounds)
         guessed = None
         if settings.fill:
-            levels, also_shown = settings.background_range, settings.fill_shown
             guessed = guesses(
-                scene, confirmed, analysis, background_range=levels, also_shown=also_shown
+                scene,
+                confirmed,
+                analysis,
+                background_range=settings.background_range,
+                also_shown=settings.fill_shown,
+                planes=settings.fill_planes,
             )
         filled = guessed or [np.zeros_like(depth) for depth in confirmed]
         views = [

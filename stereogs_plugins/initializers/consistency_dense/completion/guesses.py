@@ -14,6 +14,7 @@ from ..projection import lift, pixel_centers, pixel_of, project
 from ..scene_analysis.contradictions import Evidence, miscolored
 from ..visibility import in_free_space, source_indices
 from .fill import fill_holes
+from .planes import plane_depths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,6 +43,7 @@ def guesses(
     *,
     background_range: int,
     also_shown: bool = True,
+    planes: bool = False,
 ) -> list[DepthImage] | None:
     """Guess the unconfirmed depths of each view; None, with a warning, if too little is confirmed.
 
@@ -50,6 +52,7 @@ def guesses(
         analysis: nothing is guessed on its plain background.
         background_range: 8-bit levels up to which a colour is the scene's background.
         also_shown: also guess where a confirmed point of another view with the pixel's colour falls.
+        planes: continue planes where known depths lie on one, before other holes are filled.
     """
     cameras = [view.camera for view in scene.train]
     images = [view.image.numpy() for view in scene.train]
@@ -64,7 +67,9 @@ def guesses(
         camera, image = cameras[index], images[index]
         if not confirmed[index].any():
             return confirmed[index].copy(), 0
-        depth = fill_holes(image, confirmed[index])
+        known = confirmed[index]
+        flat = plane_depths(image, known) if planes else np.zeros_like(known)
+        depth = flat + fill_holes(image, known + flat)
         points = lift(camera, *pixel_centers(camera), depth)
         others = source_indices(cameras, index, scene.bounds)
         depth[in_free_space(points, [(cameras[k], confirmed[k]) for k in others])] = 0
