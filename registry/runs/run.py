@@ -18,15 +18,18 @@ from torch import Tensor
 from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering, save_ply
 
 from ..calls.copies import copied
+from ..confidence import Confidence, Trained
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..pipeline.parts import Part, Parts
+from ..inspection.scene_source import single_item
+from ..pipeline.parts import Part, Parts, build_part
 from ..pipeline.pipeline import Pipeline
+from ..plugins.discovery import CONFIDENCE, Plugins
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
 from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
-from ..training.trainer import one_torch_thread
+from ..training.trainer import maps_of, one_torch_thread
 from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
 from .folder import RunFolder
 from .origin import (
@@ -125,6 +128,26 @@ class Run:
         """
         return self.checkpoint().part("kinds")
 
+    def confidence(self, name: str = "calibrated", changes: Sequence[str] = ()) -> Confidence:
+        """Return the confidence in renders of the Gaussians.
+
+        Args:
+            name: an installed estimator, for example "calibrated", "coverage" or "fisher".
+            changes: `key=value`, settings of the estimator.
+        """
+        item = single_item(Plugins().find(CONFIDENCE, name), changes)
+        part = build_part(item, self.pipeline.training.seed, self.model.device)
+        with part.at_work(), one_torch_thread():
+            answer: Confidence = part.component.estimate(self.trained)
+        return answer
+
+    @property
+    def trained(self) -> Trained:
+        """The Gaussians and what they were trained on; of the inputs, copies."""
+        maps = maps_of(self.checkpoint().part("maps"))
+        inputs = copied((self.scene.for_training(), maps, self.kinds))
+        return Trained(self.model.reader(), *inputs, self.confidence)
+
     @property
     def scores(self) -> dict[str, Scores]:
         """Scores by split, "test" and "train", computed on first use: `scores["test"].mean["psnr"]`."""
@@ -137,6 +160,10 @@ class Run:
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures
+        trained = self.trained
+        for part in metrics:
+            with part.at_work():
+                part.component.begin_scoring(trained)
         with one_torch_thread():
             views = tracked([*scene.test, *scene.train], "scoring")
             test = islice(views, len(scene.test))

@@ -13,6 +13,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import Vector, smooth_path, upright_rotation, upwards
+    from .confidence_picture import GUESSED, hatched, with_scale
     from .pictures import (
         COMPARISONS,
         RAMP,
@@ -34,6 +35,7 @@ else:
 
 __all__ = [
     "COMPARISONS",
+    "GUESSED",
     "RAMP",
     "ImageMetricSettings",
     "LoggerSettings",
@@ -42,6 +44,7 @@ __all__ = [
     "depth_ends",
     "depth_picture",
     "grey",
+    "hatched",
     "nearness_picture",
     "ramp_picture",
     "save_png",
@@ -52,5 +55,6 @@ __all__ = [
     "upright_rotation",
     "upwards",
     "white_outside",
+    "with_scale",
     "write_video",
 ]

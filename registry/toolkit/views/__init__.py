@@ -1,4 +1,4 @@
-"""Geometry of views: epipolar distances, flow consistency, angles, parameters per training view.
+"""Geometry of views: epipolar distances, flow consistency, angles, values of Gaussians rendered.
 
     from registry.toolkit.views import epipolar_distances, virtual_views
 
@@ -14,17 +14,25 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
+    from .painted import Painted, same_model
+    from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
+    "Painted",
     "ViewAngles",
     "ViewParameters",
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",
+    "image_sizes",
+    "points_in_view",
+    "same_model",
     "subject_of",
+    "summary",
     "view_angles",
+    "warnings",
 ]
