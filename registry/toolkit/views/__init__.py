@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
+    from .where_to_stand import Photographs, words_between
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
+    "Photographs",
     "ViewAngles",
     "ViewParameters",
     "epipolar_distances",
@@ -27,4 +29,5 @@ __all__ = [
     "flow_in_size",
     "subject_of",
     "view_angles",
+    "words_between",
 ]
