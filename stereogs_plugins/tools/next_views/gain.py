@@ -10,8 +10,11 @@ arXiv 2607.01556). Photographs S leave unknown
     unknown(p, v) = doubt(p, v) * product over s in S of (1 - share(s, p, v)),
 
 with doubt = 1 - confidence of the pixel that shows p. The expected gain of a camera is the decrease of the
-mean of `unknown` over all points and views, scaled down if less than OVERLAP of what the camera sees has been
-photographed from a similar direction: what a single photograph shows cannot be triangulated.
+mean of `unknown` over all points and views. It is scaled down if the camera's overlap, the share of what it
+sees that is photographed from a similar direction, is below OVERLAP: what a single photograph shows cannot be
+triangulated.
+
+The form and the numbers were chosen on photographs left out of the pool (docs/next_photograph.md).
 """
 
 from __future__ import annotations
@@ -28,14 +31,14 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera, Rendering
 
-ANGLE = 30.0
+ANGLE = 20.0
 """Degrees at which a photograph confirms a share of 1/e."""
 CONFIRMED = 0.7
 """What one photograph confirms of a point for a view from the same direction."""
-MATCHED_ANGLE = 60.0
+MATCHED_ANGLE = 75.0
 """Degrees between two photographs at which they still share 1/e of their matches."""
 OVERLAP = 0.3
-"""Least share of a photograph that others should show, so that it connects to them."""
+"""Least overlap of a photograph that probably connects to the others."""
 DEPTH_TOLERANCE = 0.03
 """A point this much farther than the depth that a camera sees is hidden, as a share of the depth."""
 LEAST_ALPHA = 0.3

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
-from registry.commands import add_run, console, open_given
+from registry.commands import add_run, console, open_given, print_failures
 from registry.messages import counted
 
 if TYPE_CHECKING:
@@ -23,8 +23,9 @@ examples:
   stereogs next runs/fern --pictures train_views=0    which of the scene's other pictures to train on
 
 Writes into RUN/next a picture of what would be seen from each place, with the parts hatched that are guessed
-today, and next.json. --poses reads a file like transforms.json: {"frames": [{"transform_matrix": 4 x 4}]},
-camera-to-world with OpenGL's axes, in the world of the run's scene.
+today, and next.json; the run's page shows the places under "Seen by". --poses reads a file like
+transforms.json: {"frames": [{"transform_matrix": 4 x 4}]}, camera-to-world with OpenGL axes, in the world of
+the run's scene.
 """
 
 
@@ -78,7 +79,12 @@ class Next(Command):
             output.print(f"   confirms {one.gain:.0%} of what is unknown now{_doubt(one.overlap)}")
         output.print(photographs_of(run).step_words)
         output.print(f"{counted(len(found), 'picture')} and next.json in {folder}")
-        return 0
+        if not run.finished or not run.folder_or_refuse().results():
+            return 0
+        files, failures = run.report(run.parts["reports"])
+        for file in files:
+            output.print(f"page  {run.folder_or_refuse().path / file}")
+        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
 
 
 def _doubt(overlap: float) -> str:
