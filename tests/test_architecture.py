@@ -50,6 +50,7 @@ FACES = {
     name: f"{name.replace('.', '/')}.py"
     for name in (
         "core_rasterizer.self_test",
+        "registry.confidence",
         "registry.errors",
         "registry.events",
         "registry.runners",
@@ -209,7 +210,7 @@ LAYERS = (
     ("__main__",),
 )
 """Packages of `registry`, lowest first: each imports from lower layers only."""
-WITHIN = {"events": "contract", "runners": "contract"}
+WITHIN = {"confidence": "contract", "events": "contract", "runners": "contract"}
 """Modules of `registry` that belong to the layer of a package."""
 
 

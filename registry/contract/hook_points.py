@@ -13,6 +13,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import pluggy
 
+from ..confidence import ConfidenceEstimator
 from ..runners import Runner
 from . import components as c
 from .component import Component
@@ -89,7 +90,7 @@ class HookPoint:
 
     @property
     def in_pipeline(self) -> bool:
-        """False for runners, which train whole pipelines."""
+        """False for runners and confidence estimators, which commands and other components use."""
         return self.stage is not None
 
     @property
@@ -141,6 +142,8 @@ HOOK_POINTS: tuple[HookPoint, ...] = (
     _in_loop("observers", "observer", "observers", c.Observer, DURING,
              "start and end, scores; of each iteration the losses, the render, the Gaussians"),
     HookPoint("runner", "runner", "runners", Runner, None, "pipelines to train", holds="one"),
+    HookPoint("confidence", "confidence estimator", "confidence_estimators", ConfidenceEstimator, None,
+              "the Gaussians, the training views, a camera", holds="one"),
 )
 # fmt: on
 PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)

@@ -27,8 +27,8 @@ GROUP = "stereogs.plugins"
 SELECTION = "STEREOGS_PLUGINS"
 """Environment variable: unset = every installed plugin, empty = none, else entry names by commas."""
 
-SCENE = next(point for point in HOOK_POINTS if point.section == "scene")
-"""The hook point of scene loaders."""
+SCENE, CONFIDENCE = (p for p in HOOK_POINTS if p.section in ("scene", "confidence"))
+"""The hook points of scene loaders and of confidence estimators."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 

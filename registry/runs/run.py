@@ -18,15 +18,18 @@ from torch import Tensor
 from core_rasterizer import Camera, ExplainedError, GaussianModel, Rendering, save_ply
 
 from ..calls.copies import copied
+from ..confidence import Confidence, Trained
 from ..contract.scene import Scene
 from ..errors import RunError
-from ..pipeline.parts import Part, Parts
+from ..inspection.scene_source import single_item
+from ..pipeline.parts import Part, Parts, build_part
 from ..pipeline.pipeline import Pipeline
+from ..plugins.discovery import CONFIDENCE, Plugins
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
 from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
-from ..training.trainer import one_torch_thread
+from ..training.trainer import maps_of, one_torch_thread
 from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
 from .folder import RunFolder
 from .origin import (
@@ -119,6 +122,15 @@ class Run:
         Empty if the initializer does not distinguish kinds (`PointCloud.kinds`).
         """
         return self.checkpoint().part("kinds")
+
+    def confidence(self, estimator: str = "fisher") -> Confidence:
+        """Return the confidence in renders of the Gaussians, by an installed estimator."""
+        offer = Plugins().find(CONFIDENCE, estimator)
+        part = build_part(single_item(offer), self.pipeline.training.seed, self.model.device)
+        maps = maps_of(self.checkpoint().part("maps"))
+        with part.at_work(), one_torch_thread():
+            scene = copied(self.scene.for_training())
+            return part.component.estimate(Trained(self.model.reader(), scene, maps, self.kinds))
 
     @property
     def scores(self) -> dict[str, Scores]:

@@ -1,4 +1,4 @@
-"""Geometry of views: epipolar distances, flow consistency, angles, parameters per training view.
+"""Geometry of views: epipolar distances, flow consistency, angles, values of Gaussians rendered.
 
     from registry.toolkit.views import epipolar_distances, virtual_views
 
@@ -14,6 +14,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
+    from .painted import Painted, same_model
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
     from .where_to_stand import Photographs, words_between
@@ -22,11 +23,13 @@ else:
 
 __all__ = [
     "Photographs",
+    "Painted",
     "ViewAngles",
     "ViewParameters",
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",
+    "same_model",
     "subject_of",
     "view_angles",
     "words_between",

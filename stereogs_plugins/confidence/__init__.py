@@ -1,0 +1,1 @@
+"""Estimators of how likely each pixel of a render is right."""
