@@ -22,8 +22,8 @@ else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
-    "Photographs",
     "Painted",
+    "Photographs",
     "ViewAngles",
     "ViewParameters",
     "epipolar_distances",

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 
 SMALLEST_STEP, LARGEST_STEP = 4.0, 20.0
 """Limits of a step, degrees as seen from the subject."""
-_MIDDLE_HALF = 0.25
+_BETWEEN = 0.25
 """Share of the way between two photographs from which on a place is between them."""
+_OFF_THE_MIDDLE = 0.15
+"""Share of that way from the middle on which a place is nearer to one of the two."""
 _HALF_STEP = 0.25
 """Distances below this many steps are not mentioned."""
 _MOST_ASIDE = 0.5
@@ -96,22 +98,20 @@ class Photographs:
         return f"{self._place(camera.center, target)}; aim at {self._aim(camera.center, target)}"
 
     def _place(self, place: Tensor, target: Tensor) -> str:
-        pair = self._pair_around(place, target)
+        index = self.nearest(place)
+        origin, aside = self.centers[index], self._aside(self.centers[index], place, target)
+        where = (
+            f"{aside} of {self.names[index]}" if aside else f"where {self.names[index]} was taken"
+        )
+        pair = self._pair_around(place, target) if aside else None
         if pair is not None:
             first, second, share = pair
             origin = (1 - share) * self.centers[first] + share * self.centers[second]
             names = self.names[first], self.names[second]
-            parts = [words_between(*names)]
-            if abs(share - 0.5) > 0.15:
-                parts[0] += f", nearer to {names[share > 0.5]}"
-        else:
-            index = self.nearest(place)
-            origin = self.centers[index]
-            aside = self._aside(origin, place, target)
-            where = self.names[index]
-            parts = [f"{aside} of {where}" if aside else f"at the place of {where}"]
-        parts += self._heights(origin, place, target)
-        return ", ".join(parts)
+            where = words_between(*names)
+            if abs(share - 0.5) > _OFF_THE_MIDDLE:
+                where += f", nearer to {names[share > 0.5]}"
+        return ", ".join([where, *self._heights(origin, place, target)])
 
     def _pair_around(self, place: Tensor, target: Tensor) -> tuple[int, int, float] | None:
         """Return the nearest two photographs that a place is between, and its share of the way."""
@@ -125,7 +125,7 @@ class Photographs:
                 offset = self._level(place - self.centers[first], target, place)
                 share = float(offset @ way) / length**2
                 aside = float((offset - share * way).norm()) / length
-                if _MIDDLE_HALF <= share <= 1 - _MIDDLE_HALF and aside < _MOST_ASIDE:
+                if _BETWEEN <= share <= 1 - _BETWEEN and aside < _MOST_ASIDE:
                     found.append((length, first, second, share))
         return min(found)[1:] if found else None
 
