@@ -21,6 +21,8 @@ _OFF_THE_MIDDLE = 0.15
 """Share of that way from the middle on which a place is nearer to one of the two."""
 _HALF_STEP = 0.25
 """Distances below this many steps are not mentioned."""
+_LEAST_NEARER = 0.75
+"""Differences in distance below this many steps are not mentioned: they depend on the aim."""
 _MOST_ASIDE = 0.5
 """A place farther aside from the line between two photographs is not between them; in units of its length."""
 _WIDE = 25.0
@@ -158,12 +160,13 @@ class Photographs:
     def _heights(self, origin: Tensor, place: Tensor, target: Tensor) -> list[str]:
         height = float((place - origin) @ self.up)
         nearer = float((origin - target).norm() - (place - target).norm())
-        told = [
-            (height, "higher" if height > 0 else "lower"),
-            (nearer, "closer" if nearer > 0 else "farther away"),
+        words = [
+            (_steps(abs(height) / self.step), "higher" if height > 0 else "lower"),
+            (_steps(abs(nearer) / self.step), "closer" if nearer > 0 else "farther away"),
         ]
-        lines = ((_steps(abs(distance) / self.step), word) for distance, word in told)
-        return [f"{words} {word}" for words, word in lines if words]
+        if abs(nearer) < _LEAST_NEARER * self.step:
+            words.pop()
+        return [f"{steps} {way}" for steps, way in words if steps]
 
     def _aim(self, place: Tensor, target: Tensor) -> str:
         """Return where a target is in the nearest photograph that shows it."""
