@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
 	runtimes races stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
-	bench-engine bench-peer bench-error bench-skips bench-left-out bench-photos bench-priors clean help
+	bench-engine bench-peer bench-error bench-skips bench-left-out bench-next bench-photos bench-priors clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -106,6 +106,9 @@ bench-priors: $(VENV)/.dev ## accuracy of sgm, plane_sweep and patch_match; rewr
 
 bench-left-out: $(VENV)/.dev ## weightfree_fast on training views left out, to compare variants
 	$(BIN)/python -m benchmarks.left_out plain
+
+bench-next: $(VENV)/.dev ## the next photograph, chosen by rules and trained, half an hour; rewrites its table; resumable
+	$(BIN)/python -m benchmarks.next_views --write-docs
 
 bench-photos: $(VENV)/.dev ## estimated cameras compared with published ones; rewrites its table; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from registry.training import Iteration
     from stereogs_plugins.tools.export import export
+    from stereogs_plugins.tools.next_views import NextView, next_views
     from stereogs_plugins.tools.quality import within
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -39,6 +40,7 @@ __all__ = [
     "Camera",
     "ExplainedError",
     "Iteration",
+    "NextView",
     "Picture",
     "Pipeline",
     "PointCloud",
@@ -50,6 +52,7 @@ __all__ = [
     "export",
     "list_devices",
     "load_scene",
+    "next_views",
     "open_device",
     "open_run",
     "render",

@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
+    from .where_to_stand import Photographs, words_between
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "Painted",
+    "Photographs",
     "ViewAngles",
     "ViewParameters",
     "epipolar_distances",
@@ -35,4 +37,5 @@ __all__ = [
     "summary",
     "view_angles",
     "warnings",
+    "words_between",
 ]

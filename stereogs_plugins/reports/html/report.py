@@ -31,7 +31,7 @@ from registry.toolkit.web_page import (
     verbatim,
 )
 
-from .run_files import CHECKPOINT, RunFiles, read_run
+from .run_files import CHECKPOINT, RunFiles, read_run, suggested_cameras
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -91,7 +91,8 @@ class HtmlReport(Report[HtmlReportSettings]):
             return SceneView("")
         dilation = run.training.get("dilation", 0.3)
         compensate = run.training.get("compensate_dilation", False)
-        packed = pack(trained_gaussians(folder), scene, dilation, compensate)
+        suggested = suggested_cameras(folder)
+        packed = pack(trained_gaussians(folder), scene, dilation, compensate, suggested)
         if self.settings.beside:
             return view_beside(packed, folder)
         megabytes = len(packed.splats) / 1e6

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from core_rasterizer import Camera
+
 CHECKPOINT = "checkpoint"
 """Folder of a run's Gaussians; optional."""
 
@@ -69,6 +71,29 @@ def read_run(folder: Path) -> RunFiles:
         initialization=_json_file(folder / "initialization" / "facts.json"),
         initial_pictures=tuple(sorted((folder / "initialization").glob("*.png"))),
     )
+
+
+def suggested_cameras(folder: Path) -> dict[str, Camera]:
+    """Return the cameras that `stereogs next` suggested for a run, best first, by where to stand.
+
+    Raises:
+        RunError: its file is damaged.
+    """
+    from core_rasterizer import Camera
+    from registry.toolkit.photos import pose_from_opengl
+
+    file = folder / "next" / "next.json"
+    try:
+        return {
+            f"{number}: {str(one['words']).partition(';')[0]}": Camera(
+                pose_from_opengl(one["transform_matrix"], str(file)),
+                *(one[name] for name in ("fl_x", "fl_y", "cx", "cy", "w", "h")),
+            )
+            for number, one in enumerate(_json_file(file).get("frames", ()), start=1)
+        }
+    except (KeyError, TypeError) as error:
+        fix = f"write it again: stereogs next {folder}"
+        raise RunError(f"it does not list cameras: {error}", where=str(file), fix=fix) from error
 
 
 def _json_file(path: Path) -> dict[str, Any]:

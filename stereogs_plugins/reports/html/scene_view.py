@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +22,13 @@ from .reach import reaches
 from .spz import spz
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from core_rasterizer import Gaussians
-    from registry import Scene, View
+    from core_rasterizer import Camera, Gaussians
+    from registry import Scene
 
 BESIDE = "report_files"
 """Folder of the files next to the page."""
@@ -41,6 +43,8 @@ the subject as a factor of the photograph's, and shift of the middle as a share 
 _LEAST_SHOWN = 0.45
 """Share of a photograph's width and height in view, at least, so that a portrait fills a wide window.
 Objects on a plain background are shown whole."""
+MOST_SUGGESTED = 3
+"""Suggested cameras that the menu offers."""
 _HELP = (
     "Drag to turn, pinch or click and scroll to zoom, two fingers or Shift to move. The camera stays within "
     f"{_LIMITS['angle']:g}° of the photographs and {_LIMITS['nearest']:g} to {_LIMITS['farthest']:g} times "
@@ -68,26 +72,35 @@ class PackedScene:
     Args:
         splats: the Gaussians, SPZ.
         setup: the argument `setup` of `showScene` in viewer/scene_view.js.
-        views: the views in the order of `setup["views"]`.
+        names: names of the poses in `setup["views"]`, by kind and in their order.
+        aspect: width and height of the first photograph.
     """
 
     splats: bytes
     setup: dict[str, Any]
-    views: tuple[View, ...]
+    names: dict[str, list[str]]
+    aspect: tuple[int, int]
 
 
 def pack(
-    gaussians: Gaussians, scene: Scene, dilation: float, compensate_dilation: bool
+    gaussians: Gaussians,
+    scene: Scene,
+    dilation: float,
+    compensate_dilation: bool,
+    suggested: Mapping[str, Camera] = {},
 ) -> PackedScene:
-    """Return a scene for the viewer; its views are the training views, then the test views.
+    """Return a scene for the viewer: the training views, the test views, and cameras that are suggested.
 
     Args:
         gaussians: at least one.
         dilation, compensate_dilation: as the Gaussians were trained, see `GaussianModel`.
+        suggested: cameras for the next pictures by where they are, best first.
     """
     center, factor = _frame(gaussians)
-    views = (*scene.train, *scene.test)
-    distances = reaches(gaussians, [view.camera for view in views])
+    best = list(suggested)[:MOST_SUGGESTED]
+    cameras = [view.camera for view in (*scene.train, *scene.test)]
+    cameras += [suggested[place] for place in best]
+    distances = reaches(gaussians, cameras)
     setup = {
         "up": upwards([view.camera for view in scene.train]).tolist(),
         "background": list(scene.background),
@@ -96,12 +109,18 @@ def pack(
         "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _LEAST_SHOWN,
         "limits": _LIMITS,
         "views": [
-            _pose(view, center, factor)
+            _pose(camera, center, factor)
             | {"reach": distance * factor, "train": k < len(scene.train)}
-            for k, (view, distance) in enumerate(zip(views, distances, strict=True))
+            for k, (camera, distance) in enumerate(zip(cameras, distances, strict=True))
         ],
     }
-    return PackedScene(spz(_framed(gaussians, center, factor)), setup, views)
+    names = {
+        "Trained on": [view.name for view in scene.train],
+        "Held out": [view.name for view in scene.test],
+        "Take next": best,
+    }
+    aspect = cameras[0].width, cameras[0].height
+    return PackedScene(spz(_framed(gaussians, center, factor)), setup, names, aspect)
 
 
 def view_inside(packed: PackedScene) -> SceneView:
@@ -147,11 +166,11 @@ def remove_beside(folder: Path) -> None:
 
 
 def _view(packed: PackedScene, data: str) -> str:
-    camera = packed.views[0].camera
+    width, height = packed.aspect
     setup = json.dumps(packed.setup).replace("<", "\\u003c")
     return (
         f'{style()}<div class="scene-view"><div class="frame">'
-        f'<div class="canvas" style="aspect-ratio:{camera.width}/{camera.height}">'
+        f'<div class="canvas" style="aspect-ratio:{width}/{height}">'
         "<p>The 3D view needs JavaScript.</p></div>"
         f'<div class="buttons" hidden>{_BUTTONS}<select aria-label="Seen by">{_options(packed)}'
         f"</select></div></div>{web_page.note(_HELP)}</div>"
@@ -168,16 +187,10 @@ _BUTTONS = (
 
 def _options(packed: PackedScene) -> str:
     """Return menu items: one for no view, then all views, by kind."""
-    trained = [one["train"] for one in packed.setup["views"]]
-    groups = {"Trained on": True, "Held out": False}
-    items = '<option value="">Seen by …</option>'
-    for title, kind in groups.items():
-        own = "".join(
-            f'<option value="{index}">{escape(view.name)}</option>'
-            for index, view in enumerate(packed.views)
-            if trained[index] is kind
-        )
-        items += f'<optgroup label="{title}">{own}</optgroup>' if own else ""
+    items, index = '<option value="">Seen by …</option>', count()
+    for kind, names in packed.names.items():
+        own = "".join(f'<option value="{next(index)}">{escape(name)}</option>' for name in names)
+        items += f'<optgroup label="{kind}">{own}</optgroup>' if own else ""
     return items
 
 
@@ -199,8 +212,7 @@ def _framed(gaussians: Gaussians, center: NDArray[np.float64], factor: float) ->
     )
 
 
-def _pose(view: View, center: NDArray[np.float64], factor: float) -> dict[str, Any]:
-    camera = view.camera
+def _pose(camera: Camera, center: NDArray[np.float64], factor: float) -> dict[str, Any]:
     # OpenGL cameras look along -z with y up, OpenCV cameras along z with y down.
     pose = camera.camera_to_world.numpy() @ np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = (pose[:3, 3] - center) * factor

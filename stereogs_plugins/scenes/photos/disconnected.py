@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from registry import SceneError
+from registry.toolkit.views import words_between
 
 from .learned_matches import FOLDER_VARIABLE, known_files
 from .unposed_photos import MIN_PHOTOS
@@ -225,7 +226,7 @@ def _bridge(
     _, _, first, second = max(pairs)
     same = "if it shows the same scene" if len(weak) == 1 else "if they show the same scene"
     return (
-        f"{same}, take pictures between {names[-second]} and {names[-first]}, each with two thirds of the "
+        f"{same}, take pictures {words_between(names[-second], names[-first])}, each with two thirds of the "
         "previous one"
     )
 

@@ -33,6 +33,7 @@ EXAMPLES = {
     "completion": ["completion", "bash"],
     "doctor": ["doctor"],
     "export": ["export", "runs/x", "--format", "ply"],
+    "next": ["next", "runs/x"],
     "new-plugin": ["new-plugin", "solid", "--kind", "regularizer"],
     "priors": ["priors", "check", "model.onnx"],
     "render": ["render", "runs/x"],

@@ -1,0 +1,186 @@
+"""Choose the 4th to 6th photograph by rules, and score the scene after each: `make bench-next`.
+
+From three photographs of a pool on, each rule adds one after another: what `stereogs next` suggests, the
+middle of the longest gap in the order of the capture, the camera farthest from the others, or a random one
+(five draws). Each set is trained with `weightfree_quick` on small photographs and scored on the test views,
+which no rule uses. Every choice of the 4th photograph is trained, for their mean and the best of them.
+Finished trainings are kept in `benchmarks/records/next_views.jsonl`: the same command continues where it
+stopped. With `--write-docs` rewrites the tables.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import process_time
+
+from benchmarks.next_views_page import SUGGESTED, Measured, summary, table, write_page
+from benchmarks.next_views_rules import RULES, Chosen, suggested
+from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
+from benchmarks.results_plan import check_data
+from registry import RunError
+from registry.runs import Run, evaluate
+from registry.session import train
+from registry.toolkit.cache import source_digest
+from registry.training import one_torch_thread
+from stereogs_plugins.tools.next_views.gain import ExpectedGain
+
+RECORDS = Path(__file__).parent / "records" / "next_views.jsonl"
+LAST = 6
+"""Photographs at the end."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One set of photographs.
+
+    Args:
+        views: indices in the pool, ascending.
+        psnr: mean over the test views, dB.
+        cpu_seconds: of the training, all threads, without scoring.
+        hash: SHA-256 of the Gaussians.
+    """
+
+    scene: str
+    views: Chosen
+    psnr: float
+    cpu_seconds: float
+    hash: str
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """The photograph that follows a set.
+
+    Args:
+        views: indices in the pool, ascending.
+        code: digest of the code that suggested it.
+        next: index in the pool.
+        cpu_seconds: of the suggestion, all threads, without the training.
+    """
+
+    scene: str
+    views: Chosen
+    code: str
+    next: int
+    cpu_seconds: float
+
+
+class Bench:
+    """Trains each set once, and remembers what earlier commands measured."""
+
+    def __init__(self) -> None:
+        self._trainings, self._suggestions = read_records()
+        self._code = source_digest(ExpectedGain)
+        self._newest: tuple[tuple[str, Chosen], Run] | None = None
+
+    def psnr(self, scene: PoolScene, views: Chosen) -> float:
+        """Return the mean PSNR of the test views; train unless it is recorded."""
+        key = scene.name, tuple(sorted(views))
+        if key not in self._trainings:
+            self._trained(scene, views)
+        return self._trainings[key].psnr
+
+    def following(self, scene: PoolScene, views: Chosen) -> int:
+        """Return the photograph that is suggested after some; train unless it is recorded."""
+        key = scene.name, tuple(sorted(views))
+        known = self._suggestions.get(key)
+        if known is None or known.code != self._code:
+            run = self._trained(scene, views)
+            begin = process_time()
+            with one_torch_thread():
+                chosen = suggested(scene, views, run)
+            known = Suggestion(*key, self._code, chosen, round(process_time() - begin, 2))
+            self._suggestions[key] = known
+            _append(known)
+        return known.next
+
+    def _trained(self, scene: PoolScene, views: Chosen) -> Run:
+        key = scene.name, tuple(sorted(views))
+        if self._newest is None or self._newest[0] != key:
+            begin = process_time()
+            run = train(PIPELINE, scene=scene.of(views), progress=False)
+            seconds = round(process_time() - begin, 2)
+            self._newest = key, run
+            if key not in self._trainings:
+                self._trainings[key] = Training(*key, _psnr(run), seconds, run.hash)
+                _append(self._trainings[key])
+        return self._newest[1]
+
+
+def _psnr(run: Run) -> float:
+    with one_torch_thread():
+        metrics = [part for part in run.parts["metrics"] if part.item.name == "psnr"]
+        mean = evaluate(run.model, run.scene, run.scene.test, metrics).mean["psnr"]
+    if mean is None:
+        raise RunError("a view has no score", where=run.scene.name)
+    return round(mean, 4)
+
+
+def _append(record: Training | Suggestion) -> None:
+    RECORDS.parent.mkdir(exist_ok=True)
+    with RECORDS.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(asdict(record)) + "\n")
+
+
+def read_records() -> tuple[
+    dict[tuple[str, Chosen], Training], dict[tuple[str, Chosen], Suggestion]
+]:
+    """Return the trainings and the suggestions by scene and set; the last of each counts."""
+    trainings, suggestions = {}, {}
+    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
+        values = json.loads(line)
+        key = values["scene"], tuple(values.pop("views"))
+        if "psnr" in values:
+            trainings[key] = Training(views=key[1], **values)
+        else:
+            suggestions[key] = Suggestion(views=key[1], **values)
+    return trainings, suggestions
+
+
+def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
+    """Return the PSNR after the start and each further photograph, by rule."""
+    curves = {}
+    for name in (SUGGESTED, *RULES):
+        chosen = scene.start
+        scores = [bench.psnr(scene, chosen)]
+        while len(chosen) < LAST:
+            rule = RULES.get(name, bench.following)
+            chosen = (*chosen, rule(scene, chosen))
+            scores.append(bench.psnr(scene, chosen))
+        curves[name] = scores
+    return curves
+
+
+def every_fourth(bench: Bench, scene: PoolScene) -> list[float]:
+    """Return the PSNR of every choice of the 4th photograph."""
+    pool = range(len(scene.cameras))
+    return [bench.psnr(scene, (*scene.start, k)) for k in pool if k not in scene.start]
+
+
+def measure(bench: Bench, name: str) -> Measured:
+    """Train everything for one scene that has no record."""
+    scene = pool_scene(name)
+    return Measured(name, paths(bench, scene), every_fourth(bench, scene))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write-docs", action="store_true", help="also write the tables")
+    parser.add_argument("--scenes", default=",".join(SCENES), help="separated by commas")
+    arguments = parser.parse_args()
+    names = arguments.scenes.split(",")
+    check_data(names)
+    bench, measured = Bench(), []
+    for name in names:
+        measured.append(measure(bench, name))
+        print(table([measured[-1]]), flush=True)
+    print(table(measured) + "\n" + summary(measured))
+    if arguments.write_docs:
+        write_page(measured)
+
+
+if __name__ == "__main__":
+    main()
