@@ -136,7 +136,7 @@ class Run:
             changes: `key=value`, settings of the estimator.
         """
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
-        part = build_part(item, self.pipeline.training.seed, self.model.device)
+        part = build_part(item, self.pipeline.training.seed, self.model.engine)
         with part.at_work(), one_torch_thread():
             answer: Confidence = part.component.estimate(self.trained)
         return answer
@@ -146,7 +146,7 @@ class Run:
         """The Gaussians and what they were trained on; of the inputs, copies."""
         maps = maps_of(self.checkpoint().part("maps"))
         inputs = copied((self.scene.for_training(), maps, self.kinds))
-        return Trained(self.model.reader(), *inputs, self.confidence)
+        return Trained(GaussianReader(self.model), *inputs, self.confidence)
 
     @property
     def scores(self) -> dict[str, Scores]:
