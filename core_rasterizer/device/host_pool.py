@@ -15,6 +15,8 @@ SMALLEST = 1 << 16
 """Bytes below which the allocator itself keeps memory."""
 KEPT = 8
 """Blocks that wait to be used again; a training iteration needs four or five."""
+ALIGNMENT = 4096
+"""Bytes. Some drivers copy host memory that does not begin with a page."""
 
 
 class HostPool:
@@ -44,7 +46,9 @@ class HostPool:
                     self._free += found[:index] + found[index + 1 :]
                     return block
             self._free += found
-        return np.empty(size, dtype=np.uint8)
+        whole = np.empty(size + ALIGNMENT, dtype=np.uint8)
+        first = -whole.ctypes.data % ALIGNMENT
+        return whole[first : first + size]
 
     def _give_back(self, block: NDArray[np.uint8]) -> None:
         self._free.append(block)

@@ -123,6 +123,7 @@ class Field:
     def begin(self, iteration: int, view: TrainingView) -> None:
         """Apply schedules and samplers."""
         settings, scene = self._settings, self._scene
+        vars(self).pop("_rendering", None)  # the next render uses its memory
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)

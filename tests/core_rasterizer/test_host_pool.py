@@ -7,7 +7,7 @@ import resource
 import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, open_device, photometric_loss
-from core_rasterizer.device.host_pool import KEPT, SMALLEST, HostPool
+from core_rasterizer.device.host_pool import ALIGNMENT, KEPT, SMALLEST, HostPool
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 from tests.core_rasterizer.training import RATES
@@ -19,6 +19,7 @@ def test_memory_returns_with_the_last_tensor_that_shares_it() -> None:
     pool = HostPool()
     first = pool.empty(SHAPE, torch.float32)
     address, row = first.data_ptr(), first[5]
+    assert address % ALIGNMENT == 0
     del first
     other = pool.empty(SHAPE, torch.float32)
     assert other.data_ptr() != address
