@@ -79,17 +79,26 @@ class Rendering:
         vars(rendering).update(coverage=coverage, image=image)
         return rendering
 
-    def noting(self, note: Callable[[str, Tensor], None]) -> Rendering:
-        """The same rendering; `note` is called with each image and its name on first access."""
-        image = vars(self)["image"]
+    def watch(self) -> Callable[[], list[str]]:
+        """Keep the sum of each image that is accessed from now on.
 
-        def noted(name: str) -> Tensor:
+        Returns:
+            A function that names the images whose sum has changed. So writes past torch are found, for
+            example through numpy; they reach the memory of a device that shares it.
+        """
+        image, sums = vars(self)["image"], dict[str, tuple[Tensor, Tensor]]()
+
+        def summed(name: str) -> Tensor:
             made: Tensor = image(name)
-            note(name, made)
+            sums[name] = made.detach(), made.detach().sum()
             return made
 
-        vars(self)["image"] = noted
-        return self
+        def changed() -> list[str]:
+            pairs = {name: (now.sum(), before) for name, (now, before) in sums.items()}
+            return [n for n, p in pairs.items() if not p[0].isclose(*p[1:], 0, 0, equal_nan=True)]
+
+        vars(self)["image"] = summed
+        return changed
 
     if not TYPE_CHECKING:  # so that type checkers find misspelt names
 

@@ -47,11 +47,8 @@ def _shared() -> Iterator[tuple[str, Callable[[], Any], Callable[[Any], None], s
         for name, (read, write, fix) in _TORCH.items():
             yield f"torch's {name}", getattr(torch, read), getattr(torch, write), fix
         # Read from there in a hundredth of the time of torch.get_default_device().
-        place, fix = (
-            import_module("torch.utils._device"),
-            "give tensors a device where they are made",
-        )
-        device = partial(getattr, place, "CURRENT_DEVICE")
+        device = partial(getattr, import_module("torch.utils._device"), "CURRENT_DEVICE")
+        fix = "give tensors a device where they are made"
         yield "torch's default device", device, torch.set_default_device, fix
 
 

@@ -153,31 +153,6 @@ def of_maps(maps: Mapping[str, DepthMap]) -> ReadOnlyGuard:
     )
 
 
-class ImageSums:
-    """Sums of a render's images on first access, to find writes past torch; these reach the device."""
-
-    def __init__(self) -> None:
-        self._sums: dict[str, tuple[Tensor, Tensor]] = {}
-
-    def note(self, name: str, image: Tensor) -> None:
-        """Keep the sum of an image; see `Rendering.noting`."""
-        self._sums[name] = image.detach(), image.detach().sum()
-
-    def check(self, due: Iterable[object]) -> None:
-        """Refuse images whose sum has changed since.
-
-        Args:
-            due: names of the components that received them.
-        """
-        for name, (image, total) in self._sums.items():
-            if not _same(image.sum(), total):
-                raise PluginError(
-                    f"a component wrote into the rendered {name}, which it may only read",
-                    where=f"one of {', '.join(map(str, due))}",
-                    fix="train again with --check-plugins, which names the component",
-                )
-
-
 def _marks(tensors: Collection[Tensor]) -> list[_Mark]:
     try:
         return list(map(_mark, tensors))

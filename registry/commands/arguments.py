@@ -110,7 +110,7 @@ def add_run_options(parser: argparse.ArgumentParser, verb: str) -> None:
     parser.add_argument(
         "--check-plugins",
         action="store_true",
-        help="compare photographs, cameras and Gaussians before and after each call into a plugin (slower)",
+        help="compare all data before and after each call into a plugin, and repeat some calls (slower)",
     )
     parser.add_argument(
         "--hang-after",

@@ -6,7 +6,7 @@ import copy
 import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,12 @@ def answer_of(
     Raises:
         PluginError: the answers differ.
     """
-    first = _answer_of_copy(component, method, again or given) if twice else None
+    if not twice:
+        return getattr(component, method)(*given)
+    copied, first = _answer_of_copy(component, method, again or given)
+    _occupied = [object() for _ in range(64)]  # else a new object has the address of a freed one
     answer = getattr(component, method)(*given)
-    path = None if first is None else first_difference(first.answer, answer)
+    path = first_difference(first, answer) if copied else None
     if path is not None and not path.startswith(_RECORDS):
         raise PluginError(
             f"it gave another answer when the same call was repeated{path and f' ({path})'}: no run could "
@@ -55,16 +58,8 @@ def answer_of(
     return answer
 
 
-@dataclass(frozen=True)
-class _First:
-    """The answer of a copy, and objects that occupy the addresses of those that it has freed."""
-
-    answer: Any
-    occupied: list[object]
-
-
-def _answer_of_copy(component: Any, method: str, given: tuple[Any, ...]) -> _First | None:
-    """Return the answer of a copy; None if it fails."""
+def _answer_of_copy(component: Any, method: str, given: tuple[Any, ...]) -> tuple[bool, Any]:
+    """Return whether a copy answered, and its answer."""
     shared = [component.context, component.settings, *given]
     priors = [v for value in given if isinstance(value, Mapping) for v in value.values()]
     for step in given:
@@ -75,9 +70,9 @@ def _answer_of_copy(component: Any, method: str, given: tuple[Any, ...]) -> _Fir
     try:
         twin = copy.deepcopy(component, {id(value): value for value in [*shared, *priors]})
         with own_random_numbers(component.context.seed):
-            return _First(getattr(twin, method)(*given), [object() for _ in range(64)])
+            return True, getattr(twin, method)(*given)
     except Exception:  # if the component fails too, it is reported
-        return None
+        return False, None
     finally:
         for prior, state in zip(priors, states, strict=True):
             prior.generator.set_state(state)

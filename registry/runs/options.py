@@ -77,7 +77,8 @@ class RunOptions:
         on_begin: called with the run before the first iteration.
         callback: called after each iteration; training stops after one for which it returns False.
         device: the OpenCL device, part of its name, or another engine; None chooses a device.
-        check_plugins: compares all data that components receive before and after each call (slower).
+        check_plugins: compares all data that components receive before and after each call, and repeats some
+            calls (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
         fit: chooses the size of photographs, the pipeline and its length; by default the given ones.

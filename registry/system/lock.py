@@ -23,8 +23,8 @@ class Lock(NamedTuple):
     """A lock held by this process.
 
     Args:
-        descriptor: file descriptor; the lock lasts until all processes that inherited it have ended. None on
-            Windows.
+        descriptor: file descriptor; if this process is killed, the lock lasts until all processes that
+            inherited it have ended. None on Windows.
         killed: number of the previous process if it was killed, or None.
     """
 
@@ -67,6 +67,7 @@ def locked(folder: Path) -> Iterator[Lock]:
             yield Lock(descriptor, before)
         finally:
             _note(descriptor, "")
+            fcntl.flock(descriptor, fcntl.LOCK_UN)  # a forked child may hold the file open
     finally:
         os.close(descriptor)
 

@@ -21,7 +21,6 @@ from core_rasterizer import Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.read_only_guard import (
-    ImageSums,
     ReadOnlyGuard,
     of_kinds,
     of_maps,
@@ -191,8 +190,7 @@ class Field:
             collect_statistics=bool(growing),
             collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
-        self._image_sums = ImageSums()
-        self._rendering.noting(self._image_sums.note)
+        self._changed_images = self._rendering.watch()
         self.lent += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
         step.rendered(lambda: self._rendering)
 
@@ -224,8 +222,13 @@ class Field:
         terms = [photometric]
         for part in self._regularizers("together"):
             terms.append(regularizing_term(part, step, self.lent, self.logged, self._trained))
-        due = [*self.parts.due("appearances", step.iteration), *self._regularizers("together")]
-        self._image_sums.check(part.item.qualified_name for part in due)
+        for name in self._changed_images():
+            due = [*self.parts.due("appearances", step.iteration), *self._regularizers("together")]
+            raise PluginError(
+                f"a component wrote into the rendered {name}, which it may only read",
+                where=f"one of {', '.join(part.item.qualified_name for part in due)}",
+                fix="train again with --check-plugins, which names the component",
+            )
         loss = backward(terms, step.iteration, self.model, self.parameters, self.lent, colors)
         if step.iteration % LOOK_EVERY == 1 and not self._no_gradient:
             self._no_gradient = without_gradient(self.model, self._rendering)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
+import hashlib
+import importlib
 import logging
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
@@ -18,12 +22,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from core_rasterizer import Device, ExplainedError
+from core_rasterizer import Device, ExplainedError, open_device
 from registry.pipeline.training_settings import TrainingSettings
 from registry.runs.options import RunOptions
 from registry.runs.results import read_results
 from registry.runs.training_run import start
 from registry.testing import check, tiny_scene
+from registry.testing.processes import in_other_processes
 from registry.testing.scenes import pipeline_item, pipeline_of
 
 from .cases import Case
@@ -35,6 +40,10 @@ fault. silent: they differ."""
 
 NAME = "sick_one"
 _TRAINING = TrainingSettings(iterations=12, sh_degree=0, evaluate_every=6)
+_MODULES = Path(tempfile.mkdtemp(prefix="sick-"))
+"""Modules of the components: other processes import them too."""
+sys.path.insert(0, str(_MODULES))
+atexit.register(shutil.rmtree, _MODULES, ignore_errors=True)
 _HEAD = """\
 import os, random, signal, sys, threading, time, warnings
 from dataclasses import replace
@@ -114,9 +123,12 @@ def component(case: Case, *, healthy: bool = False) -> type[Any]:
         fault="pass" if twin else case.fault,
         answer=template.answer if twin or not case.answer else case.answer,
     )
-    content: dict[str, Any] = {"__name__": "sick"}
-    exec(compile(source, "sick.py", "exec"), content)
-    made: type[Any] = content["Sick"]
+    name = f"sick_{hashlib.sha256(source.encode()).hexdigest()[:12]}"
+    file = _MODULES / f"{name}.py"
+    if not file.exists():
+        file.write_text(source)
+        importlib.invalidate_caches()
+    made: type[Any] = importlib.import_module(name).Sick
     return made
 
 
@@ -124,7 +136,7 @@ def verdict(case: Case, device: Device, *, checked: bool = False) -> Verdict:
     """Train with the component; `checked` as with --check-plugins."""
     try:
         with _logged() as lines:
-            numbers = _trained(component(case), device, checked)
+            numbers = _trained(case, component(case), device, checked)
     except ExplainedError as error:
         return "named" if NAME in f"{error.what} {error.where}" else "refused"
     except BaseException:
@@ -133,8 +145,17 @@ def verdict(case: Case, device: Device, *, checked: bool = False) -> Verdict:
         return "named"
     if any(NAME in line for line in lines):
         return "warned"
-    expected = _trained(component(case, healthy=True), device, checked)
+    if case.compared == "again":
+        expected, numbers = in_other_processes(_numbers, case, checked, str(_MODULES))
+    else:
+        expected = _trained(case, component(case, healthy=True), device, checked)
     return "harmless" if expected.items() >= numbers.items() else "silent"
+
+
+def _numbers(case: Case, checked: bool, modules: str) -> dict[str, Any]:
+    """Return the numbers of a run, for `in_other_processes`."""
+    sys.path.insert(0, modules)
+    return _trained(case, component(case), open_device(), checked)
 
 
 def found_by_check(case: Case, device: Device) -> bool:
@@ -147,12 +168,13 @@ def found_by_check(case: Case, device: Device) -> bool:
     return False
 
 
-def _trained(sick: type[Any], device: Device, checked: bool) -> dict[str, Any]:
+def _trained(case: Case, sick: type[Any], device: Device, checked: bool) -> dict[str, Any]:
     """Return the numbers of a run that its other components made."""
     scene = tiny_scene()
     item = pipeline_item(sick, sick.Settings(), NAME)
-    pipeline = pipeline_of([item], _TRAINING)
-    metrics = pipeline_of([], _TRAINING).items["metrics"]
+    training = _TRAINING.model_copy(update={"iterations": case.iterations})
+    pipeline = pipeline_of([item], training)
+    metrics = pipeline_of([], training).items["metrics"]
     if item.point.section == "metrics":
         pipeline.items["metrics"] = (item, *metrics)
     options = RunOptions(scene=scene, device=device, progress=False, check_plugins=checked)
@@ -166,6 +188,7 @@ def _trained(sick: type[Any], device: Device, checked: bool) -> dict[str, Any]:
             "hash": run.hash,
             "scores": rows,
             "photographs": photographs,
+            "own": results["test"].get(NAME) if case.compared == "again" else None,
             "failures": failures,
         }
 

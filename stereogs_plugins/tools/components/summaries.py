@@ -37,7 +37,7 @@ def summary(offer: Offer) -> str:
     module = inspect.getdoc(sys.modules[offer.component.__module__]) or ""
     names, _, sentence = " ".join(module.partition("\n\n")[0].split()).partition(": ")
     own = inspect.getdoc(offer.component) or ""
-    return sentence if f"`{offer.name}`" in names else own.partition("\n")[0]
+    return sentence if sentence and f"`{offer.name}`" in names else own.partition("\n")[0]
 
 
 def _help_lines(offer: Offer) -> Iterator[str]:

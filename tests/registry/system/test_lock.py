@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -52,6 +54,20 @@ def test_a_second_process_is_refused_until_the_first_is_killed(
     with run.locked():
         pass
     assert caplog.text == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_child_does_not_keep_the_lock(tmp_path: Path) -> None:
+    with locked(tmp_path):
+        child = os.fork()
+        if not child:
+            signal.pause()
+    try:
+        with locked(tmp_path):
+            pass
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
 
 
 def test_an_error_does_not_count_as_a_kill(tmp_path: Path) -> None:

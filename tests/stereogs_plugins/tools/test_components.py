@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,9 @@ from registry.priors import (
     OpticalFlowPrior,
     StereoPrior,
 )
+from registry.testing.scenes import pipeline_item
 from stereogs_plugins.tools.components.explain import explained, memory
+from stereogs_plugins.tools.components.summaries import summary
 from tests.registry.toy_plugin import ToyGrowth
 
 ROOT = Path(__file__).parents[3]
@@ -156,3 +159,15 @@ def test_the_command_says_it_and_fails_at_a_fault(
     assert "max_reprojection_error: 2.0" in said
     assert main(["explain", path, "--set", "modifiers.dropout.start=601"]) == 1
     assert "fault: modifiers.dropout: is never due in 600 iterations" in capsys.readouterr().out
+
+
+def test_a_docstring_that_only_names_the_component_is_no_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `stereogs new-plugin` writes it."""
+    text = '"""Metric `named_only`."""\nimport registry\nclass Named(registry.Metric):\n    """How far."""\n'
+    (tmp_path / "named_only.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    kind = importlib.import_module("named_only").Named
+    item = pipeline_item(kind, kind.Settings(), "named_only")
+    assert summary(item.offer) == "How far."

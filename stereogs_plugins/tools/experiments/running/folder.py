@@ -46,8 +46,8 @@ class AblationFolder:
     def locked(self) -> Iterator[int | None]:
         """Lock the folder against other processes; yield a file descriptor for child processes to inherit.
 
-        The lock is held until every process has closed the descriptor, so it also covers trainings whose
-        parent was killed.
+        If this process is killed, the lock is held until every child has closed the descriptor, so it also
+        covers trainings whose parent was killed.
 
         Raises:
             RunError: another process holds the lock, or the folder is not writable.
