@@ -63,7 +63,7 @@ class Pictures:
 
     Args:
         images: folder of the photographs, named by index.
-        longer_side: of the reduced photographs, in pixels.
+        longer_side: in pixels after resizing. Optical flow is more exact in enlarged photographs.
     """
 
     def __init__(self, images: Path, longer_side: int) -> None:

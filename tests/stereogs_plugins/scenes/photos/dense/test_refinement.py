@@ -19,6 +19,15 @@ from stereogs_plugins.scenes.photos.unposed_photos import image_index
 colmap = import_pycolmap(3)
 
 
+@pytest.fixture
+def three(model: Any) -> Any:
+    """The model with the first three photographs."""
+    for k in model.reg_image_ids():
+        if image_index(model.image(k).name) > 2:
+            model.deregister_frame(model.image(k).frame_id)
+    return model
+
+
 def errors(model: Any, room: Scene) -> tuple[float, float]:
     """Largest error of rotations relative to the first, degrees, and relative error of the focal length."""
     found = {
@@ -42,39 +51,39 @@ def move(model: Any, axis: NDArray[np.float64], degrees: float) -> None:
     frame.rig_from_world = type(pose)(turn * pose.rotation, turn * pose.translation)
 
 
-def test_inexact_cameras_become_exact(model: Any, images: Path, room: Scene) -> None:
-    move(model, np.array([0.6, 0.0, 0.8]), 0.4)
-    (lens,) = model.cameras.values()
+def test_inexact_cameras_become_exact(three: Any, images: Path, room: Scene) -> None:
+    move(three, np.array([0.6, 0.0, 0.8]), 0.4)
+    (lens,) = three.cameras.values()
     lens.params = lens.params * [1.04, 1, 1, 1]
-    turned, focal = errors(model, room)
+    turned, focal = errors(three, room)
     assert turned > 0.35
     assert focal > 0.03
-    refined, focal_is_known = refine(colmap, model, images)
-    assert refined is not model
+    refined, focal_is_known = refine(colmap, three, images)
+    assert refined is not three
     assert focal_is_known
     turned, focal = errors(refined, room)
     assert turned < 0.1
     assert focal < 0.01
-    assert refined.num_points3D() > 0.9 * model.num_points3D()
+    assert refined.num_points3D() > 0.9 * three.num_points3D()
     assert max(point.error for point in refined.points3D.values()) <= MAX_ERROR
-    colors = {tuple(point.color) for point in model.points3D.values()}
+    colors = {tuple(point.color) for point in three.points3D.values()}
     assert {tuple(point.color) for point in refined.points3D.values()} <= colors
 
 
-def test_matches_do_not_depend_on_exact_cameras(model: Any, images: Path) -> None:
+def test_matches_do_not_depend_on_exact_cameras(three: Any, images: Path) -> None:
     """Those found with a turned camera agree with the right cameras."""
-    right = colmap.Reconstruction(model)
-    move(model, np.array([1.0, 0.0, 0.0]), 0.2)
-    matches = dense_matches(model, images)
-    assert len(matches) > 500
-    last = max(model.reg_image_ids())
-    for here in sorted(model.reg_image_ids()):
+    right = colmap.Reconstruction(three)
+    move(three, np.array([1.0, 0.0, 0.0]), 0.2)
+    matches = dense_matches(three, images)
+    assert len(matches) > 300
+    last = max(three.reg_image_ids())
+    for here in sorted(three.reg_image_ids()):
         seen = [m.seen for m in matches if next(iter(m.seen)) == here and last in m.seen]
         if here == last or not seen:
             continue
         pair = [np.array([one[k] for one in seen]) for k in (here, last)]
         means = [
-            float(np.median(sampson_distances(m, (here, last), *pair))) for m in (right, model)
+            float(np.median(sampson_distances(m, (here, last), *pair))) for m in (right, three)
         ]
         assert means[0] < 0.3
         assert means[0] < 0.6 * means[1]
@@ -89,19 +98,19 @@ def test_many_photographs_are_left_as_they_are(
 
 
 def test_exif_replaces_a_focal_length_that_points_do_not_determine(
-    model: Any, images: Path, room: Scene, monkeypatch: pytest.MonkeyPatch
+    three: Any, images: Path, room: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = "stereogs_plugins.scenes.photos.dense.refinement"
     camera = room.train[0].camera
     right, wrong = (factor * camera.fx / camera.width for factor in (1, 1.06))
-    for key in model.point3D_ids():
+    for key in three.point3D_ids():
         if key % 8:
-            model.delete_point3D(key)
-    assert errors(refine(colmap, model, images, wrong).model, room)[1] < 0.02, "points determine it"
+            three.delete_point3D(key)
+    assert errors(refine(colmap, three, images, wrong).model, room)[1] < 0.02, "points determine it"
     monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
-    refined, focal_is_known = refine(colmap, model, images, right)
+    refined, focal_is_known = refine(colmap, three, images, right)
     assert focal_is_known
     turned, focal = errors(refined, room)
     assert turned < 0.1
     assert focal < 1e-9
-    assert not refine(colmap, model, images).focal_is_known
+    assert not refine(colmap, three, images).focal_is_known
