@@ -34,7 +34,11 @@ def hatched(rgb: Tensor, confidence: Tensor, threshold: float = GUESSED) -> Tens
     scale = max(1, round(max(height, width) / 500))
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     lines = (rows + columns) % (_PERIOD * scale) < _WIDTH * scale
-    guessed = (confidence < threshold)[..., None]
+    size = 2 * scale + 3  # single pixels would show as noise
+    smooth = torch.nn.functional.avg_pool2d(
+        confidence[None], size, 1, size // 2, count_include_pad=False
+    )[0]
+    guessed = (smooth < threshold)[..., None]
     faded = torch.where(guessed, rgb * (1 - _FADE) + _FADE, rgb)
     return torch.where(guessed & lines[..., None], rgb.new_tensor(_LINE), faded)
 
