@@ -14,7 +14,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
-    from .painted import Painted, same_model
+    from .painted import Painted, gathered, same_model
     from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
@@ -28,6 +28,7 @@ __all__ = [
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",
+    "gathered",
     "image_sizes",
     "points_in_view",
     "same_model",

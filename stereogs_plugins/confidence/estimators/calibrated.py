@@ -76,7 +76,7 @@ class CalibratedConfidence(Confidence):
         weights = self._coverage.weights(views)
         shares = self._support.shares(camera)
         every, least = _differences(rendering, views, self._coverage)
-        residual = self._residuals.render(camera)[..., 0].clamp(min=_UNKNOWN_RESIDUAL)
+        residual = self._residuals.render(camera).clamp(min=_UNKNOWN_RESIDUAL)
         return Evidence(
             one=torch.ones_like(rendering.alpha),
             confirmed=shares[..., 0],
