@@ -31,6 +31,7 @@ from benchmarks.results_plan import PIPELINES
 from benchmarks.training_records import RECORDS
 from registry import Scene, View
 from registry.runs import Run
+from registry.toolkit.views import predicted_psnr
 from registry.training import one_torch_thread
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 
@@ -97,7 +98,7 @@ def measured(case: str, seed: int) -> dict[str, Any]:
             "ause_rmse": ause(every, sure, squared=True),
             "auroc": auroc(every, sure),
             "psnr": {
-                view.name: (round(psnr, 3), round(_predicted(its), 3))
+                view.name: (round(psnr, 3), round(predicted_psnr(torch.from_numpy(its)), 3))
                 for view, (_, psnr), its in zip(views, errors, maps, strict=True)
             },
             "reliability": reliability(every, sure),
@@ -117,12 +118,6 @@ def _errors(run: Run, view: View) -> tuple[NDArray[np.float64], float]:
     difference = run.rendering(view.camera).rgb - view.image
     squares = _inside(difference.square().mean(dim=2), view)
     return _inside(difference.abs().mean(dim=2), view), float(-10 * np.log10(squares.mean()))
-
-
-def _predicted(confidence: NDArray[np.float64]) -> float:
-    """Return the PSNR that a confidence predicts, as `psnr_predicted` does."""
-    mean = -0.1 / np.log(1 - confidence.clip(0.02, 0.9999))
-    return float(-10 * np.log10((2 * mean**2).mean()))
 
 
 def recorded() -> list[dict[str, Any]]:

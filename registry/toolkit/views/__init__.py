@@ -15,6 +15,7 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .painted import Painted, gathered, same_model
+    from .predicted_error import predicted_psnr
     from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
@@ -31,6 +32,7 @@ __all__ = [
     "gathered",
     "image_sizes",
     "points_in_view",
+    "predicted_psnr",
     "same_model",
     "subject_of",
     "summary",

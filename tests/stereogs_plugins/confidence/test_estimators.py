@@ -47,7 +47,9 @@ def test_painting_and_gathering_agree() -> None:
     sums, light = gathered(trained.model, [(camera, image)])
     assert painted.shape == (camera.height, camera.width, 5)
     for k in range(5):
-        assert float((painted[..., k] * image).sum()) == pytest.approx(float(sums @ values[:, k]), rel=1e-4)
+        assert float((painted[..., k] * image).sum()) == pytest.approx(
+            float(sums @ values[:, k]), rel=1e-4
+        )
     alpha = trained.model.render(camera).alpha
     assert float(light.sum()) == pytest.approx(float(alpha.sum()), rel=1e-4)
 
