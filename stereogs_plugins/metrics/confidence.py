@@ -6,13 +6,13 @@ Two methods differ most where nobody could know; these compare them on what they
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
 from registry import Register, Scene, Settings, Unavailable, View, ViewMetric, hookimpl
-from registry.toolkit.views import subject_of, view_angles
+from registry.toolkit.views import predicted_psnr, subject_of, view_angles
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -107,21 +107,14 @@ class Seen(_OfConfidence):
 
 
 class PSNRPredicted(_OfConfidence):
-    """PSNR of a test view that the confidence predicts, without its photograph.
-
-    A confidence c is read as the probability 1 - exp(-0.1 / m) of an error of at most 0.1, where errors have
-    an exponential distribution of mean m and mean square 2 m^2.
-    """
+    """PSNR of a test view that the confidence predicts, without its photograph."""
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
         """Return decibels."""
         confidence = self.confidence(view)
         if confidence is None:
             return _NOT_AFTER_TRAINING
-        if view.mask is not None:
-            confidence = confidence[view.mask]
-        mean = -0.1 / (1 - confidence.double().clamp(0.02, 0.9999)).log()
-        return -10 * math.log10(float((2 * mean.square()).mean()))
+        return predicted_psnr(confidence if view.mask is None else confidence[view.mask])
 
 
 class ViewAngle(ViewMetric[Settings]):
@@ -140,7 +133,7 @@ class ViewAngle(ViewMetric[Settings]):
 
 
 @hookimpl
-def stereogs_register_metrics(register: Register[ViewMetric[Settings]]) -> None:
+def stereogs_register_metrics(register: Register[ViewMetric[Any]]) -> None:
     register("psnr_seen", PSNRSeen)
     register("psnr_unseen", PSNRUnseen)
     register("seen", Seen)

@@ -13,7 +13,7 @@ from registry.commands import add_run, console, open_given
 from registry.messages import did_you_mean, listing
 
 if TYPE_CHECKING:
-    from core_rasterizer import Model
+    from core_rasterizer import GaussianReader
     from registry.pipeline import Item
     from registry.runs import Run
 
@@ -25,6 +25,7 @@ examples:
   stereogs export runs/3dgs-fern --format gltf
   stereogs export runs/3dgs-fern --format video --set frames=300 --out films
   stereogs export runs/weightfree-fern --format spz --without margin,back_layer
+  stereogs export runs/weightfree-fern --format ply --min-confidence 0.5
 
 The format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` describes one
 and its settings. --without leaves out Gaussians that descend from guessed initial points;
@@ -53,6 +54,12 @@ class Export(Command):
             help="leave out the Gaussians of these kinds of initial points",
         )
         parser.add_argument(
+            "--min-confidence",
+            type=_share,
+            metavar="C",
+            help="leave out Gaussians of less confidence, 0 to 1; PLY and glTF hold the values of the others",
+        )
+        parser.add_argument(
             "--set",
             action="append",
             default=[],
@@ -73,6 +80,7 @@ class Export(Command):
             arguments.out,
             changes=arguments.set,
             without=arguments.without,
+            min_confidence=arguments.min_confidence,
         )
         for folder in dict.fromkeys(path.parent for path in written):
             inside = [path for path in written if path.parent == folder]
@@ -103,6 +111,7 @@ def export(
     *,
     changes: Sequence[str] = (),
     without: Sequence[str] = (),
+    min_confidence: float | None = None,
 ) -> list[Path]:
     """Write the Gaussians of a run with any installed exporter.
 
@@ -111,6 +120,8 @@ def export(
         folder: created if missing; None: `exports` in the run folder.
         changes: `key=value`, settings of the exporter.
         without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
+        min_confidence: in [0, 1]; Gaussians with less confidence are left out, and PLY and glTF files hold
+            the confidence of the others.
 
     Returns:
         The files that were written.
@@ -119,7 +130,6 @@ def export(
         ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
             exporter failed.
     """
-    from core_rasterizer import GaussianReader
     from registry.pipeline import build_part
     from registry.runs import EXPORTS, copied, existing_files
     from registry.training import one_torch_thread
@@ -127,24 +137,24 @@ def export(
     item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
     with one_torch_thread():
-        model = _model_without(run, without)
+        reader = _reader(run, without, min_confidence)
         place.mkdir(parents=True, exist_ok=True)
         part = build_part(item, run.pipeline.training.seed, run.model.engine)
         with part.at_work():
-            scene = copied(run.scene)
-            return existing_files(part.component.export(GaussianReader(model), scene, place))
+            return existing_files(part.component.export(reader, copied(run.scene), place))
 
 
-def _model_without(run: Run, kinds: Sequence[str]) -> Model:
-    """Return the Gaussians of a run except those of some kinds."""
-    if not kinds:
-        return run.model
+def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:
+    """Return the Gaussians of a run except those of some kinds, and of low confidence."""
     import torch
 
-    from core_rasterizer import Gaussians
+    from core_rasterizer import GaussianReader, Gaussians
+    from registry.toolkit.views import confidence_of_gaussians
     from registry.training import new_model
 
-    known = run.kinds
+    if not kinds and min_confidence is None:
+        return GaussianReader(run.model)
+    known, left_out = run.kinds, torch.zeros(run.model.count, dtype=torch.bool)
     for kind in kinds:
         if kind not in known:
             raise RunError(
@@ -154,16 +164,29 @@ def _model_without(run: Run, kinds: Sequence[str]) -> Model:
                 if known
                 else "its initializer does not distinguish kinds, or an older version trained it",
             )
-    left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
+        left_out |= known[kind]
+    attributes = {}
+    if min_confidence is not None:
+        values = confidence_of_gaussians(run.trained, run.confidence())
+        left_out |= values < min_confidence
+        attributes = {"confidence": values[~left_out]}
     if left_out.all():
-        where = f"--without {','.join(kinds)}"
-        raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
+        where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
+        raise RunError("no Gaussian would remain", where=where, fix="leave out less")
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
-    return new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
+    model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
+    return GaussianReader(model, attributes)
 
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(filter(None, (name.strip() for name in text.split(","))))
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 1")
+    return value
 
 
 @hookimpl

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
@@ -66,8 +68,11 @@ class Render(Command):
                     save_view_pictures(run.rendering(view.camera), view, folder)
                 output.print(f"{counted(len(run.scene.test), 'test view')} in {folder}")
                 if confidence is not None:
-                    place, share = _draw(run, confidence, folder)
-                    output.print(f"sure of {share:.0%} of the test views' pixels; see {place}")
+                    place, share = _draw(run, arguments.confidence, confidence, folder)
+                    output.print(
+                        f"sure of {share:.0%} of the test views' pixels; pictures in {place}; "
+                        f"`stereogs report {arguments.run_folder}` puts them on the page"
+                    )
                 return 0
             cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
             frames = (run.rendering(camera).rgb for camera in cameras)
@@ -78,18 +83,33 @@ class Render(Command):
         return 0
 
 
-def _draw(run: Run, confidence: Confidence, folder: Path) -> tuple[Path, float]:
-    """Write each test view's hatched render and its confidence; return where, and the sure share."""
-    from registry.toolkit.drawing import GUESSED, hatched, save_png, with_scale
+def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Path, float]:
+    """Write pictures and numbers of each test view's confidence; return where, and the sure share."""
+    from registry.system import write_text
+    from registry.toolkit.drawing import CONFIDENCE, GUESSED, hatched, save_png, with_scale
+    from registry.toolkit.views import predicted_psnr, subject_of, view_angles
 
-    place, shares = folder / "confidence", []
+    scene, place = run.scene, folder / CONFIDENCE
     place.mkdir(exist_ok=True)
-    for view in run.scene.test:
-        its = confidence.of(view.camera)
-        shares.append(float((its >= GUESSED).double().mean()))
-        save_png(hatched(run.rendering(view.camera).rgb, its), place / f"{view.name}.png")
+    training = [view.camera for view in scene.train]
+    points = None if scene.points is None else scene.points.positions
+    rows: dict[str, dict[str, float]] = {}
+    for view in scene.test:
+        its, rgb = confidence.of(view.camera), run.rendering(view.camera).rgb
+        save_png(hatched(rgb, its), place / f"{view.name}.png")
         save_png(with_scale(its), place / f"{view.name}-scale.png")
-    return place, sum(shares) / max(1, len(shares))
+        counted = its >= 0 if view.mask is None else view.mask
+        error = float((rgb - view.image).square()[counted].mean())
+        subject = subject_of(view.camera, scene.bounds, points)
+        rows[view.name] = {
+            "sure": float((its[counted] >= GUESSED).double().mean()),
+            "psnr_predicted": predicted_psnr(its[counted]),
+            "psnr": -10 * math.log10(max(error, 1e-10)),
+            "angle": view_angles(view.camera, training, subject).nearest,
+        }
+    content = {"estimator": name, "views": rows}
+    write_text(place / f"{CONFIDENCE}.json", f"{json.dumps(content, indent=1)}\n")
+    return place, sum(row["sure"] for row in rows.values()) / max(1, len(rows))
 
 
 @hookimpl

@@ -13,7 +13,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import Vector, smooth_path, upright_rotation, upwards
-    from .confidence_picture import GUESSED, hatched, with_scale
+    from .confidence_picture import CONFIDENCE, GUESSED, hatched, read_confidence, with_scale
     from .pictures import (
         COMPARISONS,
         RAMP,
@@ -35,6 +35,7 @@ else:
 
 __all__ = [
     "COMPARISONS",
+    "CONFIDENCE",
     "GUESSED",
     "RAMP",
     "ImageMetricSettings",
@@ -47,6 +48,7 @@ __all__ = [
     "hatched",
     "nearness_picture",
     "ramp_picture",
+    "read_confidence",
     "save_png",
     "save_view_pictures",
     "side_by_side",

@@ -2,20 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from typing import TYPE_CHECKING, Any
 
+from ...errors import RunError
 from .pictures import ramp_picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from torch import Tensor
 
+NUMBERS = ("sure", "psnr_predicted", "psnr", "angle")
+"""Of each view: share of sure pixels, PSNR predicted and measured, degrees to the nearest training camera."""
 GUESSED = 0.5
 """Confidence below which a pixel counts as guessed."""
+CONFIDENCE = "confidence"
+"""Subfolder of the folder with the renders, and name of its file of numbers."""
 _FADE = 0.55
 """Share of white in guessed parts."""
 _PERIOD, _WIDTH = 10, 2
 """Pixels between hatching lines, and their width, in an image of 500 pixels."""
 _LINE = (0.15, 0.15, 0.15)
+
+
+def read_confidence(renders: Path) -> dict[str, Any]:
+    """Return what `stereogs render --confidence` wrote about the views; empty if it did not.
+
+    Raises:
+        RunError: the file is damaged.
+    """
+    file = renders / CONFIDENCE / f"{CONFIDENCE}.json"
+    if not file.is_file():
+        return {}
+    try:
+        content = json.loads(file.read_text("utf-8"))
+        for row in content["views"].values():
+            for name in NUMBERS:
+                row[name] = float(row[name])
+        content["estimator"] = str(content["estimator"])
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        fix = f"stereogs render {renders.parent} --confidence"
+        raise RunError(f"the file is damaged: {error!r}", where=str(file), fix=fix) from error
+    return dict(content)
 
 
 def hatched(rgb: Tensor, confidence: Tensor, threshold: float = GUESSED) -> Tensor:
@@ -34,7 +63,11 @@ def hatched(rgb: Tensor, confidence: Tensor, threshold: float = GUESSED) -> Tens
     scale = max(1, round(max(height, width) / 500))
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     lines = (rows + columns) % (_PERIOD * scale) < _WIDTH * scale
-    guessed = (confidence < threshold)[..., None]
+    size = 2 * scale + 3  # single pixels would show as noise
+    smooth = torch.nn.functional.avg_pool2d(
+        confidence[None], size, 1, size // 2, count_include_pad=False
+    )[0]
+    guessed = (smooth < threshold)[..., None]
     faded = torch.where(guessed, rgb * (1 - _FADE) + _FADE, rgb)
     return torch.where(guessed & lines[..., None], rgb.new_tensor(_LINE), faded)
 
