@@ -57,11 +57,6 @@ def test_after_one_is_taken_its_neighbour_gains_less_and_the_others_as_much() ->
     assert after[2] > 0.9 * before[2]
 
 
-def test_what_is_sure_already_gains_nothing() -> None:
-    sure = ExpectedGain(wall, [at(0.0)], [at(2.0)], lambda c: torch.ones(c.height, c.width))
-    assert float(sure.gains()[0]) == 0
-
-
 def test_what_a_photograph_shows_is_confirmed_and_the_rest_is_not() -> None:
     known = confirmed(wall, [at(0.0)], at(6.0))
     assert known.shape == (60, 80)
