@@ -12,7 +12,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
 	stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
-	bench-engine bench-peer bench-error bench-skips bench-left-out bench-next bench-photos bench-priors clean help
+	bench-engine bench-peer bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence \
+	clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -105,6 +106,9 @@ bench-next: $(VENV)/.dev ## the next photograph, chosen by rules and trained, ha
 
 bench-photos: $(VENV)/.dev ## estimated cameras compared with published ones; rewrites its table; resumable
 	$(BIN)/python -m benchmarks.photos --write-docs
+
+bench-confidence: $(VENV)/.dev ## how well confidence predicts errors of test views; rewrites tables; resumable
+	$(BIN)/python -m benchmarks.confidence --write-docs
 
 bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.skips --write-docs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,12 +27,14 @@ class Trained:
         model: the Gaussians.
         scene: the training views, without test views and true depth.
         maps, kinds: from the initializer, as in `Step`; may be empty.
+        confidence: returns the confidence by an installed estimator's name.
     """
 
     model: GaussianReader
     scene: TrainingScene
     maps: Mapping[str, DepthMap]
     kinds: Mapping[str, Tensor]
+    confidence: Callable[[str], Confidence]
 
 
 class Confidence(ABC):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Edit, GaussianReader, Rendering
 
+    from ..confidence import Trained
     from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
     from .prior import Prior
     from .scene import PointCloud, Scene, TrainingScene, View
@@ -203,6 +204,9 @@ class ViewMetric(Component[SettingsType], ABC):
     """Whether it is measured only once, on test views after training."""
     average_error_role: ClassVar[AverageErrorRole | None] = None
     """The average error uses the pipeline's first metric of each role; None: not part of it."""
+
+    def begin_scoring(self, trained: Trained) -> None:
+        """Called before the scores after training; a metric may keep `trained` for `measure_view`."""
 
     @abstractmethod
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:

@@ -1,4 +1,4 @@
-"""Scenes and pipelines, described for people."""
+"""Pipelines, described for people; scenes and components without a pipeline."""
 
 from typing import TYPE_CHECKING
 
@@ -6,7 +6,6 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .pipeline_faults import capabilities, faults, needs
-    from .scene_facts import image_sizes, points_in_view, warnings
     from .scene_source import find_loader, load
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -15,9 +14,6 @@ __all__ = [
     "capabilities",
     "faults",
     "find_loader",
-    "image_sizes",
     "load",
     "needs",
-    "points_in_view",
-    "warnings",
 ]

@@ -123,14 +123,25 @@ class Run:
         """
         return self.checkpoint().part("kinds")
 
-    def confidence(self, estimator: str = "fisher") -> Confidence:
-        """Return the confidence in renders of the Gaussians, by an installed estimator."""
-        offer = Plugins().find(CONFIDENCE, estimator)
-        part = build_part(single_item(offer), self.pipeline.training.seed, self.model.device)
-        maps = maps_of(self.checkpoint().part("maps"))
+    def confidence(self, name: str = "calibrated", changes: Sequence[str] = ()) -> Confidence:
+        """Return the confidence in renders of the Gaussians.
+
+        Args:
+            name: an installed estimator, for example "calibrated", "coverage" or "fisher".
+            changes: `key=value`, settings of the estimator.
+        """
+        item = single_item(Plugins().find(CONFIDENCE, name), changes)
+        part = build_part(item, self.pipeline.training.seed, self.model.device)
         with part.at_work(), one_torch_thread():
-            scene = copied(self.scene.for_training())
-            return part.component.estimate(Trained(self.model.reader(), scene, maps, self.kinds))
+            answer: Confidence = part.component.estimate(self.trained)
+        return answer
+
+    @property
+    def trained(self) -> Trained:
+        """The Gaussians and what they were trained on; of the inputs, copies."""
+        maps = maps_of(self.checkpoint().part("maps"))
+        inputs = copied((self.scene.for_training(), maps, self.kinds))
+        return Trained(self.model.reader(), *inputs, self.confidence)
 
     @property
     def scores(self) -> dict[str, Scores]:
@@ -144,6 +155,10 @@ class Run:
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures
+        trained = self.trained
+        for part in metrics:
+            with part.at_work():
+                part.component.begin_scoring(trained)
         with one_torch_thread():
             views = tracked([*scene.test, *scene.train], "scoring")
             test = islice(views, len(scene.test))

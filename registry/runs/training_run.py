@@ -20,7 +20,6 @@ from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.pipeline_faults import faults, refuse_missing_priors
-from ..inspection.scene_facts import summary, warnings
 from ..inspection.scene_source import load
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
@@ -29,6 +28,7 @@ from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
+from ..toolkit.views.scene_facts import summary, warnings
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.trainer import Iteration, Trainer, one_torch_thread, resumed

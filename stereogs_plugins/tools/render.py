@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
+from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
 from registry.commands import add_run, console, open_given
 from registry.messages import counted
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from registry.confidence import Confidence
+    from registry.runs import Run
+
 _EPILOG = """\
 examples:
   stereogs render runs/3dgs-fern          images of the test views
   stereogs render runs/3dgs-fern --path   a smooth path through the training views
+  stereogs render runs/3dgs-fern --confidence          what is guessed is pale and hatched
+  stereogs render runs/3dgs-fern --confidence fisher   by another estimator; `stereogs plugins` lists them
 
 The path is rendered to a video if the extra `video` is installed (pip install 'stereogs-plugins[video]'),
 otherwise to numbered PNG images.
@@ -32,6 +43,13 @@ class Render(Command):
             metavar="N",
             help="number of frames of the path (default 120)",
         )
+        parser.add_argument(
+            "--confidence",
+            nargs="?",
+            const="calibrated",
+            metavar="ESTIMATOR",
+            help="fade and hatch what is guessed; also draw the confidence of the test views",
+        )
         add_run(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
@@ -39,21 +57,59 @@ class Render(Command):
         output = console()
         run = open_given(arguments)
         from registry.runs import RENDERS
-        from registry.toolkit.drawing import save_view_pictures, smooth_path, write_video
+        from registry.toolkit.drawing import hatched, save_view_pictures, smooth_path, write_video
         from registry.training import one_torch_thread
 
         folder = run.folder_or_refuse().folder(RENDERS)
+        confidence = run.confidence(arguments.confidence) if arguments.confidence else None
         with one_torch_thread():
             if not arguments.path:
                 for view in run.scene.test:
                     save_view_pictures(run.rendering(view.camera), view, folder)
                 output.print(f"{counted(len(run.scene.test), 'test view')} in {folder}")
+                if confidence is not None:
+                    place, share = _draw(run, arguments.confidence, confidence, folder)
+                    output.print(
+                        f"sure of {share:.0%} of the test views' pixels; pictures in {place}; "
+                        f"`stereogs report {arguments.run_folder}` puts them on the page"
+                    )
                 return 0
             cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
             frames = (run.rendering(camera).rgb for camera in cameras)
+            if confidence is not None:
+                frames = (hatched(run.rendering(one).rgb, confidence.of(one)) for one in cameras)
             written, note = write_video(frames, folder / "path")
         output.print(f"{note}: {written}")
         return 0
+
+
+def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Path, float]:
+    """Write pictures and numbers of each test view's confidence; return where, and the sure share."""
+    from registry.system import write_text
+    from registry.toolkit.drawing import CONFIDENCE, GUESSED, hatched, save_png, with_scale
+    from registry.toolkit.views import predicted_psnr, subject_of, view_angles
+
+    scene, place = run.scene, folder / CONFIDENCE
+    place.mkdir(exist_ok=True)
+    training = [view.camera for view in scene.train]
+    points = None if scene.points is None else scene.points.positions
+    rows: dict[str, dict[str, float]] = {}
+    for view in scene.test:
+        its, rgb = confidence.of(view.camera), run.rendering(view.camera).rgb
+        save_png(hatched(rgb, its), place / f"{view.name}.png")
+        save_png(with_scale(its), place / f"{view.name}-scale.png")
+        counted = its >= 0 if view.mask is None else view.mask
+        error = float((rgb - view.image).square()[counted].mean())
+        subject = subject_of(view.camera, scene.bounds, points)
+        rows[view.name] = {
+            "sure": float((its[counted] >= GUESSED).double().mean()),
+            "psnr_predicted": predicted_psnr(its[counted]),
+            "psnr": -10 * math.log10(max(error, 1e-10)),
+            "angle": view_angles(view.camera, training, subject).nearest,
+        }
+    content = {"estimator": name, "views": rows}
+    write_text(place / f"{CONFIDENCE}.json", f"{json.dumps(content, indent=1)}\n")
+    return place, sum(row["sure"] for row in rows.values()) / max(1, len(rows))
 
 
 @hookimpl

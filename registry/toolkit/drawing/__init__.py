@@ -13,6 +13,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import Vector, smooth_path, upright_rotation, upwards
+    from .confidence_picture import CONFIDENCE, GUESSED, hatched, read_confidence, with_scale
     from .pictures import (
         COMPARISONS,
         RAMP,
@@ -34,6 +35,8 @@ else:
 
 __all__ = [
     "COMPARISONS",
+    "CONFIDENCE",
+    "GUESSED",
     "RAMP",
     "ImageMetricSettings",
     "LoggerSettings",
@@ -42,8 +45,10 @@ __all__ = [
     "depth_ends",
     "depth_picture",
     "grey",
+    "hatched",
     "nearness_picture",
     "ramp_picture",
+    "read_confidence",
     "save_png",
     "save_view_pictures",
     "side_by_side",
@@ -52,5 +57,6 @@ __all__ = [
     "upright_rotation",
     "upwards",
     "white_outside",
+    "with_scale",
     "write_video",
 ]

@@ -14,7 +14,9 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
-    from .painted import Painted, same_model
+    from .painted import Painted, gathered, same_model
+    from .predicted_error import predicted_psnr
+    from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
     from .where_to_stand import Photographs, words_between
@@ -29,8 +31,14 @@ __all__ = [
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",
+    "gathered",
+    "image_sizes",
+    "points_in_view",
+    "predicted_psnr",
     "same_model",
     "subject_of",
+    "summary",
     "view_angles",
+    "warnings",
     "words_between",
 ]

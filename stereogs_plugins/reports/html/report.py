@@ -58,6 +58,7 @@ class HtmlReport(Report[HtmlReportSettings]):
         Raises:
             RunError: a file of the run is missing or damaged.
         """
+        from .confidence import confidence
         from .renders import renders
         from .scene_view import licenses, remove_beside
         from .scores import summary, views
@@ -72,6 +73,7 @@ class HtmlReport(Report[HtmlReportSettings]):
             view.content,
             note(lead(run.results, scene)),
             section(f"{scored} and renders", renders(run.results, scene, folder)),
+            section("What is guessed", confidence(folder)),
             section("Numbers", note(kind_of_scores(scene)) + summary(run.results)),
             folded("scores of each photograph", views(run.results)),
             section("Training", training_plots(run.metrics, run.results)),

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from core_rasterizer import Camera
 from registry import Scene, View
-from registry.inspection import image_sizes, points_in_view
 from registry.messages import counted, listing
+from registry.toolkit.views import image_sizes, points_in_view
 
 MAIN = 4
 

@@ -75,9 +75,10 @@ class Check(Command):
                 arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
             )
             from core_rasterizer import open_device
-            from registry.inspection import load, warnings
+            from registry.inspection import load
             from registry.pipeline import build_part
             from registry.toolkit.drawing import save_png
+            from registry.toolkit.views import warnings
             from registry.training import one_torch_thread
 
             from .facts import MAIN, facts

@@ -8,7 +8,7 @@ import torch
 
 from core_rasterizer import Camera
 from registry.toolkit.views import same_model
-from stereogs_plugins.confidence.fisher import PARAMETERS, Fisher
+from stereogs_plugins.confidence.estimators.fisher import PARAMETERS, Fisher
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
-from registry.confidence import Trained
+from registry.confidence import Confidence, Trained
 from registry.testing import tiny_scene
 
 
@@ -20,4 +20,8 @@ def small(count: int = 60, kinds: Mapping[str, Tensor] | None = None) -> Trained
     sizes, opacities = torch.full((count,), 0.2), torch.full((count,), 0.6)
     gaussians = Gaussians.from_points(positions, colors, sizes, opacities, 0)
     model = GaussianModel(gaussians, open_device())
-    return Trained(model.reader(), scene.for_training(), {}, kinds or {})
+    return Trained(model.reader(), scene.for_training(), {}, kinds or {}, _none)
+
+
+def _none(name: str) -> Confidence:
+    raise KeyError(name)

@@ -13,9 +13,9 @@ from PIL import Image
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
 from registry.cli import main, parse
-from registry.inspection.scene_facts import points_in_view, summary, typical_depth, warnings
 from registry.plugins.discovery import Plugins, recognize
 from registry.testing import tiny_scene
+from registry.toolkit.views.scene_facts import points_in_view, summary, typical_depth, warnings
 from stereogs_plugins.tools.check.facts import facts
 from stereogs_plugins.tools.check.scene_picture import (
     TEST_COLOR,

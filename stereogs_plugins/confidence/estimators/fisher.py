@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import torch
 from pydantic import Field
 
-from registry import Register, Settings, hookimpl
+from registry import Settings
 from registry.confidence import Confidence, ConfidenceEstimator, Trained
 from registry.toolkit.views import Painted, same_model
 
@@ -23,7 +23,7 @@ PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
 
 class FisherSettings(Settings):
-    prior: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.1
+    prior: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1e-6
     """Information before any photograph, for each parameter (lambda in the paper). Colours in [0, 1] count
     with a variance of 1."""
     probes: Annotated[int, Field(ge=1)] = 2
@@ -99,8 +99,3 @@ class Fisher(ConfidenceEstimator[FisherSettings]):
         """Make one pass over the training views."""
         settings = self.settings
         return FisherConfidence(trained, settings.prior, settings.probes, self.generator)
-
-
-@hookimpl
-def stereogs_register_confidence_estimators(register: Register[Fisher]) -> None:
-    register("fisher", Fisher)

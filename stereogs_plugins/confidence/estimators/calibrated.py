@@ -1,0 +1,139 @@
+"""`calibrated`: one number from all evidence, fitted to the errors on training views that were left out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch.nn.functional import avg_pool2d, pad
+
+from registry import Settings
+from registry.confidence import Confidence, ConfidenceEstimator, Trained
+
+from .coverage import CoverageConfidence, CoverageSettings
+from .residuals import Residuals
+from .support import SupportConfidence
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from core_rasterizer import Camera, Rendering
+
+    from .coverage import Seen
+
+RIGHT = 0.1
+"""Largest mean difference of a pixel's channels from a photograph at which it is right; colours in [0, 1]."""
+_TEXTURE = 7
+"""Side in pixels of the window in which the render's contrast is measured."""
+_UNKNOWN_TEXTURE, _UNKNOWN_RESIDUAL, _UNKNOWN_DIFFERENCE = 0.005, 0.003, 0.01
+"""Least values, before logarithms."""
+
+
+class Evidence(NamedTuple):
+    """Numbers of each pixel from which its error is predicted, or their weights.
+
+    Args:
+        one: 1.
+        confirmed, filled: shares of the pixel's light by kind.
+        first, second: weights of the two training cameras that see the surface best (`coverage`).
+        difference: logarithm of the difference between the render and the photographs that see the surface.
+        least_difference: the same of the photograph with the most similar colour there, occluded or not.
+        residual: logarithm of the Gaussians' error on the training photographs.
+        texture: logarithm of the render's contrast.
+        empty: share of the background.
+    """
+
+    one: Tensor | float
+    confirmed: Tensor | float
+    filled: Tensor | float
+    first: Tensor | float
+    second: Tensor | float
+    difference: Tensor | float
+    least_difference: Tensor | float
+    residual: Tensor | float
+    texture: Tensor | float
+    empty: Tensor | float
+
+
+WEIGHTS = Evidence(0.349, -0.345, 0.002, -0.502, -0.07, 0.197, 0.17, 0.294, 0.111, -0.658)
+"""Fitted by `python -m benchmarks.confidence --fit` on training views that were left out, no test views."""
+
+
+class CalibratedConfidence(Confidence):
+    """Predicted error of each pixel, and the probability that it is small.
+
+    Args:
+        trained: Gaussians, training views, kinds.
+    """
+
+    def __init__(self, trained: Trained) -> None:
+        self._coverage = CoverageConfidence(trained, CoverageSettings().angle)
+        self._support, self._residuals = SupportConfidence(trained), Residuals(trained)
+
+    def evidence(self, camera: Camera) -> Evidence:
+        """Return the evidence for each pixel of a camera, `[H, W]` each."""
+        rendering, views = self._coverage.seen_by(camera)
+        weights = self._coverage.weights(views)
+        shares = self._support.shares(camera)
+        every, least = _differences(rendering, views, self._coverage)
+        residual = self._residuals.render(camera).clamp(min=_UNKNOWN_RESIDUAL)
+        return Evidence(
+            one=torch.ones_like(rendering.alpha),
+            confirmed=shares[..., 0],
+            filled=shares[..., 1],
+            first=weights[0],
+            second=weights[1] if len(weights) > 1 else torch.zeros_like(weights[0]),
+            difference=every.clamp(min=_UNKNOWN_DIFFERENCE).log(),
+            least_difference=least.clamp(min=_UNKNOWN_DIFFERENCE).log(),
+            residual=residual.log(),
+            texture=_contrast(rendering.rgb.mean(dim=2)).clamp(min=_UNKNOWN_TEXTURE).log(),
+            empty=1 - rendering.alpha,
+        )
+
+    def error(self, camera: Camera) -> Tensor:
+        """Return `[H, W]`: the predicted mean difference of a pixel's channels from a photograph."""
+        terms = zip(WEIGHTS, self.evidence(camera), strict=True)
+        logarithm = torch.stack([torch.as_tensor(w * value) for w, value in terms]).sum(dim=0)
+        return logarithm.clamp(-8, 0).exp()
+
+    def of(self, camera: Camera) -> Tensor:
+        """Return the probability that each pixel's error is at most `RIGHT`."""
+        return probability_of(self.error(camera))
+
+
+def probability_of(error: Tensor) -> Tensor:
+    """Return the probability of an error of at most `RIGHT`, for errors with an exponential distribution.
+
+    On left-out views the share of right pixels agrees with it within 0.03 up to a mean of 0.2.
+    """
+    return 1 - torch.exp(-RIGHT / error)
+
+
+def _differences(
+    rendering: Rendering, views: list[Seen], coverage: CoverageConfidence
+) -> tuple[Tensor, Tensor]:
+    """Return the weighted mean difference from the photographs that see the surface, and the least of all."""
+    each = torch.stack([(view.color - rendering.rgb).abs().mean(dim=2) for view in views])
+    weights = torch.stack([coverage.weight(view) for view in views])
+    least, total = each.min(dim=0).values, weights.sum(dim=0)
+    mean = (weights * each).sum(dim=0) / total.clamp(min=1e-6)
+    return mean.where(total > 0, least), least
+
+
+def _contrast(image: Tensor) -> Tensor:
+    """Return the standard deviation `[H, W]` of an image in a window around each pixel."""
+
+    def blurred(values: Tensor) -> Tensor:
+        edge = _TEXTURE // 2
+        padded = pad(values[None, None], (edge,) * 4, mode="replicate")
+        return avg_pool2d(padded, _TEXTURE, 1)[0, 0]
+
+    return (blurred(image**2) - blurred(image) ** 2).clamp(min=0).sqrt()
+
+
+class Calibrated(ConfidenceEstimator[Settings]):
+    """Probability of an error of at most 0.1, from kinds, coverage, photographs and training errors."""
+
+    def estimate(self, trained: Trained) -> CalibratedConfidence:
+        """Render the training views once, and differentiate them."""
+        return CalibratedConfidence(trained)

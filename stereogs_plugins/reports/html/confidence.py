@@ -1,0 +1,70 @@
+"""What is guessed in the test views, from the files of `stereogs render --confidence`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from registry.toolkit.drawing import RAMP, read_confidence
+from registry.toolkit.photos import in_parallel
+from registry.toolkit.web_page import (
+    Cell,
+    choice,
+    color_scale,
+    figure,
+    image,
+    note,
+    score_table,
+    wipe,
+)
+
+from .renders import RENDERS, ViewPictures
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+def confidence(folder: Path) -> str:
+    """Return a sentence, a part per view and a table; empty if confidence was not drawn.
+
+    Raises:
+        RunError: the file of numbers is damaged.
+    """
+    known = read_confidence(folder / RENDERS)
+    if not known:
+        return ""
+    views: Mapping[str, Any] = known["views"]
+    sure = sum(row["sure"] for row in views.values()) / len(views)
+    text = (
+        f"The photographs determine {sure:.0%} of the pixels of these views: an error of at most 0.1 is "
+        f"more likely there than not. The rest, pale and hatched, is guessed. Estimator: {known['estimator']}."
+    )
+    parts = in_parallel(lambda name: _part(name, folder / RENDERS), list(views))
+    return note(text) + choice("view", dict(zip(views, parts, strict=True))) + _table(views)
+
+
+def _part(name: str, renders: Path) -> str:
+    render, place = ViewPictures.of(name, renders).render, renders / "confidence"
+    both = wipe(
+        image(render, "render"),
+        image(place / f"{name}.png", "guessed parts hatched"),
+        ("render", "guesses hatched"),
+    )
+    scale = color_scale(RAMP, ["0: guessed", "0.5", "1: sure"])
+    colors = figure("Confidence", image(place / f"{name}-scale.png", "confidence") + scale)
+    return f'<div class="sides">{figure(name, both)}{colors}</div>'
+
+
+def _table(views: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            Cell(name),
+            Cell(f"{row['angle']:.1f}"),
+            Cell(f"{row['sure']:.0%}"),
+            Cell(f"{row['psnr_predicted']:.1f}"),
+            Cell(f"{row['psnr']:.1f}"),
+        ]
+        for name, row in views.items()
+    ]
+    head = ["view", "degrees to nearest photograph", "sure", "PSNR predicted, dB", "PSNR, dB"]
+    return score_table(head, rows)
