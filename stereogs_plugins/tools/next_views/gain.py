@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
-from torch.nn.functional import interpolate, max_pool2d, normalize
+from torch.nn.functional import max_pool2d, normalize
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -117,25 +117,6 @@ class ExpectedGain:
     def take(self, candidate: int) -> None:
         """Count a candidate as photographed: the gains of the others become smaller."""
         self._unknown = self._unknown * (1 - self._shares[candidate])
-
-
-def confirmed(
-    render: Callable[[Camera], Rendering], training: Sequence[Camera], camera: Camera
-) -> Tensor:
-    """Return how much of each pixel of a camera the photographs confirm, `[H, W]` in [0, 1]."""
-    reduced = [small(one) for one in training]
-    rendering, lens = render(small(camera)), small(camera)
-    alpha = rendering.alpha.double()
-    points = lens.unproject(*lens.pixel_centers(), rendering.depth.double() / alpha.clamp(min=1e-6))
-    points = points.reshape(-1, 3)
-    towards = normalize(camera.center - points, dim=1)
-    unknown = torch.ones(len(points), dtype=torch.float64)
-    for one in reduced:
-        sees = _sees(one, _farthest_seen(render(one)), points)
-        unknown *= 1 - sees * CONFIRMED * _falling_off(one, points, towards, ANGLE)
-    known = torch.where(alpha > LEAST_ALPHA, 1 - unknown.reshape(alpha.shape), 1.0)
-    size = (camera.height, camera.width)
-    return interpolate(known[None, None], size, mode="bilinear", align_corners=False)[0, 0]
 
 
 def _farthest_seen(rendering: Rendering) -> Tensor:
