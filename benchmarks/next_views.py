@@ -69,9 +69,14 @@ class Suggestion:
 
 
 class Bench:
-    """Trains each set once, and remembers what earlier commands measured."""
+    """Trains each set once, and remembers what earlier commands measured.
 
-    def __init__(self) -> None:
+    Args:
+        train_missing: if False, it raises `NotRecorded` instead of training.
+    """
+
+    def __init__(self, *, train_missing: bool = True) -> None:
+        self._train_missing = train_missing
         self._trainings, self._suggestions = read_records()
         self._code = source_digest(ExpectedGain)
         self._newest: tuple[tuple[str, Chosen], Run] | None = None
@@ -99,10 +104,14 @@ class Bench:
 
     def _trained(self, scene: PoolScene, views: Chosen) -> Run:
         key = scene.name, tuple(sorted(views))
+        if not self._train_missing:
+            raise NotRecorded(*key)
         if self._newest is None or self._newest[0] != key:
             begin = process_time()
             run = train(PIPELINE, scene=scene.of(views), progress=False)
             seconds = round(process_time() - begin, 2)
+            if not run.finished:  # by Ctrl-C or SIGTERM
+                raise RunError("the training was stopped", where=scene.name, fix="start it again")
             self._newest = key, run
             if key not in self._trainings:
                 self._trainings[key] = Training(*key, _psnr(run), seconds, run.hash)
@@ -140,17 +149,23 @@ def read_records() -> tuple[
     return trainings, suggestions
 
 
+class NotRecorded(Exception):
+    """A training is missing that must not be made."""
+
+
 def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
-    """Return the PSNR after the start and each further photograph, by rule."""
-    curves = {}
+    """Return the PSNR after the start and each further photograph, by rule, as far as there are records."""
+    curves: dict[str, list[float]] = {}
     for name in (SUGGESTED, *RULES):
-        chosen = scene.start
-        scores = [bench.psnr(scene, chosen)]
-        while len(chosen) < LAST:
-            rule = RULES.get(name, bench.following)
-            chosen = (*chosen, rule(scene, chosen))
-            scores.append(bench.psnr(scene, chosen))
-        curves[name] = scores
+        chosen, curves[name] = scene.start, []
+        try:
+            curves[name].append(bench.psnr(scene, chosen))
+            while len(chosen) < LAST:
+                rule = RULES.get(name, bench.following)
+                chosen = (*chosen, rule(scene, chosen))
+                curves[name].append(bench.psnr(scene, chosen))
+        except NotRecorded:
+            continue
     return curves
 
 
@@ -160,22 +175,18 @@ def every_fourth(bench: Bench, scene: PoolScene) -> list[float]:
     return [bench.psnr(scene, (*scene.start, k)) for k in pool if k not in scene.start]
 
 
-def measure(bench: Bench, name: str) -> Measured:
-    """Train everything for one scene that has no record."""
-    scene = pool_scene(name)
-    return Measured(name, paths(bench, scene), every_fourth(bench, scene))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write-docs", action="store_true", help="also write the tables")
+    parser.add_argument("--finished", action="store_true", help="use only records that exist")
     parser.add_argument("--scenes", default=",".join(SCENES), help="separated by commas")
     arguments = parser.parse_args()
     names = arguments.scenes.split(",")
     check_data(names)
-    bench, measured = Bench(), []
+    bench, measured = Bench(train_missing=not arguments.finished), []
     for name in names:
-        measured.append(measure(bench, name))
+        scene = pool_scene(name)
+        measured.append(Measured(name, paths(bench, scene), every_fourth(bench, scene)))
         print(table([measured[-1]]), flush=True)
     print(table(measured) + "\n" + summary(measured))
     if arguments.write_docs:

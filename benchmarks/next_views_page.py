@@ -11,7 +11,8 @@ import numpy as np
 from benchmarks import pages
 
 PAGE = pages.DOCS / "next_photograph.md"
-SUGGESTED = "suggested"
+SUGGESTED, RANDOM = "suggested", "random"
+STEPS = (1, 2, 3)
 _RESAMPLES, _SEED = 10_000, 0
 
 
@@ -28,10 +29,21 @@ class Measured:
     curves: dict[str, list[float]]
     fourth: list[float]
 
-    def mean_of(self, rule: str) -> list[float]:
-        """Return the curve of a rule; of "random", the mean over the draws."""
+    def after(self, rule: str, step: int) -> float | None:
+        """Return the PSNR of a rule after a step from 1 to 3; of "random", the mean over the draws.
+
+        None without a record. The mean random choice of the 4th photograph is that of all choices.
+        """
+        if rule == RANDOM and step == 1:
+            return fmean(self.fourth)
         own = [curve for name, curve in self.curves.items() if name.split()[0] == rule.split()[0]]
-        return [fmean(values) for values in zip(*own, strict=True)]
+        known = [curve[step] for curve in own if len(curve) > step]
+        return fmean(known) if known else None
+
+    def ahead(self, rule: str, step: int) -> float | None:
+        """Return how far the suggestion is ahead of a rule after a step, dB; None without a record."""
+        one, other = self.after(SUGGESTED, step), self.after(rule, step)
+        return None if one is None or other is None else one - other
 
     @property
     def gap(self) -> float:
@@ -40,16 +52,16 @@ class Measured:
         return (self.curves[SUGGESTED][1] - mean) / (max(self.fourth) - mean)
 
 
-RULES = (SUGGESTED, "longest gap", "farthest", "random")
+RULES = (SUGGESTED, "longest gap", "farthest", RANDOM)
 
 
 def table(measured: Sequence[Measured]) -> str:
     """Return the PSNR of each rule after the 4th, 5th and 6th photograph, a row per scene."""
     rows = []
     for one in measured:
-        curves = [one.mean_of(rule) for rule in RULES]
-        cells = [" / ".join(f"{value:.2f}" for value in curve[1:]) for curve in curves]
-        start, best = f"{curves[0][0]:.2f}", f"{max(one.fourth):.2f}"
+        scores = [[one.after(rule, step) for step in STEPS] for rule in RULES]
+        cells = [" / ".join("-" if x is None else f"{x:.2f}" for x in row) for row in scores]
+        start, best = f"{one.curves[SUGGESTED][0]:.2f}", f"{max(one.fourth):.2f}"
         rows.append([one.scene, start, *cells, best, f"{100 * one.gap:.0f} %"])
     headings = ["scene", "3 photographs", *RULES, "best 4th", "share of the way"]
     return pages.table(headings, rows)
@@ -59,20 +71,17 @@ def summary(measured: Sequence[Measured]) -> str:
     """Return how much the suggestion is ahead of the other rules, mean over the scenes with intervals."""
     rows = []
     for rule in RULES[1:]:
-        cells = [
-            interval([m.curves[SUGGESTED][step] - m.mean_of(rule)[step] for m in measured])
-            for step in (1, 2, 3)
-        ]
-        every = interval(
-            [
-                fmean(m.curves[SUGGESTED][step] - m.mean_of(rule)[step] for step in (1, 2, 3))
-                for m in measured
-            ]
-        )
-        rows.append([f"ahead of {rule}, dB", *cells, every])
+        steps = [[m.ahead(rule, step) for m in measured] for step in STEPS]
+        rows.append([f"ahead of {rule}, dB", *(_cell(values) for values in steps)])
     gap = interval([100 * m.gap for m in measured], digits=0)
-    rows.append(["share of the way from the mean choice to the best, %", gap, "", "", ""])
-    return pages.table(["", "4th", "5th", "6th", "all three"], rows)
+    rows.append(["from the mean choice to the best, %", gap, "", ""])
+    return pages.table(["", "4th", "5th", "6th"], rows)
+
+
+def _cell(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    few = f", {len(known)} scenes" if len(known) < len(values) else ""
+    return interval(known) + few if known else ""
 
 
 def interval(values: Sequence[float], digits: int = 2) -> str:

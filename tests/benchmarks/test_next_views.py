@@ -62,7 +62,7 @@ def test_a_draw_never_repeats_a_photograph_and_draws_differ() -> None:
 def curves(suggested: float) -> Measured:
     shared = {name: [10.0, 11.0, 12.0, 13.0] for name in RULES}
     return Measured(
-        "s", {"suggested": [10.0, suggested, 13.0, 14.0], **shared}, [9.0, 11.0, suggested]
+        "s", {"suggested": [10.0, suggested, 13.0, 14.0], **shared}, [9.0, 11.0, suggested, 11.0]
     )
 
 
@@ -71,6 +71,13 @@ def test_the_table_compares_with_the_mean_and_the_best_choice() -> None:
     assert measured.gap == pytest.approx(1.0)
     assert "| s | 10.00 | 13.00 / 13.00 / 14.00 |" in table([measured])
     assert "| ahead of random, dB | +2.00 (+2.00 to +2.00) | +1.00" in summary([measured])
+
+
+def test_a_missing_training_leaves_a_gap() -> None:
+    measured = curves(13.0)
+    short = Measured("t", measured.curves | {"farthest": [10.0, 11.0]}, measured.fourth)
+    assert "11.00 / - / -" in table([short])
+    assert "+1.00), 1 scenes" in summary([measured, short])
 
 
 def test_an_interval_is_narrower_with_more_scenes() -> None:

@@ -7,14 +7,13 @@ A photograph s confirms a surface point p for a view v by
 with the angle at p between s and v: error grows with the angle to the nearest photograph ("Mind the Gap",
 arXiv 2607.01556). Photographs S leave unknown
 
-    unknown(p, v) = doubt(p, v) * product over s in S of (1 - share(s, p, v)),
+    unknown(p, v) = product over s in S of (1 - share(s, p, v)).
 
-with doubt = 1 - confidence of the pixel that shows p. The expected gain of a camera is the decrease of the
-mean of `unknown` over all points and views. It is scaled down if the camera's overlap, the share of what it
-sees that is photographed from a similar direction, is below OVERLAP: what a single photograph shows cannot be
-triangulated.
+The expected gain of a camera is the decrease of the mean of `unknown` over all points and views, times the
+square root of the camera's overlap: the share of what it sees that is photographed from a similar direction.
+What a single photograph shows cannot be triangulated.
 
-The form and the numbers were chosen on photographs left out of the pool (docs/next_photograph.md).
+The form and the numbers were chosen on photographs left out of training (docs/next_photograph.md).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
-from torch.nn.functional import interpolate, max_pool2d, normalize
+from torch.nn.functional import max_pool2d, normalize
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -56,7 +55,6 @@ class ExpectedGain:
         render: renders the trained scene.
         training: cameras of the photographs; at least one.
         candidates: cameras to choose from; at least one. They are the views of interest too.
-        confidence: returns `[H, W]` in [0, 1] for a camera; None if nothing is confirmed.
     """
 
     def __init__(
@@ -64,12 +62,11 @@ class ExpectedGain:
         render: Callable[[Camera], Rendering],
         training: Sequence[Camera],
         candidates: Sequence[Camera],
-        confidence: Callable[[Camera], Tensor] | None = None,
     ) -> None:
         spacing = math.sqrt(RENDERED_PIXELS * len(candidates) / _MOST_POINTS)
         spacing = max(_LEAST_SPACING, math.ceil(spacing))
         cameras = [small(camera) for camera in (*training, *candidates)]
-        depths, points, weights, doubts = [], [], [], []
+        depths, points, weights = [], [], []
         for index, camera in enumerate(cameras):
             rendering = render(camera)
             alpha = rendering.alpha.double()
@@ -81,12 +78,10 @@ class ExpectedGain:
                 points.append(camera.unproject(u, v, depth[grid, grid]).reshape(-1, 3))
                 light = torch.where(alpha > LEAST_ALPHA, alpha, 0.0)[grid, grid].flatten()
                 weights.append(light / len(light) / len(candidates))
-                sure = torch.zeros_like(alpha) if confidence is None else confidence(camera)
-                doubts.append(1 - sure.double()[grid, grid].flatten())
         shown = torch.cat(points)
-        eyes = [one.expand(len(p), 3) for one, p in zip(_centers(candidates), points, strict=True)]
+        eyes = [c.center.expand(len(p), 3) for c, p in zip(candidates, points, strict=True)]
         towards = normalize(torch.cat(eyes) - shown, dim=1)
-        self._weights, doubt = torch.cat(weights), torch.cat(doubts)
+        self._weights = torch.cat(weights)
         seen = [_sees(c, depth, shown) for c, depth in zip(cameras, depths, strict=True)]
         shares = [
             sees * CONFIRMED * _falling_off(camera, shown, towards, ANGLE)
@@ -94,8 +89,7 @@ class ExpectedGain:
         ]
         count = len(training)
         self._shares = torch.stack(shares[count:])
-        known_before = torch.stack(shares[:count])
-        self._unknown = doubt * (1 - known_before).prod(dim=0)
+        self._unknown = (1 - torch.stack(shares[:count])).prod(dim=0)
         matched = [
             sees * _falling_off(camera, shown, towards, MATCHED_ANGLE)
             for camera, sees in zip(cameras[:count], seen, strict=False)
@@ -118,30 +112,11 @@ class ExpectedGain:
         """Return the expected gain of each candidate, `[C]` from 0 to 1."""
         total = self._weights.sum().clamp(min=1e-12)
         decrease = self._shares @ (self._weights * self._unknown) / total
-        return decrease * (self._overlap / OVERLAP).clamp(max=1)
+        return decrease * self._overlap.sqrt()
 
     def take(self, candidate: int) -> None:
         """Count a candidate as photographed: the gains of the others become smaller."""
         self._unknown = self._unknown * (1 - self._shares[candidate])
-
-
-def confirmed(
-    render: Callable[[Camera], Rendering], training: Sequence[Camera], camera: Camera
-) -> Tensor:
-    """Return how much of each pixel of a camera the photographs confirm, `[H, W]` in [0, 1]."""
-    reduced = [small(one) for one in training]
-    rendering, lens = render(small(camera)), small(camera)
-    alpha = rendering.alpha.double()
-    points = lens.unproject(*lens.pixel_centers(), rendering.depth.double() / alpha.clamp(min=1e-6))
-    points = points.reshape(-1, 3)
-    towards = normalize(camera.center - points, dim=1)
-    unknown = torch.ones(len(points), dtype=torch.float64)
-    for one in reduced:
-        sees = _sees(one, _farthest_seen(render(one)), points)
-        unknown *= 1 - sees * CONFIRMED * _falling_off(one, points, towards, ANGLE)
-    known = torch.where(alpha > LEAST_ALPHA, 1 - unknown.reshape(alpha.shape), 1.0)
-    size = (camera.height, camera.width)
-    return interpolate(known[None, None], size, mode="bilinear", align_corners=False)[0, 0]
 
 
 def _farthest_seen(rendering: Rendering) -> Tensor:
@@ -156,10 +131,6 @@ def small(camera: Camera) -> Camera:
     scale = math.sqrt(RENDERED_PIXELS / (camera.width * camera.height))
     width, height = (max(2, round(scale * side)) for side in (camera.width, camera.height))
     return camera.resized(width, height)
-
-
-def _centers(cameras: Sequence[Camera]) -> list[Tensor]:
-    return [camera.center for camera in cameras]
 
 
 def _sees(camera: Camera, depth: Tensor, points: Tensor) -> Tensor:

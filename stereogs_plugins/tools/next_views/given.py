@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import torch
 from pydantic import BaseModel, Field
 
 from registry import RunError
@@ -13,6 +14,8 @@ from registry.toolkit.photos import Matrix4x4, pose_from_opengl, read_document
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from torch import Tensor
 
     from core_rasterizer import Camera
     from registry.runs import Run
@@ -40,10 +43,14 @@ def read_poses(file: Path, lens: Camera) -> tuple[list[str], list[Camera]]:
     frames = read_document(file, _Poses, _FIX).frames
     names = [frame.file_path or f"pose {number}" for number, frame in enumerate(frames, start=1)]
     cameras = [
-        replace(lens, world_to_camera=pose_from_opengl(frame.transform_matrix, f"{file}: {name}"))
+        replace(lens, world_to_camera=_pose(frame.transform_matrix, f"{file}: {name}"))
         for name, frame in zip(names, frames, strict=True)
     ]
     return names, cameras
+
+
+def _pose(matrix: Matrix4x4, where: str) -> Tensor:
+    return torch.from_numpy(pose_from_opengl(matrix, where))
 
 
 def other_pictures(run: Run, settings: Sequence[str]) -> tuple[list[str], list[Camera]]:

@@ -5,18 +5,12 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-import torch
-
 from registry.system import write_text
-from registry.toolkit.drawing import save_png
-
-from .gain import confirmed
+from registry.toolkit.drawing import hatched, save_png
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-
-    from torch import Tensor
 
     from core_rasterizer import Camera
     from registry.runs import Run
@@ -24,12 +18,9 @@ if TYPE_CHECKING:
     from . import NextView
 
 FILE = "next.json"
-GUESSED = 0.35
-"""Pixels of which photographs confirm less are hatched."""
-_PERIOD, _STRIPE = 12, 4
-"""Pixels between two stripes, and their width."""
-_STRIPE_COLOR = (1.0, 1.0, 1.0)
-_STRENGTH = 0.6
+ESTIMATOR, SHOWN = "coverage", 0.1
+"""Pixels around which this confidence is lower are hatched: no photograph shows them, or only from far aside.
+A calibrated confidence would be high for a blurred margin, whose colours are nearly right."""
 
 
 def write(run: Run, found: Sequence[NextView], names: Sequence[str] | None, folder: Path) -> None:
@@ -40,11 +31,11 @@ def write(run: Run, found: Sequence[NextView], names: Sequence[str] | None, fold
     """
     for old in folder.glob("*.png"):
         old.unlink()
-    listed = []
+    confidence, listed = run.confidence(ESTIMATOR), []
     for number, one in enumerate(found, start=1):
-        rgb = run.rendering(one.camera).rgb
-        sure = confirmed(run.rendering, [view.camera for view in run.scene.train], one.camera)
-        save_png(hatched(rgb, sure < GUESSED), folder / f"{number}.png")
+        rendered = run.rendering(one.camera).rgb
+        drawn = hatched(rendered, confidence.of(one.camera), SHOWN)
+        save_png(drawn, folder / f"{number}.png")
         listed.append(
             {
                 "picture": f"{number}.png",
@@ -56,14 +47,6 @@ def write(run: Run, found: Sequence[NextView], names: Sequence[str] | None, fold
             }
         )
     write_text(folder / FILE, json.dumps({"frames": listed}, indent=1) + "\n")
-
-
-def hatched(rgb: Tensor, where: Tensor) -> Tensor:
-    """Draw diagonal stripes over the pixels `where`, `[H, W]` bool, of an image `[H, W, 3]`."""
-    rows, columns = torch.meshgrid(*(torch.arange(n) for n in where.shape), indexing="ij")
-    stripes = where & ((rows + columns) % _PERIOD < _STRIPE)
-    mixed = (1 - _STRENGTH) * rgb + _STRENGTH * rgb.new_tensor(_STRIPE_COLOR)
-    return torch.where(stripes[..., None], mixed, rgb)
 
 
 def _camera(camera: Camera) -> dict[str, object]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 
 from core_rasterizer import Camera, Rendering
-from stereogs_plugins.tools.next_views.gain import ExpectedGain, confirmed
+from stereogs_plugins.tools.next_views.gain import ExpectedGain
 
 WALL = 10.0
 
@@ -55,17 +53,3 @@ def test_after_one_is_taken_its_neighbour_gains_less_and_the_others_as_much() ->
     assert gain.unknown < unknown
     assert after[1] < 0.6 * before[1]
     assert after[2] > 0.9 * before[2]
-
-
-def test_what_is_sure_already_gains_nothing() -> None:
-    sure = ExpectedGain(wall, [at(0.0)], [at(2.0)], lambda c: torch.ones(c.height, c.width))
-    assert float(sure.gains()[0]) == 0
-
-
-def test_what_a_photograph_shows_is_confirmed_and_the_rest_is_not() -> None:
-    known = confirmed(wall, [at(0.0)], at(6.0))
-    assert known.shape == (60, 80)
-    expected = 0.7 * math.exp(-((31.0 / 20) ** 2))
-    assert float(known[30, 5]) == pytest.approx(expected, rel=0.1), "photographed at 31 degrees"
-    assert float(known[30, 75]) == 0, "the right is not"
-    assert float(confirmed(wall, [at(0.0)], at(0.0)).min()) == pytest.approx(0.7, abs=1e-3)

@@ -16,7 +16,6 @@ from registry.plugins.discovery import SELECTION
 from registry.runs import Run
 from stereogs_plugins.tools.next_views import next_views
 from stereogs_plugins.tools.next_views.given import other_pictures, read_poses
-from stereogs_plugins.tools.next_views.written import hatched
 
 PIPELINE = """\
 name: tiny
@@ -105,11 +104,3 @@ def test_a_file_without_poses_says_what_to_write(run: Run, tmp_path: Path) -> No
         read_poses(file, run.scene.train[0].camera)
     assert caught.value.fix is not None
     assert "transform_matrix" in caught.value.fix
-
-
-def test_only_what_is_guessed_is_hatched() -> None:
-    image, where = torch.zeros(24, 24, 3), torch.zeros(24, 24, dtype=torch.bool)
-    where[:, 12:] = True
-    drawn = hatched(image, where)
-    assert torch.equal(drawn[:, :12], image[:, :12])
-    assert 0.2 < float((drawn[:, 12:] > 0).float().mean()) < 0.5
