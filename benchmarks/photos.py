@@ -116,16 +116,15 @@ def measure(scene: str, chosen: str, networks: bool) -> Record | None:
         errors = psnr = None
         if placed >= MIN_PHOTOS:
             model = read_colmap_model(found.pieces[0].folder, "")
-            errors, scale = _errors(model, photos, published)
+            errors = _errors(model, photos, published)
             true = [published[photo.path.stem] for photo in photos]
-            psnr = psnr_of_both(model, photos, true, scale)
+            psnr = psnr_of_both(model, photos, true)
     return Record(scene, chosen, networks, count, placed, errors, seconds, psnr)
 
 
 def _errors(
     model: ColmapModel, photos: list[UnposedPhoto], published: dict[str, Published]
-) -> tuple[Errors, float]:
-    """Errors, and the scale of the published world in units of the estimated one."""
+) -> Errors:
     truth = [published[photos[image_index(image.name)].path.stem] for _, image in model.images]
     poses = np.array([image.world_to_camera for _, image in model.images])
     true = np.array([one.pose for one in truth])
@@ -140,8 +139,7 @@ def _errors(
     scale = (places * moved).sum() / (moved**2).sum()
     position = np.linalg.norm(places - scale * moved) / np.linalg.norm(places)
     rotation = (round(float(np.median(angles)), 2), round(float(angles.max()), 2))
-    errors = Errors(rotation, round(float(position), 4), round(float(focal), 4))
-    return errors, float(scale)
+    return Errors(rotation, round(float(position), 4), round(float(focal), 4))
 
 
 def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
