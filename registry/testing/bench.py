@@ -119,7 +119,9 @@ class Bench:
         camera = step.sample.camera
         rendering = model.render(camera, collect_statistics=True, collect_absolute=absolute)
         render = step_renderer(other, step.sample, gradients=False)
-        step.rendered(lambda: rendering, (OtherField(1, GaussianReader(other), render(camera), render),))
+        step.rendered(
+            lambda: rendering, (OtherField(1, GaussianReader(other), render(camera), render),)
+        )
         return step
 
     def after_backward(self, *, absolute: bool = False) -> Step:
