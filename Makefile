@@ -53,8 +53,8 @@ sick: $(VENV)/.dev ## 223 components with one fault each, and what the host says
 	$(BIN)/python -m tests.sick
 
 # Fetched into build/runtimes with apt-get and pip, installed nowhere; skipped with a reason without a network.
-runtimes: $(VENV)/.dev ## the engine's tests on other OpenCL runtimes, fetched first; up to half an hour
-	$(BIN)/python -m tests.runtimes
+runtimes: $(VENV)/.dev ## the engine's tests on other OpenCL runtimes, fetched first; up to an hour
+	$(BIN)/python -m tests.runtimes $(RUNTIMES)
 
 races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, which finds races; minutes
 	$(BIN)/python -m tests.runtimes.races
