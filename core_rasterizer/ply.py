@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import logging
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,13 +46,16 @@ _REST_COUNTS = (0, 9, 24, 45)
 _log = logging.getLogger(__name__)
 
 
-def save_ply(gaussians: Gaussians, path: str | Path) -> int:
+def save_ply(
+    gaussians: Gaussians, path: str | Path, attributes: Mapping[str, Tensor] | None = None
+) -> int:
     """Write Gaussians to a PLY file as float32, atomically.
 
     Rows with a value that is not finite are omitted, because viewers fail on them.
 
     Args:
         path: the file; its folder must exist.
+        attributes: further properties, `[N]` by name, which other programs ignore.
 
     Returns:
         Number of omitted rows; if any, a warning is logged.
@@ -73,6 +76,7 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
             gaussians.opacity_logits[:, None],
             gaussians.log_scales,
             gaussians.quaternions,
+            *(values[:, None] for values in (attributes or {}).values()),
         ],
         dim=1,
     )
@@ -84,6 +88,7 @@ def save_ply(gaussians: Gaussians, path: str | Path) -> int:
         columns = columns[finite]
     rest_names = tuple(f"{_REST}{i}" for i in range(rest.shape[1]))
     names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
+    names += tuple(attributes or {})
     rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
     from plyfile import PlyData, PlyElement
 

@@ -36,7 +36,7 @@ from .runs.options import RunOptions, find_device
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from core_rasterizer import Camera, Device, GaussianModel
+    from core_rasterizer import Camera, Device, GaussianModel, GaussianReader
 
     from .runs.evaluation import Picture
     from .runs.run import Run
@@ -319,6 +319,7 @@ def export(
     *,
     changes: Sequence[str] = (),
     without: Sequence[str] = (),
+    min_confidence: float | None = None,
 ) -> list[Path]:
     """Write the Gaussians of a run with any installed exporter.
 
@@ -327,6 +328,8 @@ def export(
         folder: created if missing; None: `exports` in the run folder.
         changes: `key=value`, settings of the exporter.
         without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
+        min_confidence: in [0, 1]; Gaussians with less confidence are left out, and PLY and glTF files hold
+            the confidence of the others.
 
     Returns:
         The files that were written.
@@ -343,25 +346,26 @@ def export(
     item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
     with one_torch_thread():
-        model = _model_without(run, without)
+        reader = _reader(run, without, min_confidence)
         place.mkdir(parents=True, exist_ok=True)
         part = build_part(item, run.pipeline.training.seed, run.model.device)
         with part.at_work():
             scene = copied(run.scene)
-            return existing_files(part.component.export(model.reader(), scene, place))
+            return existing_files(part.component.export(reader, scene, place))
 
 
-def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:
-    """Return the Gaussians of a run except those of some kinds."""
-    if not kinds:
-        return run.model
+def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:
+    """Return the Gaussians of a run except those of some kinds, and of low confidence."""
+    if not kinds and min_confidence is None:
+        return run.model.reader()
     import torch
 
     from core_rasterizer import Gaussians
 
+    from .toolkit.views import confidence_of_gaussians
     from .training.initial_model import new_model
 
-    known = run.kinds
+    known, left_out = run.kinds, torch.zeros(run.model.count, dtype=torch.bool)
     for kind in kinds:
         if kind not in known:
             raise RunError(
@@ -371,12 +375,18 @@ def _model_without(run: Run, kinds: Sequence[str]) -> GaussianModel:
                 if known
                 else "its initializer does not distinguish kinds, or an older version trained it",
             )
-    left_out = torch.stack([known[kind] for kind in kinds]).any(dim=0)
+        left_out |= known[kind]
+    attributes = {}
+    if min_confidence is not None:
+        values = confidence_of_gaussians(run.trained, run.confidence())
+        left_out |= values < min_confidence
+        attributes = {"confidence": values[~left_out]}
     if left_out.all():
-        where = f"--without {','.join(kinds)}"
-        raise RunError("no Gaussian would remain", where=where, fix="name fewer kinds")
+        where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
+        raise RunError("no Gaussian would remain", where=where, fix="leave out less")
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
-    return new_model(Gaussians(**kept), run.pipeline.training, run.model.device)
+    model = new_model(Gaussians(**kept), run.pipeline.training, run.model.device)
+    return model.reader(attributes)
 
 
 def render(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -92,9 +92,13 @@ class GaussianModel(GaussianStorage):
             digest.update(self.read(name).contiguous().numpy().tobytes())
         return digest.hexdigest()
 
-    def reader(self) -> ModelReader:
-        """A read-only view of this model."""
-        return ModelReader(self)
+    def reader(self, attributes: Mapping[str, Tensor] | None = None) -> ModelReader:
+        """A read-only view of this model.
+
+        Args:
+            attributes: further numbers of each Gaussian, `[N]` by name, for files that can hold them.
+        """
+        return ModelReader(self, attributes)
 
     def render(
         self,
@@ -161,10 +165,16 @@ class ModelReader:
     """A read-only view of a `GaussianModel`.
 
     It follows the model: each call returns the current state. Returned tensors are copies.
+
+    Attributes:
+        attributes: further numbers of each Gaussian, `[N]` by name; usually empty.
     """
 
-    def __init__(self, model: GaussianModel) -> None:
+    def __init__(
+        self, model: GaussianModel, attributes: Mapping[str, Tensor] | None = None
+    ) -> None:
         self._model = model
+        self.attributes = dict(attributes or {})
 
     @property
     def count(self) -> int:

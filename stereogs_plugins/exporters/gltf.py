@@ -36,7 +36,10 @@ class GltfExporter(Exporter[Settings]):
 
         path = folder / "scene.glb"
         rotation = upright_rotation([view.camera for view in scene.train])
-        _write_glb(attributes(model.gaussians()), rotation.as_quat().tolist(), path)
+        values = attributes(model.gaussians())
+        for name, further in model.attributes.items():  # glTF 2.0: a custom name begins with "_"
+            values[f"_{name.upper()}"] = further[:, None].numpy()
+        _write_glb(values, rotation.as_quat().tolist(), path)
         return [path]
 
 

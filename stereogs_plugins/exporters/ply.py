@@ -25,14 +25,14 @@ class CamerasExporter(Exporter[Settings]):
 
 
 class PlyExporter(Exporter[Settings]):
-    """Writes cameras.json and scene.ply: means, SH, opacity logits, log-scales and quaternions."""
+    """Writes cameras.json and scene.ply: means, SH, opacity logits, log-scales, quaternions, attributes."""
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the two files and return their paths."""
         from core_rasterizer import save_ply
 
         path = folder / "scene.ply"
-        save_ply(model.gaussians(), path)
+        save_ply(model.gaussians(), path, model.attributes)
         return [path, _write_cameras(scene, folder)]
 
 

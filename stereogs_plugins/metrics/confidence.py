@@ -6,7 +6,7 @@ Two methods differ most where nobody could know; these compare them on what they
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 from pydantic import Field
@@ -133,7 +133,7 @@ class ViewAngle(ViewMetric[Settings]):
 
 
 @hookimpl
-def stereogs_register_metrics(register: Register[ViewMetric[Settings]]) -> None:
+def stereogs_register_metrics(register: Register[ViewMetric[Any]]) -> None:
     register("psnr_seen", PSNRSeen)
     register("psnr_unseen", PSNRUnseen)
     register("seen", Seen)

@@ -16,6 +16,7 @@ examples:
   stereogs export runs/3dgs-fern --format gltf
   stereogs export runs/3dgs-fern --format video --set frames=300 --out films
   stereogs export runs/weightfree-fern --format spz --without margin,back_layer
+  stereogs export runs/weightfree-fern --format ply --min-confidence 0.5
 
 The format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` describes one
 and its settings. --without leaves out Gaussians that descend from guessed initial points;
@@ -44,6 +45,12 @@ class Export(Command):
             help="leave out the Gaussians of these kinds of initial points",
         )
         parser.add_argument(
+            "--min-confidence",
+            type=_share,
+            metavar="C",
+            help="leave out Gaussians of less confidence, 0 to 1; PLY and glTF hold the values of the others",
+        )
+        parser.add_argument(
             "--set",
             action="append",
             default=[],
@@ -65,6 +72,7 @@ class Export(Command):
             arguments.out,
             changes=arguments.set,
             without=arguments.without,
+            min_confidence=arguments.min_confidence,
         )
         for folder in dict.fromkeys(path.parent for path in written):
             inside = [path for path in written if path.parent == folder]
@@ -77,6 +85,13 @@ class Export(Command):
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(filter(None, (name.strip() for name in text.split(","))))
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 1")
+    return value
 
 
 @hookimpl

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from .confident_gaussians import confidence_of_gaussians
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .painted import Painted, gathered, same_model
     from .predicted_error import predicted_psnr
@@ -28,6 +29,7 @@ __all__ = [
     "Photographs",
     "ViewAngles",
     "ViewParameters",
+    "confidence_of_gaussians",
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",

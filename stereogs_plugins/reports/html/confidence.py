@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.drawing import RAMP, read_confidence
+from registry.toolkit.drawing import ViewPictures, read_confidence
 from registry.toolkit.photos import in_parallel
 from registry.toolkit.web_page import (
     Cell,
     choice,
-    color_scale,
     figure,
     image,
     note,
@@ -17,7 +16,7 @@ from registry.toolkit.web_page import (
     wipe,
 )
 
-from .renders import RENDERS, ViewPictures
+from .renders import RENDERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,7 +36,7 @@ def confidence(folder: Path) -> str:
     sure = sum(row["sure"] for row in views.values()) / len(views)
     text = (
         f"The photographs determine {sure:.0%} of the pixels of these views: an error of at most 0.1 is "
-        f"more likely there than not. The rest, pale and hatched, is guessed. Estimator: {known['estimator']}."
+        f"more likely there than not. The rest, hatched, is guessed. Estimator: {known['estimator']}."
     )
     parts = in_parallel(lambda name: _part(name, folder / RENDERS), list(views))
     return note(text) + choice("view", dict(zip(views, parts, strict=True))) + _table(views)
@@ -50,8 +49,7 @@ def _part(name: str, renders: Path) -> str:
         image(place / f"{name}.png", "guessed parts hatched"),
         ("render", "guesses hatched"),
     )
-    scale = color_scale(RAMP, ["0: guessed", "0.5", "1: sure"])
-    colors = figure("Confidence", image(place / f"{name}-scale.png", "confidence") + scale)
+    colors = figure("Confidence", image(place / f"{name}-scale.png", "confidence"))
     return f'<div class="sides">{figure(name, both)}{colors}</div>'
 
 
