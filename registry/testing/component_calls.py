@@ -18,6 +18,7 @@ from torch import Tensor
 from core_rasterizer import GaussianReader, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 
+from ..confidence import Trained
 from ..contract.checks.answers import (
     check_colors,
     check_edit,
@@ -33,6 +34,7 @@ from ..contract.checks.scene import validate
 from ..contract.components import Observer, Unavailable
 from ..contract.scene import View
 from ..contract.step import Step
+from ..errors import PluginError
 from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
@@ -196,6 +198,23 @@ def _report(bench: Bench, built: Any) -> Any:
         return [file.name for file in sorted(files)]
 
 
+def _confidence(bench: Bench, built: Any) -> Any:
+    def unknown(name: str) -> Any:
+        raise PluginError(f"the bench has no estimator {name!r}")
+
+    scene, reader = bench.scene, bench.model().reader()
+    trained = Trained(reader, scene.for_training(), bench.maps(), bench.kinds(), unknown)
+    confidence, camera = bench.call(built.estimate, trained), scene.test[0].camera
+    values, gain = bench.call(confidence.of, camera), bench.call(confidence.gain, camera)
+    require(
+        values.shape == (camera.height, camera.width)
+        and bool(((values >= 0) & (values <= 1)).all())
+        and gain >= 0,
+        "confidence must be [H, W] in [0, 1], and its gain at least 0",
+    )
+    return values, gain
+
+
 def _observer(bench: Bench, built: Any) -> Any:
     """Send the events of a run, which fails if the scene is degenerate."""
     own = [name for name in _EVENTS if getattr(type(built), name) is not getattr(Observer, name)]
@@ -257,5 +276,6 @@ CALLS: dict[str, Callable[[Bench, Any], Any]] = {
     "exporters": _exporter,
     "reports": _report,
     "observers": _observer,
+    "confidence": _confidence,
 }
 """How to call a built component, by section of the pipeline; returns what must be reproducible."""

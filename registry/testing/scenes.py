@@ -20,7 +20,7 @@ from ..contract.components import (
     InMemoryScene,
     Metric,
 )
-from ..contract.hook_points import PIPELINE_POINTS, HookPoint
+from ..contract.hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
 from ..contract.prior import Prior
 from ..contract.scene import DepthMap, PointCloud, Scene, TrainingScene, View
 from ..contract.step import Sample, Step
@@ -229,7 +229,7 @@ def hook_point(component: type[Component[Any]]) -> HookPoint:
     Raises:
         AssertionError: it derives from none.
     """
-    for point in PIPELINE_POINTS:
+    for point in HOOK_POINTS:
         if isinstance(component, type) and issubclass(component, point.base):
             return point
     raise AssertionError(f"{component.__name__} derives from none of the component bases")

@@ -127,6 +127,11 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "metrics.lpips": (needs_nothing, network),
     "metrics.lpips_proper": (network,),
     "metrics.depth_error": (needs_nothing, lambda folder: {"against": "points"}),
+    "metrics.psnr_seen": (needs_nothing,),
+    "metrics.psnr_unseen": (needs_nothing,),
+    "metrics.seen": (needs_nothing,),
+    "metrics.psnr_predicted": (needs_nothing,),
+    "metrics.view_angle": (needs_nothing,),
     "metrics.depth_within": (
         lambda folder: {"percent": 40.0},
         lambda folder: {"percent": 40.0, "against": "points"},

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import PluginError
-from registry.confidence import Trained
-from registry.testing import tiny_scene
+from registry.confidence import ConfidenceEstimator, Trained
+from registry.testing import check, tiny_scene
 from registry.toolkit.views import Painted, gathered
 from stereogs_plugins.confidence.estimators.calibrated import Calibrated, probability_of
 from stereogs_plugins.confidence.estimators.coverage import Coverage
+from stereogs_plugins.confidence.estimators.fisher import Fisher
 from stereogs_plugins.confidence.estimators.support import Support
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
@@ -101,6 +103,11 @@ def test_the_combination_is_a_probability_and_lower_beside_the_photographs() -> 
     assert here.shape == (camera.height, camera.width)
     assert 0 < float(beside.mean()) < float(here.mean()) < 1
     assert confidence.gain(moved(camera, 3.0)) > confidence.gain(camera)
+
+
+@pytest.mark.parametrize("estimator", [Calibrated, Coverage, Fisher, Support])
+def test_it_keeps_the_contract(estimator: type[ConfidenceEstimator[Any]]) -> None:
+    check(estimator)
 
 
 def test_errors_have_an_exponential_distribution() -> None:

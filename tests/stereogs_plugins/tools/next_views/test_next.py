@@ -52,11 +52,12 @@ def test_the_suggestions_are_apart_from_photographs_and_from_each_other(run: Run
     assert all(one.overlap > 0.3 for one in found)
 
 
-def test_of_given_cameras_the_photograph_that_exists_comes_last(run: Run) -> None:
-    candidates = [run.scene.train[1].camera, *(view.camera for view in run.scene.test)]
-    found = next_views(run, candidates, count=10)
-    assert sorted(one.index for one in found) == list(range(5))
-    assert found[-1].index == 0
+def test_of_given_cameras_a_new_place_is_chosen_before_one_that_was_photographed(run: Run) -> None:
+    existing = [view.camera for view in run.scene.train]
+    candidates = [*existing, *(view.camera for view in run.scene.test)]
+    (best,) = next_views(run, candidates, count=1)
+    assert best.index >= len(existing)
+    assert len(next_views(run, candidates, count=99)) == len(candidates)
 
 
 def test_the_command_writes_pictures_poses_and_the_page(
