@@ -19,6 +19,7 @@ from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rende
 
 from ..calls.copies import copied
 from ..confidence import Confidence, Trained
+from ..contract.components import ViewMetric
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..inspection.scene_source import single_item
@@ -160,10 +161,10 @@ class Run:
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures
-        trained = self.trained
         for part in metrics:
-            with part.at_work():
-                part.component.begin_scoring(trained)
+            if type(part.component).begin_scoring is not ViewMetric.begin_scoring:
+                with part.at_work():
+                    part.component.begin_scoring(self.trained)
         with one_torch_thread():
             views = tracked([*scene.test, *scene.train], "scoring")
             test = islice(views, len(scene.test))

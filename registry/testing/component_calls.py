@@ -202,7 +202,7 @@ def _confidence(bench: Bench, built: Any) -> Any:
     def unknown(name: str) -> Any:
         raise PluginError(f"the bench has no estimator {name!r}")
 
-    scene, reader = bench.scene, bench.model().reader()
+    scene, reader = bench.scene, GaussianReader(bench.model())
     trained = Trained(reader, scene.for_training(), bench.maps(), bench.kinds(), unknown)
     confidence, camera = bench.call(built.estimate, trained), scene.test[0].camera
     values, gain = bench.call(confidence.of, camera), bench.call(confidence.gain, camera)
