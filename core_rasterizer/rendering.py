@@ -86,10 +86,10 @@ class Rendering:
             A function that names the images whose sum has changed. So writes past torch are found, for
             example through numpy; they reach the memory of a device that shares it.
         """
-        image, sums = vars(self)["image"], dict[str, tuple[Tensor, Tensor]]()
+        image, sums = vars(self).get("image"), dict[str, tuple[Tensor, Tensor]]()
 
         def summed(name: str) -> Tensor:
-            made: Tensor = image(name)
+            made: Tensor = image(name) if image else vars(self)[name]
             sums[name] = made.detach(), made.detach().sum()
             return made
 
@@ -97,7 +97,11 @@ class Rendering:
             pairs = {name: (now.sum(), before) for name, (now, before) in sums.items()}
             return [n for n, p in pairs.items() if not p[0].isclose(*p[1:], 0, 0, equal_nan=True)]
 
-        vars(self)["image"] = summed
+        if image:
+            vars(self)["image"] = summed
+        else:  # another engine has made them already
+            for name in self.fetched:
+                summed(name)
         return changed
 
     if not TYPE_CHECKING:  # so that type checkers find misspelt names

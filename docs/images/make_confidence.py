@@ -22,7 +22,7 @@ def main() -> None:
     """Train on three photographs of the fern and write the picture."""
     run = stereogs.train(ROOT / "pipelines" / "weightfree_quick.yaml", progress=False)
     camera = run.scene.test[SHOWN].camera
-    rgb, confidence = run.rendering(camera).rgb, run.confidence().of(camera)
+    rgb, confidence = run.rendering(camera).rgb, run.confidence("calibrated").of(camera)
     colors = with_scale(confidence)
     below = torch.ones(len(colors) - len(rgb), camera.width, 3)
     left = [torch.cat([image, below]) for image in (rgb, hatched(rgb, confidence))]

@@ -129,7 +129,7 @@ class Run:
         """
         return self.checkpoint().part("kinds")
 
-    def confidence(self, name: str = "calibrated", changes: Sequence[str] = ()) -> Confidence:
+    def confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
         """Return the confidence in renders of the Gaussians.
 
         Args:
@@ -161,10 +161,12 @@ class Run:
         begin = monotonic()
         scene, metrics = self.scene, self.parts["metrics"]
         of_train = None if scene.test else pictures
-        for part in metrics:
-            if type(part.component).begin_scoring is not ViewMetric.begin_scoring:
+        begun = ViewMetric.begin_scoring
+        if asking := [p for p in metrics if type(p.component).begin_scoring is not begun]:
+            trained = self.trained
+            for part in asking:
                 with part.at_work():
-                    part.component.begin_scoring(self.trained)
+                    part.component.begin_scoring(trained)
         with one_torch_thread():
             views = tracked([*scene.test, *scene.train], "scoring")
             test = islice(views, len(scene.test))

@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 from pydantic import Field
 
 from registry import Register, Scene, Settings, Unavailable, View, ViewMetric, hookimpl
-from registry.toolkit.views import predicted_psnr, subject_of, view_angles
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -111,6 +110,8 @@ class PSNRPredicted(_OfConfidence):
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
         """Return decibels."""
+        from registry.toolkit.views import predicted_psnr
+
         confidence = self.confidence(view)
         if confidence is None:
             return _NOT_AFTER_TRAINING
@@ -127,6 +128,8 @@ class ViewAngle(ViewMetric[Settings]):
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float:
         """Return the angle; it needs no render."""
+        from registry.toolkit.views import subject_of, view_angles
+
         points = None if scene.points is None else scene.points.positions
         subject = subject_of(view.camera, scene.bounds, points)
         return view_angles(view.camera, [one.camera for one in scene.train], subject).nearest

@@ -167,7 +167,7 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
         left_out |= known[kind]
     attributes = {}
     if min_confidence is not None:
-        values = confidence_of_gaussians(run.trained, run.confidence())
+        values = confidence_of_gaussians(run.trained, run.confidence("calibrated"))
         left_out |= values < min_confidence
         attributes = {"confidence": values[~left_out]}
     if left_out.all():

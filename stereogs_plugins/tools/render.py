@@ -103,8 +103,8 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
         subject = subject_of(view.camera, scene.bounds, points)
         rows[view.name] = {
             "sure": float((its[counted] >= GUESSED).double().mean()),
-            "psnr_predicted": predicted_psnr(its[counted]),
-            "psnr": -10 * math.log10(max(error, 1e-10)),
+            "predicted": predicted_psnr(its[counted]),
+            "measured": -10 * math.log10(max(error, 1e-10)),
             "angle": view_angles(view.camera, training, subject).nearest,
         }
     content = {"estimator": name, "views": rows}

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -146,17 +143,3 @@ def test_a_rendering_has_no_other_images() -> None:
     assert rendering.alpha.shape == (2, 2)
     with pytest.raises(AttributeError, match="normals"):
         _ = rendering.normals  # type: ignore[attr-defined]
-
-
-def test_a_pair_costs_the_gpus_backward_pass_two_barriers() -> None:
-    """In the source: sums over the group wait twice, neither time in a loop; the walk over pairs calls it."""
-    kernels = Path(core_rasterizer.__file__).parent / "raster" / "kernels"
-    source = (kernels / "raster_gpu.cl").read_text("utf-8")
-    body = re.search(r"static inline void sum_group\(.*?\n}", source, re.DOTALL)
-    assert body is not None
-    barriers = re.findall(r"^( *)barrier\(", body[0], re.MULTILINE)
-    assert barriers == ["    "] * 2
-    backward = source[source.index("void raster_backward(") :]
-    over_pairs = backward[backward.index("for (uint k = 0; k < batch; k++)") :]
-    assert over_pairs.count("sum_group(") == 1
-    assert "barrier(" not in over_pairs

@@ -249,7 +249,7 @@ def test_an_undefined_image_gradient_raises_before_the_pose_gradient(device: Dev
 
 
 def test_the_gradient_of_a_pose_counts_against_the_memory_budget(device: Device) -> None:
-    block, renderer = block_of(device, 4000), Renderer(device)
+    block, renderer = block_of(device, 4000), Renderer(device, memory_budget=2**28)
     limits = []
     for camera in (view(), posed(view())[0]):
         request = RenderRequest(camera, (0.0, 0.0, 0.0), 0)

@@ -17,9 +17,10 @@ from registry.calls.watchdog import WATCHDOG
 from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.plugins.discovery import GROUP, Plugins
-from registry.runs.opening import open_run, replay
+from registry.runs.opening import open_run
 from registry.system.memory import resident_bytes
 from registry.toolkit.cache import FOLDER_VARIABLE
+from stereogs_plugins.tools.replay import repeat_failure
 
 from .conftest import TOYS
 from .faulty import NAMES, installed, module
@@ -183,7 +184,7 @@ def test_invalid_gaussians_are_never_saved_and_replay_repeats_the_failure(
     assert error.where == f"log_scales[7]; iteration {failed}"
     assert open_run(out, plugins=plugins, device=device).iteration == 2 * ((start - 1) // 2)
     with pytest.raises(ExplainedError, match="not finite") as again:
-        replay(out / "failures" / f"iteration-{failed:07d}", plugins=plugins, device=device)
+        repeat_failure(out / "failures" / f"iteration-{failed:07d}", plugins=plugins, device=device)
     assert again.value.where == error.where
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-NUMBERS = ("sure", "psnr_predicted", "psnr", "angle")
+NUMBERS = ("sure", "predicted", "measured", "angle")
 """Of each view: share of sure pixels, PSNR predicted and measured, degrees to the nearest training camera."""
 GUESSED = 0.5
 """Confidence below which a pixel counts as guessed."""

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch.nn.functional import avg_pool2d, pad
 
-from registry import Settings
-from registry.confidence import Confidence, ConfidenceEstimator, Trained
+from registry.confidence import Confidence, Trained
 
-from .coverage import CoverageConfidence, CoverageSettings
+from .coverage import CoverageConfidence
 from .residuals import Residuals
 from .support import SupportConfidence
 
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
 
 RIGHT = 0.1
 """Largest mean difference of a pixel's channels from a photograph at which it is right; colours in [0, 1]."""
+_ANGLE = 30.0
+"""Of coverage, in degrees, when the weights were fitted."""
 _TEXTURE = 7
 """Side in pixels of the window in which the render's contrast is measured."""
 _UNKNOWN_TEXTURE, _UNKNOWN_RESIDUAL, _UNKNOWN_DIFFERENCE = 0.005, 0.003, 0.01
@@ -67,7 +68,7 @@ class CalibratedConfidence(Confidence):
     """
 
     def __init__(self, trained: Trained) -> None:
-        self._coverage = CoverageConfidence(trained, CoverageSettings().angle)
+        self._coverage = CoverageConfidence(trained, _ANGLE)
         self._support, self._residuals = SupportConfidence(trained), Residuals(trained)
 
     def evidence(self, camera: Camera) -> Evidence:
@@ -129,11 +130,3 @@ def _contrast(image: Tensor) -> Tensor:
         return avg_pool2d(padded, _TEXTURE, 1)[0, 0]
 
     return (blurred(image**2) - blurred(image) ** 2).clamp(min=0).sqrt()
-
-
-class Calibrated(ConfidenceEstimator[Settings]):
-    """Probability of an error of at most 0.1, from kinds, coverage, photographs and training errors."""
-
-    def estimate(self, trained: Trained) -> CalibratedConfidence:
-        """Render the training views once, and differentiate them."""
-        return CalibratedConfidence(trained)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import torch
-from pydantic import Field
 from torch.nn.functional import grid_sample, normalize
 
-from registry import Settings
-from registry.confidence import Confidence, ConfidenceEstimator, Trained
+from registry.confidence import Confidence, Trained
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -22,12 +20,6 @@ SAME_SURFACE = 0.03
 """Largest relative difference of depths at which a training camera sees a point."""
 SOLID = 0.5
 """Least alpha of a pixel that shows a surface; others show what is behind the scene."""
-
-
-class CoverageSettings(Settings):
-    angle: Annotated[float, Field(gt=0, le=180)] = 30.0
-    """Angle between the rays of two cameras, in degrees, at which one tells little about the other's image:
-    a camera counts by exp(-angle / this)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +42,7 @@ class CoverageConfidence(Confidence):
 
     Args:
         trained: Gaussians and training views.
-        angle: as in the settings.
+        angle: see `CoverageSettings`.
     """
 
     def __init__(self, trained: Trained, angle: float) -> None:
@@ -104,11 +96,3 @@ def _seen(points: Tensor, ray: Tensor, surface: Tensor, view: TrainingView, dept
     image = view.image.permute(2, 0, 1)[None]
     color = grid_sample(image, places[None], align_corners=False, padding_mode="border")[0]
     return Seen(inside & same, angle, color.permute(1, 2, 0))
-
-
-class Coverage(ConfidenceEstimator[CoverageSettings]):
-    """How many training cameras see each pixel's surface, unoccluded, and from how near an angle."""
-
-    def estimate(self, trained: Trained) -> CoverageConfidence:
-        """Render the depth of the training views."""
-        return CoverageConfidence(trained, self.settings.angle)

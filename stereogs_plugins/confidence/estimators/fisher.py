@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import torch
-from pydantic import Field
 
-from registry import Settings
-from registry.confidence import Confidence, ConfidenceEstimator, Trained
+from registry.confidence import Confidence, Trained
 from registry.toolkit.views import Painted, same_model
 
 if TYPE_CHECKING:
@@ -22,20 +20,12 @@ if TYPE_CHECKING:
 PARAMETERS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
 
-class FisherSettings(Settings):
-    prior: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1e-6
-    """Information before any photograph, for each parameter (lambda in the paper). Colours in [0, 1] count
-    with a variance of 1."""
-    probes: Annotated[int, Field(ge=1)] = 2
-    """Backward passes for each view; the information's relative error is about sqrt(2 / probes)."""
-
-
 class FisherConfidence(Confidence):
     """Information about the Gaussians' parameters from the training views, and from other cameras.
 
     Args:
         trained: Gaussians and training views; photographs are not used, only their cameras.
-        prior, probes: as in the settings.
+        prior, probes: see `FisherSettings`.
         generator: for the probes.
 
     Attributes:
@@ -90,12 +80,3 @@ def _gradients(
     signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb.dtype) * 2 - 1
     rgb.backward(signs)
     return {name: model.gradient(name).clone() for name in PARAMETERS}
-
-
-class Fisher(ConfidenceEstimator[FisherSettings]):
-    """Diagonal Fisher information of the Gaussians' parameters from the training views."""
-
-    def estimate(self, trained: Trained) -> FisherConfidence:
-        """Make one pass over the training views."""
-        settings = self.settings
-        return FisherConfidence(trained, settings.prior, settings.probes, self.generator)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from registry import PluginError, Settings
-from registry.confidence import Confidence, ConfidenceEstimator, Trained
+from registry.confidence import Confidence, Trained
 from registry.toolkit.views import Painted
 
 if TYPE_CHECKING:
@@ -38,20 +37,3 @@ class SupportConfidence(Confidence):
     def of(self, camera: Camera) -> Tensor:
         """Return the share of confirmed points."""
         return self.shares(camera)[..., 0]
-
-
-class Support(ConfidenceEstimator[Settings]):
-    """Share of each pixel's light from points that several photographs confirmed."""
-
-    def estimate(self, trained: Trained) -> SupportConfidence:
-        """Read the kinds of the Gaussians.
-
-        Raises:
-            PluginError: the initializer does not mark confirmed points.
-        """
-        if CONFIRMED not in trained.kinds:
-            raise PluginError(
-                "the initializer of this run does not mark confirmed points",
-                fix="use the estimator `coverage` or `fisher`, or train with `consistency_dense`",
-            )
-        return SupportConfidence(trained)

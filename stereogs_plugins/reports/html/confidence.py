@@ -59,8 +59,8 @@ def _table(views: Mapping[str, Any]) -> str:
             Cell(name),
             Cell(f"{row['angle']:.1f}"),
             Cell(f"{row['sure']:.0%}"),
-            Cell(f"{row['psnr_predicted']:.1f}"),
-            Cell(f"{row['psnr']:.1f}"),
+            Cell(f"{row['predicted']:.1f}"),
+            Cell(f"{row['measured']:.1f}"),
         ]
         for name, row in views.items()
     ]

@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "registry" / "toolkit"
-ALLOWED = ("calls", "contract", "errors", "system", "toolkit")
+ALLOWED = ("calls", "confidence", "contract", "errors", "messages", "system", "toolkit")
 
 
 def name_of(file: Path) -> str:

@@ -13,10 +13,8 @@ from registry import PluginError
 from registry.confidence import ConfidenceEstimator, Trained
 from registry.testing import check, tiny_scene
 from registry.toolkit.views import Painted, gathered
-from stereogs_plugins.confidence.estimators.calibrated import Calibrated, probability_of
-from stereogs_plugins.confidence.estimators.coverage import Coverage
-from stereogs_plugins.confidence.estimators.fisher import Fisher
-from stereogs_plugins.confidence.estimators.support import Support
+from stereogs_plugins.confidence.estimators import Calibrated, Coverage, Fisher, Support
+from stereogs_plugins.confidence.estimators.calibrated import probability_of
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
 

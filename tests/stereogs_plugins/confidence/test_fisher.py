@@ -8,7 +8,8 @@ import torch
 
 from core_rasterizer import Camera
 from registry.toolkit.views import same_model
-from stereogs_plugins.confidence.estimators.fisher import PARAMETERS, Fisher
+from stereogs_plugins.confidence.estimators import Fisher
+from stereogs_plugins.confidence.estimators.fisher import PARAMETERS
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
 
