@@ -45,10 +45,7 @@ class Confidence(ABC):
         """Return `[H, W]` float32 in [0, 1]: how likely each pixel of a camera's render is right."""
 
     def gain(self, camera: Camera) -> float:
-        """Return how much a photograph from a camera would add, >= 0, in units of the estimator's own.
-
-        By default the mean of 1 - `of(camera)`.
-        """
+        """Return how much a photograph from a camera would add, >= 0; by default the mean of 1 - `of`."""
         return float((1 - self.of(camera)).mean())
 
 
