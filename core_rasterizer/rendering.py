@@ -86,10 +86,13 @@ class Rendering:
             A function that names the images whose sum has changed. So writes past torch are found, for
             example through numpy; they reach the memory of a device that shares it.
         """
-        image, sums = vars(self).get("image"), dict[str, tuple[Tensor, Tensor]]()
+        # Of an engine that makes its images at once there is no function, and they are watched now.
+        # The function must not refer to this rendering: such a cycle would keep its memory.
+        image = vars(self).get("image") or self.fetched.__getitem__
+        sums = dict[str, tuple[Tensor, Tensor]]()
 
         def summed(name: str) -> Tensor:
-            made: Tensor = image(name) if image else vars(self)[name]
+            made: Tensor = image(name)
             sums[name] = made.detach(), made.detach().sum()
             return made
 
@@ -97,11 +100,9 @@ class Rendering:
             pairs = {name: (now.sum(), before) for name, (now, before) in sums.items()}
             return [n for n, p in pairs.items() if not p[0].isclose(*p[1:], 0, 0, equal_nan=True)]
 
-        if image:
-            vars(self)["image"] = summed
-        else:  # another engine has made them already
-            for name in self.fetched:
-                summed(name)
+        for name in self.fetched if "image" not in vars(self) else ():
+            summed(name)
+        vars(self)["image"] = summed
         return changed
 
     if not TYPE_CHECKING:  # so that type checkers find misspelt names
