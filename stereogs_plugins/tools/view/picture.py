@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
-from registry.toolkit.drawing import depth_picture, to_bytes
+from registry.toolkit.drawing import depth_picture, hatched, to_bytes
 
 from .subject import Subject
 
-Channel = Literal["colours", "depth", "alpha"]
+Channel = Literal["colours", "depth", "alpha", "guesses hatched"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
+"""The last one needs `Subject.confidence`."""
 
 QUICK_SECONDS = 0.08
 """Time for an image while the camera moves."""
@@ -81,7 +82,11 @@ def render(
         rendering = subject.model.render(camera, background=subject.background, opacity_scale=scale)
     hit = rendering.alpha > 0.5
     depth = torch.where(hit, rendering.depth / rendering.alpha.clamp(min=0.5), math.inf)
-    return to_bytes(_channel(rendering, channel)), depth.numpy()
+    if channel == "guesses hatched" and subject.confidence is not None:
+        image = hatched(rendering.rgb.clamp(0, 1), subject.confidence().of(camera))
+    else:
+        image = _channel(rendering, channel)
+    return to_bytes(image), depth.numpy()
 
 
 def _channel(rendering: Rendering, channel: Channel) -> Tensor:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Device, ExplainedError, Gaussians, Model, OpenCLEngine, load_ply
 from registry import Scene
+from registry.confidence import Confidence
 from registry.contract import camera_extent
 from registry.runs import Run
 from registry.toolkit.drawing import Vector, upwards
@@ -60,6 +62,7 @@ class Subject:
         viewpoints: training views, then test views; empty for a PLY file without cameras.
         background: color in [0, 1].
         kinds: mask `[N]` bool of the Gaussians that descend from each kind of initial points.
+        confidence: returns the confidence in renders, estimated on the first call; None if unknown.
     """
 
     name: str
@@ -67,11 +70,13 @@ class Subject:
     viewpoints: tuple[Viewpoint, ...] = ()
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
+    confidence: Callable[[], Confidence] | None = None
 
 
 def of_run(run: Run) -> Subject:
-    """Return the Gaussians of a run, not copied."""
-    return _of(run, run.model, run.kinds)
+    """Return the Gaussians of a run, not copied, with their confidence."""
+    confidence = cache(lambda: run.confidence("calibrated"))
+    return replace(_of(run, run.model, run.kinds), confidence=confidence)
 
 
 def snapshot(run: Run) -> Subject:

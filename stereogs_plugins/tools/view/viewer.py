@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from typing import Any
 
@@ -24,6 +24,7 @@ from .picture import (
     QUICK_SECONDS,
     SHARP_SECONDS,
     Box,
+    Channel,
     Look,
     Pace,
     camera_of,
@@ -75,6 +76,7 @@ class Viewer:
         )
         self._controls = _Controls(
             self._server,
+            channels=CHANNELS if subject.confidence else CHANNELS[:-1],
             kinds=sorted(subject.kinds),
             bounds=_bounds(subject),
             on_look=self._request_all,
@@ -225,6 +227,7 @@ class _Controls:
         self,
         server: Any,
         *,
+        channels: Sequence[Channel],
         kinds: Iterable[str],
         bounds: Bounds,
         on_look: Callable[[], None],
@@ -232,7 +235,7 @@ class _Controls:
     ) -> None:
         gui = server.gui
         self.status = gui.add_markdown("")
-        self._channel = gui.add_dropdown("Show", CHANNELS, initial_value=CHANNELS[0])
+        self._channel = gui.add_dropdown("Show", tuple(channels), initial_value=channels[0])
         cameras = gui.add_checkbox("Cameras", False)
         cameras.on_update(lambda _: on_cameras(cameras.value))
         self._ellipsoids = gui.add_checkbox("Ellipsoids", False)

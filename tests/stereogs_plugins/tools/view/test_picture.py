@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
-from core_rasterizer import Device, GaussianModel, Gaussians
-from stereogs_plugins.tools.view.picture import Box, Look, Pace, visible
+from core_rasterizer import Camera, Device, GaussianModel, Gaussians
+from registry.confidence import Confidence
+from stereogs_plugins.tools.view.picture import Box, Look, Pace, render, visible
 from stereogs_plugins.tools.view.subject import Subject
 
 
@@ -45,3 +47,24 @@ def test_a_slow_machine_renders_the_smallest_size() -> None:
         pace.add(100, 10.0)
     width, height = pace.size(1600, 1200, 0.08)
     assert width * height > 19_000
+
+
+class LeftHalf(Confidence):
+    """Sure of the right half only."""
+
+    def of(self, camera: Camera) -> torch.Tensor:
+        values = torch.ones(camera.height, camera.width)
+        values[:, : camera.width // 2] = 0
+        return values
+
+
+def test_guesses_are_hatched_and_the_rest_is_as_rendered(device: Device) -> None:
+    camera = Camera.centered(np.eye(4), 20.0, 40, 30)
+    ones = torch.full((1,), 0.5)
+    positions, colors = torch.tensor([[0.0, 0, 1]]), torch.full((1, 3), 0.5)
+    model = GaussianModel(Gaussians.from_points(positions, colors, ones, ones, 0), device)
+    subject = Subject("x", model, confidence=LeftHalf)
+    plain, _ = render(subject, camera, "colours")
+    marked, _ = render(subject, camera, "guesses hatched")
+    assert (marked[:, 22:] == plain[:, 22:]).all()
+    assert (marked[:, :18] != plain[:, :18]).any(axis=2).mean() > 0.9
