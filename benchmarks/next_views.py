@@ -124,7 +124,9 @@ def _psnr(run: Run) -> float:
         metrics = [part for part in run.parts["metrics"] if part.item.name == "psnr"]
         mean = evaluate(run.model, run.scene, run.scene.test, metrics).mean["psnr"]
     if mean is None:
-        raise RunError("a view has no score", where=run.scene.name)
+        raise RunError(
+            "a view has no score", where=run.scene.name, fix="choose a scene whose views have one"
+        )
     return round(mean, 4)
 
 

@@ -86,8 +86,8 @@ class Rendering:
             A function that names the images whose sum has changed. So writes past torch are found, for
             example through numpy; they reach the memory of a device that shares it.
         """
-        # Of an engine that makes its images at once there is no function, and they are watched now.
-        # The function must not refer to this rendering: such a cycle would keep its memory.
+        # Other engines may have made the images already; these are watched from now on. `summed` must not
+        # refer to this rendering: such a cycle would keep its memory.
         image = vars(self).get("image") or self.fetched.__getitem__
         sums = dict[str, tuple[Tensor, Tensor]]()
 

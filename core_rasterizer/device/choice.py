@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..errors import DeviceError
 
 _VERSION = 1
-"""Of what is measured for the choice; what is remembered of other versions is ignored."""
+"""Version of the measurement; remembered results of other versions are ignored."""
 
 
 @dataclass(frozen=True)

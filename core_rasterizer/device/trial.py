@@ -1,4 +1,4 @@
-"""The self-test of each device in a process of its own, and what is remembered of it.
+"""Run the self-test of each device in its own process, and remember the result.
 
 A broken driver may end or block the process that uses it. Times are remembered for each device and driver,
 so that the choice of the default device costs seconds once.

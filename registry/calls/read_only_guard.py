@@ -166,7 +166,7 @@ def _refuse_change(names: Iterable[str], marks: list[_Mark], after: list[_Mark])
         if now[2] is not before[2]:
             raise PluginError(
                 f"it registered a hook on {name}: others' gradients would be wrong",
-                fix="register hooks on tensors of its own, for example `tensor.clone()`",
+                fix="register hooks on a copy, for example `tensor.clone()`",
             )
         if now != before:
             raise _overwritten(name)

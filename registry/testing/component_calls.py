@@ -200,7 +200,9 @@ def _report(bench: Bench, built: Any) -> Any:
 
 def _confidence(bench: Bench, built: Any) -> Any:
     def unknown(name: str) -> Any:
-        raise PluginError(f"the bench has no estimator {name!r}")
+        raise PluginError(
+            f"the check has no estimator {name!r}", fix="estimate from the rest of `trained`"
+        )
 
     scene, reader = bench.scene, GaussianReader(bench.model())
     trained = Trained(reader, scene.for_training(), bench.maps(), bench.kinds(), unknown)

@@ -20,13 +20,7 @@ from torch import Tensor
 from core_rasterizer import Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.read_only_guard import (
-    ReadOnlyGuard,
-    of_kinds,
-    of_maps,
-    of_rendering,
-    of_scene,
-)
+from ..calls.read_only_guard import ReadOnlyGuard, of_kinds, of_maps, of_rendering, of_scene
 from ..contract.checks.answers import (
     check_colors,
     check_edit,

@@ -1,17 +1,17 @@
 """`psnr_seen`, `psnr_unseen`, `seen`, `psnr_predicted` and `view_angle`: scores split by confidence.
 
-Two methods differ most where nobody could know; these compare them on what they could.
+Methods differ most in parts that no photograph shows. These scores compare the other parts separately.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
 from registry import Register, Scene, Settings, Unavailable, View, ViewMetric, hookimpl
+from registry.toolkit.views import decibels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from core_rasterizer import Rendering
     from registry.confidence import Confidence, Trained
 
-MIN_ERROR = 1e-10
-"""Lower bound of the mean squared error, as for `psnr`."""
-_NOT_AFTER_TRAINING = Unavailable("confidence is estimated after training only")
+_DURING_TRAINING = Unavailable("confidence is estimated after training only")
 
 
 class ConfidenceSettings(Settings):
@@ -75,14 +73,14 @@ class PSNRSeen(_OfConfidence):
         """Return decibels, at most 100; not available for a view without such pixels."""
         confidence = self.confidence(view)
         if confidence is None:
-            return _NOT_AFTER_TRAINING
+            return _DURING_TRAINING
         chosen = (confidence >= self.settings.threshold) == self.wanted
         if view.mask is not None:
             chosen &= view.mask
         if not chosen.any():
             return Unavailable(f"a view has no {'seen' if self.wanted else 'unseen'} pixels")
         squares = (rendering.rgb - view.image).square()[chosen]
-        return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
+        return decibels(squares)
 
 
 class PSNRUnseen(PSNRSeen):
@@ -100,7 +98,7 @@ class Seen(_OfConfidence):
         """Return the share, inside the view's mask."""
         confidence = self.confidence(view)
         if confidence is None:
-            return _NOT_AFTER_TRAINING
+            return _DURING_TRAINING
         seen = confidence >= self.settings.threshold
         return float((seen if view.mask is None else seen[view.mask]).double().mean())
 
@@ -114,7 +112,7 @@ class PSNRPredicted(_OfConfidence):
 
         confidence = self.confidence(view)
         if confidence is None:
-            return _NOT_AFTER_TRAINING
+            return _DURING_TRAINING
         return predicted_psnr(confidence if view.mask is None else confidence[view.mask])
 
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from registry import Metric, Register, SceneError, hookimpl
 from registry.toolkit.drawing import ImageMetricSettings
+from registry.toolkit.views import decibels
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-MIN_ERROR = 1e-10
-"""Lower bound of the mean squared error: equal images score 100 dB, not infinity."""
 
 
 class PSNR(Metric[ImageMetricSettings]):
@@ -33,7 +30,7 @@ class PSNR(Metric[ImageMetricSettings]):
             if not mask.any():
                 raise SceneError("the mask is empty", fix="check the mask file")
             squares = squares[mask]
-        return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
+        return decibels(squares)
 
 
 @hookimpl

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
@@ -87,7 +86,7 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
     """Write pictures and numbers of each test view's confidence; return where, and the sure share."""
     from registry.system import write_text
     from registry.toolkit.drawing import CONFIDENCE, GUESSED, hatched, save_png, with_scale
-    from registry.toolkit.views import predicted_psnr, subject_of, view_angles
+    from registry.toolkit.views import decibels, predicted_psnr, subject_of, view_angles
 
     scene, place = run.scene, folder / CONFIDENCE
     place.mkdir(exist_ok=True)
@@ -99,12 +98,11 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
         save_png(hatched(rgb, its), place / f"{view.name}.png")
         save_png(with_scale(its), place / f"{view.name}-scale.png")
         counted = its >= 0 if view.mask is None else view.mask
-        error = float((rgb - view.image).square()[counted].mean())
         subject = subject_of(view.camera, scene.bounds, points)
         rows[view.name] = {
             "sure": float((its[counted] >= GUESSED).double().mean()),
             "predicted": predicted_psnr(its[counted]),
-            "measured": -10 * math.log10(max(error, 1e-10)),
+            "measured": decibels((rgb - view.image).square()[counted]),
             "angle": view_angles(view.camera, training, subject).nearest,
         }
     content = {"estimator": name, "views": rows}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -136,6 +139,18 @@ def test_a_modified_image_raises_in_backward(device: Device) -> None:
         pytest.skip("the device has a copy of its own")
     with pytest.raises(ExplainedError, match="'rgb' of a render was modified"):
         rendering.alpha.sum().backward()
+
+
+def test_the_gpus_backward_pass_waits_once_a_pixel_for_32_pairs() -> None:
+    """In the source: 287 rounds for the 256 pixels of a tile, which a group of 32 pairs shares."""
+    kernels = Path(core_rasterizer.__file__).parent / "raster" / "kernels"
+    source = (kernels / "raster_gpu.cl").read_text("utf-8")
+    backward = source[source.index("void raster_backward(") :]
+    rounds = backward.index("for (int round = 0; round < GROUP + BUCKET - 1; round++)")
+    assert backward.count("barrier(") == 1
+    assert backward.index("barrier(") > rounds
+    assert re.search(r"#define BUCKET BATCH\b", source)
+    assert re.search(r"#define BATCH 32\b", source)
 
 
 def test_a_rendering_has_no_other_images() -> None:

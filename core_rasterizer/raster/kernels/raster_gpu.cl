@@ -100,7 +100,7 @@ void raster(
     final_transmittance[pixel] = left;
 }
 
-/* The backward pass has one work-item per pair, not per pixel, so that nothing is summed across work-items
+/* The backward pass has one work-item per pair, not per pixel, so no sum crosses work-items
  * (Taming 3DGS, Mallick et al. 2024, section 4.3). A bucket is BUCKET neighbouring pairs of a tile. First,
  * `checkpoint` walks each tile like `raster` and stores the state of every pixel before each bucket; then
  * the buckets are independent. Bucket k of a tile has the place tile_starts[tile] / BUCKET + tile + k, which no

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .confident_gaussians import confidence_of_gaussians
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .painted import Painted, gathered, same_model
-    from .predicted_error import predicted_psnr
+    from .predicted_error import RIGHT, decibels, predicted_psnr
     from .scene_facts import image_sizes, points_in_view, summary, warnings
     from .view_parameters import ViewParameters
     from .viewing_angles import ViewAngles, subject_of, view_angles
@@ -25,11 +25,13 @@ else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
+    "RIGHT",
     "Painted",
     "Photographs",
     "ViewAngles",
     "ViewParameters",
     "confidence_of_gaussians",
+    "decibels",
     "epipolar_distances",
     "flow_cycle_error",
     "flow_in_size",

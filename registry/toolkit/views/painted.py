@@ -49,9 +49,8 @@ def gathered(
         Two tensors `[N]`: the weighted sums, and the sums of the weights, in pixels.
     """
     gaussians = model.gaussians()
-    grey = replace(
-        gaussians, sh=torch.zeros(len(gaussians), 1, 3)
-    )  # colours of 0 have no derivative
+    # Not black: colours are clamped at 0, where their derivative is 0.
+    grey = replace(gaussians, sh=torch.zeros(len(gaussians), 1, 3))
     copy = same_model(model, grey)
     copy.zero_gradients()
     for camera, image in images:

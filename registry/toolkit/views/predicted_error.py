@@ -1,4 +1,4 @@
-"""What a confidence says about the error of a view."""
+"""PSNR of a view: measured, and as a confidence predicts it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ if TYPE_CHECKING:
 
 RIGHT = 0.1
 """Largest mean difference of a pixel's channels from a photograph at which it is right; colours in [0, 1]."""
+MIN_ERROR = 1e-10
+"""Lower bound of the mean squared error: equal images score 100 dB, not infinity."""
 _LEAST, _MOST = 0.02, 0.9999
+
+
+def decibels(squares: Tensor) -> float:
+    """Return the PSNR, at most 100 dB, of squared errors of any shape; colours in [0, 1]."""
+    return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
 
 
 def predicted_psnr(confidence: Tensor) -> float:
@@ -23,4 +30,4 @@ def predicted_psnr(confidence: Tensor) -> float:
         confidence: of the pixels, any shape, in [0, 1].
     """
     mean = -RIGHT / (1 - confidence.double().clamp(_LEAST, _MOST)).log()
-    return -10 * math.log10(float((2 * mean.square()).mean()))
+    return decibels(2 * mean.square())

@@ -8,6 +8,7 @@ import torch
 from torch.nn.functional import avg_pool2d, pad
 
 from registry.confidence import Confidence, Trained
+from registry.toolkit.views import RIGHT
 
 from .coverage import CoverageConfidence
 from .residuals import Residuals
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
     from .coverage import Seen
 
-RIGHT = 0.1
-"""Largest mean difference of a pixel's channels from a photograph at which it is right; colours in [0, 1]."""
 _ANGLE = 30.0
 """Of coverage, in degrees, when the weights were fitted."""
 _TEXTURE = 7

@@ -115,9 +115,10 @@ def reconstruct(
         placed = found.rank[1]
         _log.info("%s: the cameras of %d of %d photographs fit together", name, placed, len(photos))
     assert best is not None
-    main, others = best.pieces[:1], best.pieces[1:]
-    refined = [_refined(colmap, piece, images, photos) for piece in main]
-    return replace(best, pieces=refined + others, tried=tuple(tried))
+    pieces = list(best.pieces)
+    if pieces:
+        pieces[0] = _refined(colmap, pieces[0], images, photos)
+    return replace(best, pieces=pieces, tried=tuple(tried))
 
 
 def _ways(

@@ -2,7 +2,8 @@
 
 Few photographs share too few keypoints to determine focal length and poses exactly. Robust bundle adjustment
 of the model's points, then of dense matches too, determines them better. Every fourth match takes no part in
-it: the result is kept only if these agree better with the new cameras.
+it: the result is kept only if these agree better with the new cameras, or if EXIF gives a focal length that
+the points do not determine.
 """
 
 from __future__ import annotations

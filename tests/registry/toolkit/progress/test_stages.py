@@ -77,9 +77,15 @@ def test_time_passes_between_two_steps() -> None:
     assert stage.seconds_left(99.0) == 0
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_the_time_left_of_a_training_on_a_busy_machine(seed: int, clock: Clock) -> None:
-    """Ten seconds after the start, with the share of a processor that changes every eight seconds or so."""
+def test_the_time_left_of_a_training_on_a_busy_machine(clock: Clock) -> None:
+    """Ten seconds after the start, in 200 trainings; without `growth` 11 estimates are too short."""
+    ratios = [estimate_over_truth(seed, clock) for seed in range(200)]
+    assert min(ratios) > 0.5
+    assert max(ratios) < 2
+
+
+def estimate_over_truth(seed: int, clock: Clock) -> float:
+    """Simulate a training whose share of a processor changes every eight seconds or so."""
     generator = random.Random(seed)
     now, changes, share, stage = clock.now, 0.0, 1.0, TrainingProgress(0, 600).stage
     estimate = at = None
@@ -98,7 +104,7 @@ def test_the_time_left_of_a_training_on_a_busy_machine(seed: int, clock: Clock) 
             estimate, at = stage.seconds_left(now), now
     assert estimate is not None
     assert at is not None
-    assert 0.5 < estimate / (now - at) < 2
+    return estimate / (now - at)
 
 
 def test_no_time_left_is_given_at_the_end() -> None:

@@ -223,3 +223,24 @@ def test_on_objects_guesses_need_a_color_that_other_views_show(
     assert (points.facts["scene_kind"] == "object") == plain_background
     purple = ((points.colors - torch.tensor((1.0, 0.0, 1.0))).abs() < 0.1).all(dim=1)
     assert (int(purple.sum()) < 30) == plain_background
+
+
+@pytest.mark.parametrize("plain_background", [True, False])
+def test_planes_are_continued_except_around_objects(scene: Scene, plain_background: bool) -> None:
+    backdrop = torch.zeros(189, 252, dtype=torch.bool)
+    backdrop[:60] = plain_background
+
+    def painted(view: View) -> View:
+        return replace(view, image=torch.where(backdrop[..., None], 0.0, view.image))
+
+    def depth_of(view: View) -> Tensor:
+        depth = torch.where(backdrop, 0.0, true_depth(view))
+        depth[100:150, 60:190] = 0
+        return depth
+
+    shown = replace(scene, train=tuple(map(painted, scene.train)))
+    plain, planes = (
+        dense(shown, depth_of, stride=3, fill=True, fill_planes=wanted) for wanted in (False, True)
+    )
+    assert (plain.facts["scene_kind"] == "object") == plain_background
+    assert torch.equal(plain.positions, planes.positions) == plain_background
