@@ -79,8 +79,7 @@ class PSNRSeen(_OfConfidence):
             chosen &= view.mask
         if not chosen.any():
             return Unavailable(f"a view has no {'seen' if self.wanted else 'unseen'} pixels")
-        squares = (rendering.rgb - view.image).square()[chosen]
-        return decibels(squares)
+        return decibels((rendering.rgb - view.image).square()[chosen].mean())
 
 
 class PSNRUnseen(PSNRSeen):

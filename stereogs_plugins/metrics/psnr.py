@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import Metric, Register, SceneError, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings
+from registry.toolkit.drawing import ImageMetricSettings, row_bands
 from registry.toolkit.views import decibels
 
 if TYPE_CHECKING:
@@ -24,13 +24,19 @@ class PSNR(Metric[ImageMetricSettings]):
         Raises:
             SceneError: the mask is empty.
         """
-        first, second = map(self.settings.prepared, (rendered, photograph))
-        squares = (first - second) ** 2
-        if mask is not None:
-            if not mask.any():
-                raise SceneError("the mask is empty", fix="check the mask file")
-            squares = squares[mask]
-        return decibels(squares)
+        if mask is not None and not mask.any():
+            raise SceneError("the mask is empty", fix="check the mask file")
+        total, count = 0.0, 0
+        for rows in row_bands(*photograph.shape[:2]):
+            first, second = (
+                self.settings.prepared(image[rows]) for image in (rendered, photograph)
+            )
+            squares = (first - second) ** 2
+            if mask is not None:
+                squares = squares[mask[rows]]
+            total += float(squares.sum())
+            count += squares.numel()
+        return decibels(total / count)
 
 
 @hookimpl

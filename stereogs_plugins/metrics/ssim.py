@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from registry import Metric, Register, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings
+from registry.toolkit.drawing import ImageMetricSettings, row_bands, white_outside
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,22 +29,34 @@ class SSIM(Metric[ImageMetricSettings]):
 
     def measure(self, rendered: Tensor, photograph: Tensor, mask: Tensor | None) -> float:
         """Return the similarity, at most 1."""
-        from registry.toolkit.drawing import white_outside
-        from registry.toolkit.photos import in_parallel
+        height, width = photograph.shape[:2]
+        total = 0.0
+        for rows in row_bands(height, width):
+            wider = slice(max(rows.start - RADIUS, 0), rows.stop + RADIUS)
+            first, second = (
+                white_outside(
+                    self.settings.prepared(image[wider]), None if mask is None else mask[wider]
+                ).numpy()
+                for image in (rendered, photograph)
+            )
+            start = rows.start - wider.start
+            total += _similarity(first, second)[start : start + rows.stop - rows.start].sum()
+        return float(total / photograph.numel())
 
-        first, second = (
-            white_outside(self.settings.prepared(image), mask).numpy()
-            for image in (rendered, photograph)
-        )
-        images = (first, second, first * first, second * second, first * second)
-        mean_1, mean_2, square_1, square_2, product = in_parallel(_blur, images)
-        variance_1 = square_1 - mean_1**2
-        variance_2 = square_2 - mean_2**2
-        covariance = product - mean_1 * mean_2
-        similarity = ((2 * mean_1 * mean_2 + C1) * (2 * covariance + C2)) / (
-            (mean_1**2 + mean_2**2 + C1) * (variance_1 + variance_2 + C2)
-        )
-        return float(similarity.mean())
+
+def _similarity(first: Image, second: Image) -> Image:
+    """Return the similarity of each pixel and channel of two images, `[H, W, C]`."""
+    from registry.toolkit.photos import in_parallel
+
+    images = (first, second, first * first, second * second, first * second)
+    mean_1, mean_2, square_1, square_2, product = in_parallel(_blur, images)
+    variance_1 = square_1 - mean_1**2
+    variance_2 = square_2 - mean_2**2
+    covariance = product - mean_1 * mean_2
+    similarity: Image = ((2 * mean_1 * mean_2 + C1) * (2 * covariance + C2)) / (
+        (mean_1**2 + mean_2**2 + C1) * (variance_1 + variance_2 + C2)
+    )
+    return similarity
 
 
 def _blur(image: Image) -> Image:

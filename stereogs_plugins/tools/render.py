@@ -102,7 +102,7 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
         rows[view.name] = {
             "sure": float((its[counted] >= GUESSED).double().mean()),
             "predicted": predicted_psnr(its[counted]),
-            "measured": decibels((rgb - view.image).square()[counted]),
+            "measured": decibels((rgb - view.image).square()[counted].mean()),
             "angle": view_angles(view.camera, training, subject).nearest,
         }
     content = {"estimator": name, "views": rows}

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         side_by_side,
         to_bytes,
     )
-    from .settings import ImageMetricSettings, LoggerSettings, white_outside
+    from .settings import ImageMetricSettings, LoggerSettings, row_bands, white_outside
     from .video import write_video
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -49,6 +49,7 @@ __all__ = [
     "nearness_picture",
     "ramp_picture",
     "read_confidence",
+    "row_bands",
     "save_png",
     "save_view_pictures",
     "side_by_side",

@@ -40,7 +40,7 @@ _LUMA = (0.299, 0.587, 0.114)
 
 
 def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) -> None:
-    """Write `[H, W, 3]` in [0, 1] as an 8-bit PNG, with optional texts by keyword (tEXt chunks)."""
+    """Write an image for `to_bytes` as an 8-bit PNG, with optional texts by keyword (tEXt chunks)."""
     from PIL import Image, PngImagePlugin
 
     info = PngImagePlugin.PngInfo()
@@ -54,10 +54,12 @@ def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) 
 
 
 def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Clamp `[H, W, 3]` to [0, 1] and round it to uint8."""
+    """Clamp `[H, W, 3]` to [0, 1] and round it to uint8; uint8 stays as it is."""
     import torch
 
-    return (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    if image.dtype == torch.uint8:
+        return image.numpy()
+    return image.detach().clamp(0, 1).mul_(255).round_().to(torch.uint8).numpy()
 
 
 def grey(image: Tensor) -> Tensor:
@@ -82,14 +84,20 @@ class ViewPictures:
 
 def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPictures:
     """Write a view's render, its depth, and photograph | render | depth side by side."""
+    import torch
+
     files = ViewPictures.of(view.name, folder)
-    depth = depth_picture(rendering)
+    # In bytes at once: floats of photographs of many megapixels need gigabytes.
+    photograph, render, depth = (
+        torch.from_numpy(to_bytes(image))
+        for image in (view.image, rendering.rgb, depth_picture(rendering))
+    )
     for file in (files.depth, files.comparison):
         file.parent.mkdir(exist_ok=True)
     pictures = [
-        (rendering.rgb, files.render, None),
+        (render, files.render, None),
         (depth, files.depth, _depth_texts(rendering)),
-        (side_by_side(view.image, rendering.rgb, depth), files.comparison, None),
+        (side_by_side(photograph, render, depth), files.comparison, None),
     ]
     in_parallel(lambda picture: save_png(*picture), pictures)
     return files
@@ -166,11 +174,13 @@ def ramp_picture(values: Tensor) -> Tensor:
 
 
 def side_by_side(*images: Tensor) -> Tensor:
-    """Concatenate images of equal height horizontally, with a white gap between them."""
+    """Concatenate images for `to_bytes`, of one height and type, horizontally with white gaps."""
     import torch
 
-    gap = torch.ones(images[0].shape[0], _GAP, 3)
+    first = images[0]
+    white = 255 if first.dtype == torch.uint8 else 1.0
+    gap = first.new_full((first.shape[0], _GAP, 3), white)
     row: list[Tensor] = []
     for image in images:
-        row += [image.detach().clamp(0, 1), gap]
+        row += [image.detach(), gap]
     return torch.cat(row[:-1], dim=1)

@@ -10,11 +10,17 @@ from ...contract.component import Settings
 from .pictures import side_by_side, to_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
     from numpy.typing import NDArray
     from torch import Tensor
 
     from core_rasterizer import Rendering
+
+
+_BAND = 2**20
+"""Pixels in a band. Published protocols use smaller images, whose scores keep their bits."""
 
 
 class ImageMetricSettings(Settings):
@@ -31,6 +37,16 @@ class ImageMetricSettings(Settings):
             # Rounds half up, as torchvision's `save_image` does in the published code.
             values = (values.clamp(0, 1) * 255 + 0.5).floor() / 255
         return values
+
+
+def row_bands(height: int, width: int) -> Iterator[slice]:
+    """Yield consecutive rows of an image in bands of at most a megapixel.
+
+    A metric that works on one band at a time needs little memory for a photograph of many megapixels.
+    """
+    rows = max(1, _BAND // width)
+    for start in range(0, height, rows):
+        yield slice(start, min(start + rows, height))
 
 
 def white_outside(image: Tensor, mask: Tensor | None) -> Tensor:

@@ -15,9 +15,9 @@ MIN_ERROR = 1e-10
 _LEAST, _MOST = 0.02, 0.9999
 
 
-def decibels(squares: Tensor) -> float:
-    """Return the PSNR, at most 100 dB, of squared errors of any shape; colours in [0, 1]."""
-    return -10 * math.log10(max(float(squares.mean()), MIN_ERROR))
+def decibels(squared_error: float | Tensor) -> float:
+    """Return the PSNR, at most 100 dB, of a mean squared error; colours in [0, 1]."""
+    return -10 * math.log10(max(float(squared_error), MIN_ERROR))
 
 
 def predicted_psnr(confidence: Tensor) -> float:
@@ -30,4 +30,4 @@ def predicted_psnr(confidence: Tensor) -> float:
         confidence: of the pixels, any shape, in [0, 1].
     """
     mean = -RIGHT / (1 - confidence.double().clamp(_LEAST, _MOST)).log()
-    return decibels(2 * mean.square())
+    return decibels((2 * mean.square()).mean())

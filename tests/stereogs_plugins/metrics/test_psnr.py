@@ -23,6 +23,16 @@ def test_agrees_with_scikit_image() -> None:
     assert build(PSNR).measure(first, second, None) == pytest.approx(expected, abs=1e-9)
 
 
+def test_bands_of_rows_do_not_change_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = torch.rand(2, 20, 30, 3, generator=torch.Generator().manual_seed(0))
+    mask = first[..., 0] > 0.9
+    mask[8:13] = False
+    whole = [build(PSNR).measure(first, second, inside) for inside in (None, mask)]
+    monkeypatch.setattr("registry.toolkit.drawing.settings._BAND", 30 * 3)
+    bands = [build(PSNR).measure(first, second, inside) for inside in (None, mask)]
+    assert bands == pytest.approx(whole, abs=1e-12)
+
+
 def test_counts_masked_pixels_only() -> None:
     photograph = torch.zeros(4, 4, 3)
     rendered = torch.full((4, 4, 3), 0.1)

@@ -49,6 +49,15 @@ def test_agrees_with_an_independent_implementation() -> None:
     assert build(SSIM).measure(first, second, None) == pytest.approx(expected, abs=1e-10)
 
 
+def test_bands_of_rows_do_not_change_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = images()
+    mask = first[..., 0] > 0.1
+    whole = [build(SSIM).measure(first, second, outside) for outside in (None, mask)]
+    monkeypatch.setattr("registry.toolkit.drawing.settings._BAND", 31 * 7)
+    bands = [build(SSIM).measure(first, second, outside) for outside in (None, mask)]
+    assert bands == pytest.approx(whole, abs=1e-12)
+
+
 def test_is_the_ssim_of_the_training_loss() -> None:
     first, second = images()
     loss = float(photometric_loss(first, second, ssim_weight=1.0))
