@@ -75,7 +75,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
                 analysis,
                 background_range=settings.background_range,
                 also_shown=settings.fill_shown,
-                planes=settings.fill_planes and analysis.kind != "object",
+                planes=settings.fill_planes and analysis.kind == "forward-facing",
             )
         filled = guessed or [np.zeros_like(depth) for depth in confirmed]
         views = [

@@ -45,8 +45,8 @@ class ConsistencyDenseSettings(Settings):
     """With `fill`: also guess where a confirmed point of another view with the pixel's colour falls. False
     gives fewer points, and fewer wrong ones around objects (benchmarks/notes.md)."""
     fill_planes: bool = False
-    """With `fill`: continue the plane of a wall, floor or table into its holes first. Without effect around
-    objects, where it would cost up to 2 dB (benchmarks/notes.md)."""
+    """With `fill`: continue the plane of a wall, floor or table into its holes first. Without effect unless
+    all cameras look the same way: around objects it would cost up to 2 dB (benchmarks/notes.md)."""
     background_range: int = Field(2, ge=0, le=255)
     """8-bit levels. A colour counts as the scene's background if every channel differs by less; no points
     are guessed there. Photographs of objects on black are rarely exactly black."""

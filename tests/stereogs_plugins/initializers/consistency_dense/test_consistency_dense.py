@@ -239,6 +239,30 @@ def test_surrounding_views_outvote_a_chance_agreement(widest: float, stays: bool
     assert int((~before).sum()) > 1000
 
 
+@pytest.mark.parametrize(("widest", "changes"), [(30.0, True), (44.0, False)])
+def test_planes_are_continued_if_all_cameras_look_the_same_way(
+    widest: float, changes: bool
+) -> None:
+    def depth_of(view: View) -> Tensor:
+        depth = plane_depth(view.camera, 0.0)
+        height, width = (size // 3 for size in depth.shape)
+        depth[height:-height, width:-width] = 0
+        return depth
+
+    plain, planes = (
+        dense(
+            fan_of_views(widest),
+            depth_of,
+            min_consistent=1,
+            max_depth_error=0.05,
+            fill=True,
+            fill_planes=wanted,
+        )
+        for wanted in (False, True)
+    )
+    assert torch.equal(plain.positions, planes.positions) != changes
+
+
 def test_each_kind_of_scene_can_have_its_own_priors() -> None:
     priors = {
         f"wall at {z}": prior_of(lambda view, z=z: plane_depth(view.camera, z))  # type: ignore[misc]
