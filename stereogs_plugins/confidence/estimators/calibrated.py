@@ -58,8 +58,8 @@ class Evidence(NamedTuple):
 
 
 WEIGHTS = Evidence(-0.357, -0.36, 0.178, -0.319, 0.239, 0.365, 0.098, 2.055, 0.167)
-"""Fitted as `python -m benchmarks.confidence --fit` does, to other random pixels of the same views: training views
-that were left out, no test views."""
+"""Fitted as `python -m benchmarks.confidence --fit` does, to other random pixels of the same views:
+training views that were left out, no test views."""
 
 
 class CalibratedConfidence(Confidence):
