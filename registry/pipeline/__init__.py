@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .pipeline import build_pipeline as checked_pipeline
     from .protocols import ProtocolChoice, load_protocol, protocol_names
     from .ready import find_pipeline, ready_pipelines
+    from .repeats import digests
     from .schedule import HostSettings, Schedule
     from .settings_check import escape_variables, plain, validate_settings
     from .training_settings import PER_VIEW, TrainingSettings, iterations_of_a_run
@@ -47,6 +48,7 @@ __all__ = [
     "checked_pipeline",
     "component_item",
     "component_items",
+    "digests",
     "escape_variables",
     "expand",
     "find_pipeline",

@@ -74,7 +74,9 @@ def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
     if not items:
         names = [offer.name for offer in plugins.all() if offer.point.section == "reports"]
         change = f"reports={json.dumps(names)}"
-        pipeline = load_pipeline(run.folder_or_refuse().pipeline, plugins, overrides=[change])
+        pipeline = load_pipeline(
+            run.folder_or_refuse().pipeline, plugins, overrides=[change], needed=()
+        )
         items = pipeline.items["reports"]
     if not items:
         raise RunError(

@@ -26,6 +26,7 @@ NAMED = (
     "samplers: return replace(sample, background=('0', 0.0, 0.0))",
     "opacity: return registry.OpacityUpdate(step.model.opacities(), 'yes')",
     "metrics: return registry.Unavailable(3)",
+    "metrics: return float(time.time() % 1)",
     "exporters: return [self.written(folder / '\\x1b[31m.txt')]",
     "initializer: return replace(points, facts={'a': object()})",
     "initializer: return replace(points, maps={'view0': DepthMap(*3 * [torch.ones(3, 3)])})",

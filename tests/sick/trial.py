@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 from core_rasterizer import Device, ExplainedError, open_device
+from registry.pipeline.pipeline import Pipeline
 from registry.pipeline.training_settings import TrainingSettings
 from registry.runs.options import RunOptions
 from registry.runs.results import read_results
@@ -30,6 +31,7 @@ from registry.runs.training_run import start
 from registry.testing import check, tiny_scene
 from registry.testing.processes import in_other_processes
 from registry.testing.scenes import pipeline_item, pipeline_of
+from stereogs_plugins.tools.other_processes import refuse_different_answers
 
 from .cases import Case
 
@@ -149,7 +151,18 @@ def verdict(case: Case, device: Device, *, checked: bool = False) -> Verdict:
         expected, numbers = in_other_processes(_numbers, case, checked, str(_MODULES))
     else:
         expected = _trained(case, component(case, healthy=True), device, checked)
-    return "harmless" if expected.items() >= numbers.items() else "silent"
+    if expected.items() >= numbers.items():
+        return "harmless"
+    return "named" if checked and _refused_between_processes(case, device) else "silent"
+
+
+def _refused_between_processes(case: Case, device: Device) -> bool:
+    """Whether `train --check-plugins` names the component before the first iteration."""
+    try:
+        refuse_different_answers(_pipeline(case, component(case)), tiny_scene(), device.name)
+    except ExplainedError as error:
+        return NAME in error.where
+    return False
 
 
 def _numbers(case: Case, checked: bool, modules: str) -> dict[str, Any]:
@@ -168,15 +181,19 @@ def found_by_check(case: Case, device: Device) -> bool:
     return False
 
 
-def _trained(case: Case, sick: type[Any], device: Device, checked: bool) -> dict[str, Any]:
-    """Return the numbers of a run that its other components made."""
-    scene = tiny_scene()
+def _pipeline(case: Case, sick: type[Any]) -> Pipeline:
     item = pipeline_item(sick, sick.Settings(), NAME)
     training = _TRAINING.model_copy(update={"iterations": case.iterations})
     pipeline = pipeline_of([item], training)
     metrics = pipeline_of([], training).items["metrics"]
     if item.point.section == "metrics":
         pipeline.items["metrics"] = (item, *metrics)
+    return pipeline
+
+
+def _trained(case: Case, sick: type[Any], device: Device, checked: bool) -> dict[str, Any]:
+    """Return the numbers of a run that its other components made."""
+    scene, pipeline = tiny_scene(), _pipeline(case, sick)
     options = RunOptions(scene=scene, device=device, progress=False, check_plugins=checked)
     with tempfile.TemporaryDirectory() as name, _restored():
         run = start(pipeline, options, Path(name) / "run")

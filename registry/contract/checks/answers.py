@@ -128,10 +128,10 @@ def check_state(state: Any) -> Mapping[str, Tensor]:
     """Check a component's running state: tensors by name that a file can hold."""
     checked: Mapping[str, Tensor] = _instance("the state", state, Mapping, "tensors by name")
     for name, value in checked.items():
-        if not isinstance(value, Tensor) or value.layout != torch.strided:
+        if not isinstance(value, Tensor) or value.layout != torch.strided or value.is_meta:
             raise PluginError(
                 f"the state {name!r} is a {type(value).__name__}, which no checkpoint can hold",
-                fix="keep it as a dense torch tensor",
+                fix="keep it as a dense torch tensor that has its numbers (not on the device meta)",
             )
     return checked
 

@@ -49,7 +49,7 @@ class Next(Command):
             nargs="*",
             metavar="SETTING=VALUE",
             help="choose from pictures of the scene that the run did not train on: its test views, and those "
-            "that the scene's loader returns with these settings",
+            "that the scene's loader returns with these settings; write it after RUN",
         )
         add_run(parser)
 

@@ -10,6 +10,9 @@ from torch import Tensor
 
 from registry import Step
 from registry.cli import main
+from registry.plugins.discovery import SELECTION
+
+from ..conftest import TOY_ENTRIES
 
 Capture = pytest.CaptureFixture[str]
 
@@ -48,6 +51,15 @@ def test_a_report_is_written_later(pipeline: Path, capsys: Capture) -> None:
     (run / "results.json").unlink()
     assert main(["report", str(run)]) == 2
     assert "the run has not finished" in capsys.readouterr().err
+
+
+def test_a_report_needs_no_plugin_that_only_trained(
+    pipeline: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["train", "toy.yaml"]) == 0
+    monkeypatch.setenv(SELECTION, ",".join(name for name in TOY_ENTRIES if name != "toy_term"))
+    assert main(["report", "runs/toy-tiny"]) == 0
+    assert "page  runs/toy-tiny/report.txt" in capsys.readouterr().out
 
 
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:

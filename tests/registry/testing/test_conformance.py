@@ -381,6 +381,11 @@ class ListState(toys.ToyTerm):
         return {"calls": [1.0]}
 
 
+class MetaState(toys.ToyTerm):
+    def state(self) -> Any:
+        return {"calls": torch.empty(1, device="meta")}
+
+
 @pytest.mark.parametrize(
     ("component", "settings", "message"),
     [
@@ -416,6 +421,7 @@ class ListState(toys.ToyTerm):
         (Squeezing, {}, r"expected a tensor of shape \(1, 1\)"),
         (Halving, {"value": 1.0}, "do not survive being written as JSON"),
         (ListState, {}, "which no checkpoint can hold"),
+        (MetaState, {}, "which no checkpoint can hold"),
         (Misspelled, {}, "the observer handles no event: define one of started, iterated"),
         (Retouching, {}, "changed what it was given: argument 1.rendering.rgb"),
         (Impatient, {}, "no results"),

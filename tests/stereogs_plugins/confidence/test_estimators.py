@@ -14,7 +14,10 @@ from registry.confidence import ConfidenceEstimator, Trained
 from registry.testing import check, tiny_scene
 from registry.toolkit.views import Painted, gathered
 from stereogs_plugins.confidence.estimators import Calibrated, Coverage, Fisher, Support
-from stereogs_plugins.confidence.estimators.calibrated import probability_of
+from stereogs_plugins.confidence.estimators.calibrated import (
+    CalibratedConfidence,
+    probability_of,
+)
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
 
@@ -101,6 +104,32 @@ def test_the_combination_is_a_probability_and_lower_beside_the_photographs() -> 
     assert here.shape == (camera.height, camera.width)
     assert 0 < float(beside.mean()) < float(here.mean()) < 1
     assert confidence.gain(moved(camera, 3.0)) > confidence.gain(camera)
+
+
+def test_a_hole_is_a_guess_unless_the_photographs_show_such_a_background() -> None:
+    in_a_room = trained_with(wall(width=1.0))
+    black = [replace(v, image=torch.zeros_like(v.image)) for v in in_a_room.scene.train]
+    scene = replace(in_a_room.scene, train=tuple(black))
+    camera = tiny_scene().test[0].camera
+    both = [
+        CalibratedConfidence(trained).evidence(camera)
+        for trained in (in_a_room, replace(in_a_room, scene=scene))
+    ]
+    hole, background = (torch.as_tensor(evidence.hole) for evidence in both)
+    assert float(hole.max()) > 0.9
+    assert float(hole.min()) < 0.1
+    assert not background.any()
+
+
+def test_the_angle_is_that_to_the_nearest_ray_of_a_training_camera() -> None:
+    trained = trained_with(wall(width=8.0))
+    camera = trained.scene.train[0].camera
+    same, beside = (
+        torch.as_tensor(CalibratedConfidence(trained).evidence(c).angle).expm1().mean()
+        for c in (camera, moved(camera, 1.0))
+    )
+    assert float(same) < 0.1
+    assert 5 < float(beside) < 20
 
 
 @pytest.mark.parametrize("estimator", [Calibrated, Coverage, Fisher, Support])
