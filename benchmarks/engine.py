@@ -17,6 +17,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from rich.console import Console
@@ -34,6 +35,7 @@ from core_rasterizer import (
     open_device,
     photometric_loss,
 )
+from core_rasterizer.device import Program
 
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
@@ -71,7 +73,7 @@ class Workload:
     def iteration(self) -> None:
         self.model.zero_gradients()
         photometric_loss(self.model.render(self.camera), self.target).backward()
-        self.optimizer.step(RATES, active_sh_degree=3)
+        self.optimizer.step(RATES, active_sh_degree=3, keep_gradients=False)
         self.model.device.finish()
 
 
@@ -93,7 +95,7 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
         loss.backward()
         device.finish()
         returned = time.perf_counter()
-        workload.optimizer.step(RATES, active_sh_degree=3)
+        workload.optimizer.step(RATES, active_sh_degree=3, keep_gradients=False)
         device.finish()
         times.append((begin, rendered, compared, returned, time.perf_counter()))
     steps = {
@@ -106,25 +108,17 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
 def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
     """Return milliseconds of each kernel in an iteration, with the device drained after each."""
     totals: dict[str, float] = {}
-    kernels = workload.model.renderer.programs
-    programs = [kernels.base, kernels.raster(), workload.optimizer.program]
-    originals = [program.run for program in programs]
+    run = Program.run
 
-    def timed(original: Callable[..., None]) -> Callable[..., None]:
-        def run(kernel: str, *arguments: Any) -> None:
-            begin = time.perf_counter()
-            original(kernel, *arguments)
-            workload.model.device.finish()
-            totals[kernel] = totals.get(kernel, 0.0) + time.perf_counter() - begin
+    def timed(program: Program, kernel: str, *arguments: Any) -> None:
+        begin = time.perf_counter()
+        run(program, kernel, *arguments)
+        workload.model.device.finish()
+        totals[kernel] = totals.get(kernel, 0.0) + time.perf_counter() - begin
 
-        return run
-
-    for program, original in zip(programs, originals, strict=True):
-        program.run = timed(original)  # type: ignore[method-assign]
-    for _ in range(repeats):
-        workload.iteration()
-    for program, original in zip(programs, originals, strict=True):
-        program.run = original  # type: ignore[method-assign]
+    with patch.object(Program, "run", timed):
+        for _ in range(repeats):
+            workload.iteration()
     return {kernel: 1e3 * seconds / repeats for kernel, seconds in totals.items()}
 
 

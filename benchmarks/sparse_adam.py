@@ -44,7 +44,10 @@ class Training:
         self.optimizer = Adam(self.model)
         if visible_only:
             self.optimizer.program = model.device.program(
-                "optimization/adam", dtype=self.model.dtype, VISIBLE_ONLY=1
+                "optimization/adam_values",
+                "optimization/adam",
+                dtype=self.model.dtype,
+                VISIBLE_ONLY=1,
             )
 
     def iterate(self, number: int, targets: list[Tensor]) -> tuple[float, float]:

@@ -32,18 +32,19 @@ PARAMETER_GROUPS: dict[str, tuple[int, int | None]] = {
 PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
 """One bit per parameter, for sets of parameters in kernel arguments."""
 
+CAPACITY_STEP = 16
+"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
+
 KERNEL_MACROS = {
     "ROW_MEAN": _ROWS["means"][0],
     "ROW_SCALE": _ROWS["log_scales"][0],
     "ROW_QUATERNION": _ROWS["quaternions"][0],
     "ROW_OPACITY": _ROWS["opacity_logits"][0],
     "ROW_SH": ROWS_BEFORE_SH,
+    "CAPACITY_STEP": CAPACITY_STEP,
     **{f"BIT_{name.upper()}": bit for name, bit in PARAMETER_BITS.items()},
 }
-"""Macros of every kernel: first row and bit of each parameter."""
-
-CAPACITY_STEP = 16
-"""Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
+"""Macros of every kernel: first row and bit of each parameter, and the padding."""
 
 
 def row_count(sh_degree: int) -> int:

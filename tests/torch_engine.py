@@ -197,6 +197,7 @@ class TorchAdam:
         active_sh_degree: float,
         *,
         skip: Collection[str] = (),
+        keep_gradients: bool = True,
     ) -> None:
         model = self._model
         for group, rate in learning_rates.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -36,7 +36,9 @@ class Adam:
 
     def __init__(self, model: GaussianStorage) -> None:
         self._model = model
-        self.program = model.device.program("optimization/adam", dtype=model.dtype)
+        self.program = model.device.program(
+            "optimization/adam_values", "optimization/adam", dtype=model.dtype
+        )
         shape = (model.rows, model.capacity)
         self.first_moments = DeviceArray(model.device, shape, model.dtype)
         self.second_moments = DeviceArray(model.device, shape, model.dtype)
@@ -55,6 +57,7 @@ class Adam:
         active_sh_degree: float,
         *,
         skip: Collection[str] = (),
+        keep_gradients: bool = True,
     ) -> None:
         """Update the model's parameters from its gradients.
 
@@ -65,6 +68,9 @@ class Adam:
                 never had a gradient, because their moments are then zero.
             skip: groups whose parameters, moments and step count this step does not change, as torch
                 treats parameters without a gradient. "sh" means both of its groups.
+            keep_gradients: If False, gradients that nobody has read since the backward pass are never
+                stored, which saves time, with the same results. Reading gradients after the step then
+                raises a GaussianError.
 
         Raises:
             ExplainedError: missing or unknown groups in `learning_rates`, a rate not below 1e37, or an
@@ -85,16 +91,38 @@ class Adam:
                     fix=f"give one below {_LARGEST_RATE:g}",
                 )
         moving = _groups_without(skip)
-        model = self._model
-        model.gradients.settle()
+        gradients = self._model.gradients
+        unprojected = None if keep_gradients else gradients.take()
+        if unprojected is None:
+            gradients.settle()
         for name in moving:
             self._steps[name] += 1
-        real = np.float64 if model.dtype == torch.float64 else np.float32
+        rates = self._rates(learning_rates)
+        groups = np.int32(sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving))
+        rows = row_count(min(math.ceil(active_sh_degree), self._model.sh_degree))
+        if unprojected is None:
+            self._run(gradients.rows, rates, groups, rows)
+        else:
+            moments = (self.first_moments, self.second_moments)
+            unprojected.step((*moments, *rates, groups, np.int32(rows), self._undefined))
+        if not keep_gradients:
+            gradients.give_up()
+        self._read_undefined = self._undefined.begin_reading()
+
+    def _rates(self, learning_rates: Mapping[str, float]) -> list[np.generic]:
+        """Kernel arguments: the groups' learning rates and corrections for this step."""
+        real = np.float64 if self._model.dtype == torch.float64 else np.float32
         # The kernel skips groups without a step, so their correction only has to be finite.
         steps = {name: max(1, taken) for name, taken in self._steps.items()}
-        rates = (learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS)
-        corrections = ((1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS)
-        rows = row_count(min(math.ceil(active_sh_degree), model.sh_degree))
+        rates = [learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS]
+        corrections = [(1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS]
+        return [real(number) for number in (*rates, *corrections)]
+
+    def _run(
+        self, gradients: DeviceArray, rates: Sequence[np.generic], groups: np.int32, rows: int
+    ) -> None:
+        """Step from stored gradients."""
+        model = self._model
         columns = padded(model.count)
         on_cpu = model.device.variant == "cpu"
         span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)
@@ -104,18 +132,16 @@ class Adam:
             (items, rows),
             (group, 1),
             model.parameters,
-            model.gradients.rows,
+            gradients,
             self.first_moments,
             self.second_moments,
-            *(real(rate) for rate in rates),
-            *(real(correction) for correction in corrections),
-            np.int32(sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving)),
+            *rates,
+            groups,
             np.int32(columns),
             np.int32(model.capacity),
             np.int32(span),
             self._undefined,
         )
-        self._read_undefined = self._undefined.begin_reading()
 
     def check_parameters(self) -> None:
         """Raise if a step has produced a parameter that is not finite.

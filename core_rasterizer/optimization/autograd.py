@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..raster import Coverage, Images, Renderer, RenderRequest
+from .gradients import Unprojected
 from .storage import GaussianStorage
 
 
@@ -111,16 +112,25 @@ class RenderFunction(torch.autograd.Function):
         storage.check_unedited(ctx.parameters)
         d_rgb, d_depth, d_alpha, d_loss, *_ = image_gradients
         images = ctx.images.gradients(d_rgb, d_depth, d_alpha, d_loss)
-        frame, (collect, absolute) = ctx.lease.frame, ctx.collect
-        bands = frame.request.bands
-        pose_gradient = ctx.renderer.backward(
+        renderer, frame, (collect, absolute) = ctx.renderer, ctx.lease.frame, ctx.collect
+        statistics = storage.statistics.rows(absolute) if collect else None
+        gradients, bands = storage.gradients, frame.request.bands
+        gradients.complete()  # it reads sums that this pass overwrites
+        if frame.pairs and not frame.request.wants_pose_gradient:
+            sums = renderer.begin_backward(frame, images, absolute=collect and absolute)
+            gradients.defer(
+                Unprojected(renderer, ctx.lease, storage.block, sums, statistics, ctx.detach)
+            )
+            return (None,) * 7
+        accumulate = gradients.make_ready(bands)
+        pose_gradient = renderer.backward(
             frame,
             storage.block,
             images,
-            storage.gradients.rows,
-            accumulate=storage.gradients.make_ready(bands),
-            statistics=storage.statistics.rows(absolute) if collect else None,
+            gradients.rows,
+            accumulate=accumulate,
+            statistics=statistics,
             detach=ctx.detach,
         )
-        storage.gradients.written(bands)
+        gradients.written(bands)
         return None, pose_gradient, *(None,) * 5

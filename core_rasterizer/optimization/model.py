@@ -281,7 +281,11 @@ class ModelReader:
         return self._model.read(name).clone()
 
     def gradient(self, name: str) -> Tensor:
-        """The gradient of one parameter after a backward pass, in the shape of `read`."""
+        """The gradient of one parameter, in the shape of `read`, until the optimizer's step in a run.
+
+        Raises:
+            GaussianError: unknown name, or the step has used the gradients.
+        """
         return self._model.gradient(name).clone()
 
     def parameter(self, name: str) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -17,10 +19,18 @@ class ScreenStatistics:
         count: number of Gaussians, N.
         capacity: columns of the sums, >= N.
         dtype: torch.float32 or torch.float64.
+        complete: finishes backward passes that will add to the sums; called before these are used.
     """
 
-    def __init__(self, device: Device, count: int, capacity: int, dtype: torch.dtype) -> None:
-        self._count = count
+    def __init__(
+        self,
+        device: Device,
+        count: int,
+        capacity: int,
+        dtype: torch.dtype,
+        complete: Callable[[], None],
+    ) -> None:
+        self._count, self._complete = count, complete
         self._sums = DeviceArray(device, (2, capacity), dtype)
 
     def screen_gradient(self) -> Tensor:
@@ -52,6 +62,7 @@ class ScreenStatistics:
 
     def reset(self) -> None:
         """Set all sums to zero."""
+        self._complete()
         self._sums.fill(0)
 
     def sums(self) -> Tensor:
@@ -65,6 +76,7 @@ class ScreenStatistics:
 
     def restore(self, sums: Tensor) -> None:
         """Continue from `sums`."""
+        self._complete()
         old = self._sums
         full = torch.zeros(len(sums), old.shape[1], dtype=old.dtype)
         full[:, : self._count] = sums
@@ -80,4 +92,5 @@ class ScreenStatistics:
         return self._sums
 
     def _read(self) -> Tensor:
+        self._complete()
         return self._sums.read()[:, : self._count]

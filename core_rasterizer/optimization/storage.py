@@ -40,7 +40,9 @@ class GaussianStorage:
             array.write(parameters)
             parameters = array
         gradients = Gradients(self.device, parameters.shape, self.dtype)
-        self.statistics = ScreenStatistics(self.device, count, parameters.shape[1], self.dtype)
+        self.statistics = ScreenStatistics(
+            self.device, count, parameters.shape[1], self.dtype, gradients.complete
+        )
         self.gradients = gradients
         self.parameters = parameters
         self.count = count
@@ -88,13 +90,18 @@ class GaussianStorage:
         undefined = undefined_places(values)
         if len(undefined):
             raise GaussianError("a value is not finite", field=name, index=int(undefined[0, 0]))
+        self.gradients.complete()
         updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
         # torch takes twenty times as long as numpy to copy a transposed array.
         updated.numpy()[:, : self.count] = values.detach().numpy().T
         self.parameters.hand_over(updated, first)
 
     def gradient(self, name: str) -> Tensor:
-        """The gradient of one parameter, summed over the backward passes since `zero_gradients`."""
+        """The gradient of one parameter, summed over the backward passes since `zero_gradients`.
+
+        Raises:
+            GaussianError: unknown name; or `Adam.step` was told not to keep gradients.
+        """
         return self._unpack(self.gradients.total(*self.rows_of(name)), name)
 
     def zero_gradients(self) -> None:

@@ -23,6 +23,10 @@ _BACKWARD = "raster/project_backward"
 _ABSOLUTE = "ABSOLUTE"
 """Macro of kernels that also sum the absolute screen gradients."""
 
+_CPU_SPAN = 128
+"""Gaussians per work-item of the projection kernels on a CPU. PoCL gives each work-item of a group a copy of
+private arrays, and a group of 16 would exceed the first level of caches."""
+
 OVERRIDES = frozenset(
     (
         "ALPHA_CUT_INVERSE",
@@ -92,11 +96,13 @@ class RasterPrograms:
         # RASTER_LANES 0: chosen by the kernels from the processor's registers.
         macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
-        self._group = 16 if self._on_cpu else 64
+        self._group = 1 if self._on_cpu else 64
+        self._span = _CPU_SPAN if self._on_cpu else 1
         self._projection_macros = {
             **_without(macros, _BLENDING_ONLY),
             **footprint.macros,
             "PROJECT_GROUP": self._group,
+            "PROJECT_SPAN": self._span,
         }
         self.base = device.program(
             *_PROJECTION,
@@ -126,6 +132,19 @@ class RasterPrograms:
             **dict.fromkeys(request.features, 1),
         )
 
+    def step(self, request: RenderRequest) -> Program:
+        """The kernel that ends a backward pass with a step of Adam, for the options of a render."""
+        return self._device.program(
+            *_PROJECTION[:-2],
+            _BACKWARD,
+            "optimization/adam_values",
+            "raster/backward_step",
+            dtype=self._dtype,
+            STEP=1,
+            **self._projection_macros,
+            **dict.fromkeys(request.features, 1),
+        )
+
     def raster(self, *, absolute: bool = False) -> Program:
         """The blending kernels.
 
@@ -142,9 +161,9 @@ class RasterPrograms:
         )
 
     def run_on_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
-        """Run a kernel over `capacity` Gaussians, `device.lanes` per work-item."""
-        blocks = capacity // self._device.lanes
-        size = -(-blocks // self._group) * self._group
+        """Run a projection kernel over `capacity` Gaussians."""
+        items = -(-capacity // self._span)
+        size = -(-items // self._group) * self._group
         program.run(kernel, (size,), (self._group,), *arguments)
 
     def run_on_tiles(

@@ -6,7 +6,7 @@ Autograd is in `optimization/autograd.py` (Gaussians on the device) and `functio
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -139,29 +139,54 @@ class Renderer:
             ExplainedError: a gradient of an image is not finite.
         """
         with self.device.lock:
-            camera = frame.request.camera
+            wants_pose = frame.request.wants_pose_gradient
+            absolute = statistics is not None and statistics.shape[0] == 3
+            sums = self.begin_backward(frame, image_gradients, absolute=absolute)
+            if sums is None:
+                if not accumulate:
+                    gradients.fill(0, 0, row_count(frame.request.bands))
+                return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
+            self.project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
+            if not wants_pose:
+                return None
+            program = self.programs.projection(frame.request)
+            pose_gradient = self._poses.gradient(program, block, frame.request.camera)
+            self.device.queue.flush()
+            return pose_gradient
+
+    def begin_backward(
+        self,
+        frame: Frame,
+        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
+        *,
+        absolute: bool,
+    ) -> DeviceArray | None:
+        """Run the first part of `backward`, which does not read the parameters.
+
+        Args:
+            absolute: If True, also sum the absolute screen gradients.
+
+        Returns:
+            Sums of each (tile, Gaussian) pair, valid until the next call; None if there are no pairs.
+
+        Raises:
+            ExplainedError: a gradient of an image is not finite.
+        """
+        camera = frame.request.camera
+        with self.device.lock:
             images = [
                 self._image_gradient(
                     gradient, math.prod((camera.height, camera.width, *rest)), name
                 )
                 for gradient, (name, rest) in zip(image_gradients, CHANNELS.items(), strict=True)
             ]
-            wants_pose = frame.request.wants_pose_gradient
             if not frame.pairs:
-                if not accumulate:
-                    gradients.fill(0, 0, row_count(frame.request.bands))
-                return torch.zeros(4, 4, dtype=torch.float64) if wants_pose else None
+                return None
             with_depth = image_gradients[1] is not None
-            with_absolute = statistics is not None and statistics.shape[0] == 3
-            sums = self._raster_backward(frame, images, with_depth, with_absolute)
-            self._project_backward(frame, block, sums, gradients, accumulate, statistics, detach)
-            pose_gradient = None
-            if wants_pose:
-                program = self.programs.projection(frame.request)
-                pose_gradient = self._poses.gradient(program, block, camera)
+            sums = self._raster_backward(frame, images, with_depth, absolute)
             # Some drivers start no kernel before a flush or a wait.
             self.device.queue.flush()
-            return pose_gradient
+            return sums
 
     def _raster_backward(
         self,
@@ -190,7 +215,7 @@ class Renderer:
         )
         return sums
 
-    def _project_backward(
+    def project_backward(
         self,
         frame: Frame,
         block: Block,
@@ -200,16 +225,13 @@ class Renderer:
         statistics: DeviceArray | None,
         detach: Collection[str],
     ) -> None:
-        arrays, request = frame.arrays, frame.request
+        """Run the last part of `backward`, from the result of `begin_backward`."""
+        request = frame.request
         self.programs.run_on_blocks(
             self.programs.projection(request),
             "project_backward",
             block.capacity,
-            block.parameters,
-            _modifiers(frame, block),
-            *arrays.all("camera", "clamped"),
-            sums,
-            *arrays.all("slot_start", "slot_count"),
+            *self._inputs(frame, block, sums),
             gradients,
             statistics if statistics is not None else gradients,
             np.uint32(block.count),
@@ -218,10 +240,49 @@ class Renderer:
             np.int32(block.activated),
             np.int32(request.modifiers is not None),
             np.int32(accumulate),
-            np.int32(0 if statistics is None else statistics.shape[0] - 1),
-            np.int32(sum(PARAMETER_BITS[name] for name in detach)),
+            *_options(statistics, detach),
             *((self._poses.parts(block),) if request.wants_pose_gradient else ()),
         )
+        self.device.queue.flush()
+
+    def project_backward_and_step(
+        self,
+        frame: Frame,
+        block: Block,
+        sums: DeviceArray,
+        statistics: DeviceArray | None,
+        detach: Collection[str],
+        step: Sequence[DeviceArray | np.generic],
+    ) -> None:
+        """Run the last part of `backward` and a step of Adam in one kernel, without storing gradients.
+
+        The render must not require a gradient of its pose.
+
+        Args:
+            block: with stored parameters (`activated` False), which the step changes.
+            step: moments, rates and the rest of the kernel's arguments; see `Adam`.
+        """
+        request = frame.request
+        self.programs.run_on_blocks(
+            self.programs.step(request),
+            "project_backward_and_step",
+            block.capacity,
+            *self._inputs(frame, block, sums),
+            statistics if statistics is not None else sums,
+            np.uint32(block.count),
+            np.uint32(block.capacity),
+            np.int32(request.bands),
+            np.int32(request.modifiers is not None),
+            *_options(statistics, detach),
+            *step,
+        )
+
+    def _inputs(self, frame: Frame, block: Block, sums: DeviceArray) -> list[DeviceArray]:
+        """First arguments of the projection's backward kernels."""
+        arrays = frame.arrays
+        modifiers = _modifiers(frame, block)
+        fixed = arrays.all("camera", "clamped")
+        return [block.parameters, modifiers, *fixed, sums, *arrays.all("slot_start", "slot_count")]
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         """Allocate arrays, and send the camera, the opacity factors and the smoothing."""
@@ -311,6 +372,12 @@ class Renderer:
         array = self._scratch.reserve(f"d_{name}", self.dtype, size)
         array.write(gradient, 0, size)
         return array
+
+
+def _options(statistics: DeviceArray | None, detach: Collection[str]) -> tuple[np.int32, np.int32]:
+    """Arguments of the same kernels: which statistics to collect, and what to detach."""
+    collect = 0 if statistics is None else statistics.shape[0] - 1
+    return np.int32(collect), np.int32(sum(PARAMETER_BITS[name] for name in detach))
 
 
 def _modifiers(frame: Frame, block: Block) -> DeviceArray:

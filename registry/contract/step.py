@@ -100,7 +100,7 @@ class Step:
         scene: the scene without test views and true depth.
         sample: training sample of this iteration.
         model: the Gaussians; `model.read(name)` returns a parameter, `model.gradient(name)` its gradient
-            after the backward pass.
+            between the backward pass and the optimizer's step.
         extent: the scene's extent in world units (`Scene.extent`).
         priors: the pipeline's prior models by name.
         render: renders other cameras; see `Render`.

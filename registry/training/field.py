@@ -272,7 +272,7 @@ class Field:
             rates["opacity_logits"] = 0.0
         if not self._edited:
             # As in 3DGS: gradients of the Gaussians before an edit do not move those after it.
-            self.optimizer.step(rates, self._bands)
+            self.optimizer.step(rates, self._bands, keep_gradients=False)
         if self._reset:
             self.optimizer.reset_moments("opacity_logits")
         self.parameters.step()

@@ -171,7 +171,9 @@ def test_adam_for_the_visible_leaves_the_others_where_they_are(device: Device) -
     """Two steps of which the second sees only half: dense Adam carries the others on."""
     model, other = (GaussianModel(parameters(), device) for _ in range(2))
     dense, sparse = Adam(model), Adam(other)
-    sparse.program = device.program("optimization/adam", dtype=torch.float32, VISIBLE_ONLY=1)
+    sparse.program = device.program(
+        "optimization/adam_values", "optimization/adam", dtype=torch.float32, VISIBLE_ONLY=1
+    )
     gradients = torch.ones(model.rows, model.capacity)
     for each in (model, other):
         each.gradients.rows.write(gradients)

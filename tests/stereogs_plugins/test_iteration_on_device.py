@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
-from core_rasterizer.device import Variant
+from core_rasterizer.device import Program, Variant
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
@@ -30,8 +32,8 @@ FLOAT, CAMERA, COUNTERS = 4, 32 * 8, 4 * 8
 LAUNCHES = {"cpu": 7, "gpu": 24}
 
 
-def trainer_on(device: Device) -> Trainer:
-    pipeline = parse_pipeline(PIPELINE, Plugins(), source="t.yaml")
+def trainer_on(device: Device, text: str = PIPELINE) -> Trainer:
+    pipeline = parse_pipeline(text, Plugins(), source="t.yaml")
     scene = tiny_scene()
     assert scene.points is not None
     model = GaussianModel(initial_gaussians(scene.points, pipeline.training), device)
@@ -72,3 +74,24 @@ def test_an_iteration_moves_no_image_and_waits_five_times(
     shared = trainer_on(engine)
     assert [done.number for done in shared.run()][-1] == 10
     assert shared.model.digest() == trainer.model.digest()
+
+
+def test_only_iterations_with_a_reader_store_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels: list[str] = []
+    run = Program.run
+
+    def counted(self: Program, kernel: str, *arguments: Any) -> None:
+        kernels.append(kernel)
+        run(self, kernel, *arguments)
+
+    monkeypatch.setattr(Program, "run", counted)
+    every_second = PIPELINE.replace(
+        "scope: contributing", "scope: contributing, every: 2, phase: 0"
+    )
+    trainer = trainer_on(open_device(), every_second.replace("every: 4", "every: 100"))
+    for done in trainer.run():
+        # Decay reads gradients in every second iteration, and the host looks at those of the first.
+        stored = done.number == 1 or done.number % 2 == 0
+        assert kernels.count("project_backward") == stored
+        assert kernels.count("project_backward_and_step") == (not stored)
+        kernels.clear()

@@ -78,13 +78,15 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
 #endif
 
-/* Prefetch a cache line on a CPU, to read or to write. Any address is valid. Compilers that target SPIR-V do
- * not know the builtin, and Mesa's exits the process. */
+/* Prefetch a cache line on a CPU, to read, to read LATER (into the second level of caches) or to write. Any
+ * address is valid. Compilers that target SPIR-V do not know the builtin, and Mesa's exits the process. */
 #if LANES > 1 && (defined(__x86_64__) || defined(__aarch64__))
 #define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
+#define PREFETCH_LATER(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 0, 2)
 #define PREFETCH_TO_WRITE(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 1)
 #else
 #define PREFETCH(pointer)
+#define PREFETCH_LATER(pointer)
 #define PREFETCH_TO_WRITE(pointer)
 #endif
 
@@ -128,13 +130,16 @@ static inline lane lane_abs(lane x)
  * an element's row and column that is a rotation by one, and rotation by three swaps the two. */
 static inline void transpose(lane *rows)
 {
+#pragma unroll
     for (int round = 0; round < 3; round++) {
         lane merged[8];
+#pragma unroll
         for (int k = 0; k < 4; k++) {
             const lane a = rows[k], b = rows[k + 4];
             merged[2 * k] = (lane)(a.s0, b.s0, a.s1, b.s1, a.s2, b.s2, a.s3, b.s3);
             merged[2 * k + 1] = (lane)(a.s4, b.s4, a.s5, b.s5, a.s6, b.s6, a.s7, b.s7);
         }
+#pragma unroll
         for (int k = 0; k < 8; k++)
             rows[k] = merged[k];
     }

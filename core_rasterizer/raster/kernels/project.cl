@@ -4,11 +4,13 @@
 static inline void store_records(__global real *records, size_t i, lane *field)
 {
 #if LANES == 1
+#pragma unroll
     for (int k = 0; k < RECORD; k++)
         records[i * RECORD + k] = field[k];
 #else
     transpose(field);
     transpose(field + LANES);
+#pragma unroll
     for (int l = 0; l < LANES; l++) {
         STORE_GLOBAL(records + (i + l) * RECORD, field[l]);
         STORE_GLOBAL(records + (i + l) * RECORD + LANES, field[LANES + l]);
@@ -28,24 +30,23 @@ static inline void shade(
     lane basis[16];
     sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);
     fade_last_band(basis, degree, camera);
-    for (int c = 0; c < 3; c++) {
-        lane sum = (lane)0.5;
-        for (int k = 0; k < (degree + 1) * (degree + 1); k++)
-            sum += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
-        color[c] = sum;
-    }
+    lane sums[3] = {(lane)0.5, (lane)0.5, (lane)0.5};
+    for (int k = 0; k < (degree + 1) * (degree + 1); k++)
+#pragma unroll
+        for (int c = 0; c < 3; c++)
+            sums[c] += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
+#pragma unroll
+    for (int c = 0; c < 3; c++)
+        color[c] = sums[c];
 }
 
-__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
-void project(
+static inline void project_and_pack(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
     __global uint4 *covers,
-    uint count, uint capacity, int degree, int activated, int modified)
+    uint count, uint capacity, int degree, int activated, int modified, size_t i)
 {
-    const size_t i = get_global_id(0) * LANES;
-    if (i >= capacity)
-        return;
+#pragma unroll
     for (int l = 0; l < LANES; l++) {
         keys[i + l] = INVISIBLE;
         slot_count[i + l] = 0;
@@ -78,6 +79,7 @@ void project(
     visible &= (mean_y + reach_y > (lane)0.5f) & (mean_y - reach_y < (lane)(height - 0.5f));
 
     int any = 0;
+#pragma unroll
     for (int l = 0; l < LANES; l++)
         any |= LANE_AT_MASK(visible, l) && i + l < count;
     if (!any)
@@ -85,13 +87,16 @@ void project(
 
     lane field[RECORD], color[3];
     shade(color, parameters, capacity, i, camera, degree);
+#pragma unroll
     for (int channel = 0; channel < 3; channel++) {
         visible &= lane_abs(color[channel]) < (lane)big;
         color[channel] = LANE_MAX(color[channel], (lane)0);
     }
     lane_mask dark = (lane_mask)0;
+#pragma unroll
     for (int channel = 0; channel < 3; channel++)
         dark |= color[channel] <= (lane)0 ? (lane_mask)(1 << channel) : (lane_mask)0;
+#pragma unroll
     for (int l = 0; l < LANES; l++)
         clamped[i + l] = LANE_AT_MASK(dark, l);
 
@@ -114,6 +119,7 @@ void project(
     const tile_boxes boxes = tiles_of_block(field);
     store_records(records, i, field);
     lane floor_of_alpha = -level * LOG2_E; /* the exponent of 2 at which alpha is the cut-off */
+#pragma unroll
     for (int l = 0; l < LANES; l++)
         if (LANE_AT_MASK(visible, l) && i + l < count) {
             const uint4 cover = cover_of(
@@ -122,4 +128,17 @@ void project(
             if (cover.z | cover.w)
                 keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */
         }
+}
+
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
+void project(
+    __global const real *parameters, __global const real *modifiers, __global const wide *camera,
+    __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
+    __global uint4 *covers,
+    uint count, uint capacity, int degree, int activated, int modified)
+{
+    const size_t begin = get_global_id(0) * PROJECT_SPAN;
+    for (size_t i = begin; i < begin + PROJECT_SPAN && i < capacity; i += LANES)
+        project_and_pack(parameters, modifiers, camera, records, keys, slot_count, clamped, covers, count,
+            capacity, degree, activated, modified, i);
 }

@@ -1,5 +1,14 @@
 /* Backward, last stage: sum a Gaussian's pair slots, then differentiate the projection. */
 
+/* Built with STEP, gradients of a few Gaussians stay in private memory, for a step of Adam (backward_step.cl). */
+#ifdef STEP
+#define GRADIENT real
+#define STORE_GRADIENT STORE
+#else
+#define GRADIENT __global real
+#define STORE_GRADIENT STORE_GLOBAL
+#endif
+
 /* `collect`: 0 no statistics, 1 two rows, 2 a third row, which needs kernels with ABSOLUTE. */
 #define COLLECT_ABSOLUTE 2
 
@@ -8,12 +17,15 @@ static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, size_t i)
 {
+#pragma unroll
     for (int k = 0; k < PAIR; k++)
         sums[k] = (lane)0;
+#pragma unroll
     for (int l = 0; l < LANES; l++) {
         const uint slots = slot_count[i + l]; /* where it is 0, slot_start is undefined */
         __global const real *slot = pair_sums + (size_t)(slots ? slot_start[i + l] : 0) * PAIR;
         for (uint s = 0; s < slots; s++, slot += PAIR)
+#pragma unroll
             for (int k = 0; k < PAIR / LANES; k++)
                 sums[k * LANES + l] += LOAD_GLOBAL(slot + k * LANES);
     }
@@ -27,41 +39,54 @@ static inline void sum_pairs(
  * undefined slot_start is harmless. */
 static inline void prefetch_slots(__global const real *pair_sums, __global const uint *slot_start)
 {
+#pragma unroll
     for (int l = 0; l < LANES; l++)
         PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR);
 }
 
 /* Hardware does not prefetch sixty rows that are written either, and an uncached line is read before it is
  * written. Addresses beyond a row's end are harmless. */
-static inline void prefetch_gradients(__global real *gradients, size_t capacity, size_t i, int count)
+static inline void prefetch_gradients(__global const real *gradients, size_t capacity, size_t i, int count)
 {
     if (LANES > 1 && i % 16 == 0) /* a cache line */
         for (int row = 0; row < count; row++)
-            PREFETCH_TO_WRITE(gradients + row * capacity + i + ROWS_AHEAD);
+            PREFETCH_TO_WRITE(gradients + row * capacity + ROWS_AHEAD);
 }
 
 /* Overflowed gradients become 0, so that optimizer steps stay finite. */
-static inline void put(__global real *row, lane value, int accumulate)
+static inline lane finite(lane value)
 {
+    return lane_abs(value) < (lane)REAL_LARGEST ? value : (lane)0;
+}
+
+static inline void put(GRADIENT *row, lane value, int accumulate)
+{
+#ifndef STEP
     if (accumulate)
         value += LOAD_GLOBAL(row);
-    STORE_GLOBAL(row, lane_abs(value) < (lane)REAL_LARGEST ? value : (lane)0);
+#endif
+    STORE_GRADIENT(row, finite(value));
+}
+
+static inline void add(__global real *row, lane value)
+{
+    STORE_GLOBAL(row, finite(value + LOAD_GLOBAL(row)));
 }
 
 /* Detached parameters get no gradient; rows that are overwritten must still be zeroed. */
-static inline void put_unless(int detached, __global real *row, lane value, int accumulate)
+static inline void put_unless(int detached, GRADIENT *row, lane value, int accumulate)
 {
     if (!detached)
         put(row, value, accumulate);
     else if (!accumulate)
-        STORE_GLOBAL(row, (lane)0);
+        STORE_GRADIENT(row, (lane)0);
 }
 
 /* Gradients of the SH coefficients; the path from view direction to mean is added to `d_mean` and stored in
  * `d_view`. */
 static inline void color_backward(
-    __global const real *parameters, __global real *gradients, size_t capacity, size_t i,
-    __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
+    __global const real *parameters, GRADIENT *gradients, size_t gradient_stride, size_t capacity,
+    size_t i, __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
     int detached, lane *d_mean, lane *d_view)
 {
     __global const real *row = parameters + i;
@@ -78,11 +103,12 @@ static inline void color_backward(
     const int coefficients = (degree + 1) * (degree + 1);
     for (int k = 0; k < coefficients; k++) {
         lane sum = (lane)0;
+#pragma unroll
         for (int c = 0; c < 3; c++) {
             const size_t at = (ROW_SH + 3 * k + c) * capacity;
             if (k > 0)
                 sum += d_color[c] * (visible ? LOAD_GLOBAL(row + at) : (lane)0);
-            put_unless(detached & BIT_SH, gradients + i + at, basis[k] * d_color[c], accumulate);
+            put_unless(detached & BIT_SH, gradients + (ROW_SH + 3 * k + c) * gradient_stride, basis[k] * d_color[c], accumulate);
         }
         weight[k] = sum;
     }
@@ -149,6 +175,7 @@ static inline void covariance_backward(
     __global const wide *camera, lane *d_scale, lane *d_quaternion, lane *d_camera, lane *d_u)
 {
     lane d_j00 = (lane)0, d_j02 = (lane)0, d_j11 = (lane)0, d_j12 = (lane)0;
+#pragma unroll
     for (int k = 0; k < 3; k++) {
         lane d_a0 = 2 * d_xx * g->a0[k] + d_xy * g->a1[k];
         lane d_a1 = 2 * d_yy * g->a1[k] + d_xy * g->a0[k];
@@ -172,10 +199,13 @@ static inline void covariance_backward(
     }
     __global const wide *w = camera + CAMERA_ROTATION;
     real r[9];
+#pragma unroll
     for (int k = 0; k < 9; k++)
         r[k] = w[k];
     lane d_rotation[9];
+#pragma unroll
     for (int j = 0; j < 3; j++)
+#pragma unroll
         for (int k = 0; k < 3; k++)
             d_rotation[3 * j + k] = r[j] * d_u[k] + r[3 + j] * d_u[3 + k] + r[6 + j] * d_u[6 + k];
     rotation_backward(g, d_rotation, d_quaternion);
@@ -189,35 +219,32 @@ static inline void covariance_backward(
             + d_j12 * g->j12 * (g->free_y ? (lane)2 : (lane)1));
 }
 
-__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
-void project_backward(
+/* Gradients of the block from column i on, which `gradients` points to, in rows of `gradient_stride`. */
+static inline void backward_of_block(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
-    __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
-    uint capacity, int degree, int activated, int modified, int accumulate, int collect,
-    int detached
-#ifdef POSED
-    , __global wide *pose_sums
-#endif
-)
+    __global const uint *slot_count, GRADIENT *gradients, size_t gradient_stride,
+    __global real *statistics, uint count, uint capacity, int degree, int activated, int modified,
+    int accumulate, int collect, int detached, __global wide *pose_sums, size_t i)
 {
-    const size_t i = get_global_id(0) * LANES, stride = capacity;
-    if (i >= count)
-        return;
+    const size_t stride = capacity;
 #ifdef POSED
-    pose_sums += get_global_id(0) * POSE;
+    pose_sums += i / LANES * POSE;
     for (int k = 0; k < POSE; k++)
         pose_sums[k] = 0;
 #endif
     const int rows = ROW_SH + 3 * (degree + 1) * (degree + 1);
+#ifndef STEP
     prefetch_gradients(gradients, stride, i, rows);
+#endif
     int any = 0;
+#pragma unroll
     for (int l = 0; l < LANES; l++)
         any |= slot_count[i + l] > 0;
     if (!any) {
         if (!accumulate)
             for (int row = 0; row < rows; row++)
-                STORE_GLOBAL(gradients + row * stride + i, (lane)0);
+                STORE_GRADIENT(gradients + row * gradient_stride, (lane)0);
         return;
     }
     prefetch_rows(parameters, stride, i, rows);
@@ -261,42 +288,71 @@ void project_backward(
         d_camera, d_u);
     __global const wide *w = camera + CAMERA_ROTATION;
     real r[9];
+#pragma unroll
     for (int k = 0; k < 9; k++)
         r[k] = w[k];
+#pragma unroll
     for (int k = 0; k < 3; k++)
         d_mean[k] = r[k] * d_camera[0] + r[3 + k] * d_camera[1] + r[6 + k] * d_camera[2];
 
     const lane_mask dark = LOAD_BYTES(clamped + i);
+#pragma unroll
     for (int channel = 0; channel < 3; channel++) /* a clamped colour has no gradient */
         d_color[channel] = (dark & 1 << channel) == 0 ? sums[PAIR_RED + channel] : (lane)0;
-    color_backward(parameters, gradients, stride, i, camera, degree, d_color, visible, accumulate,
+    color_backward(parameters, gradients, gradient_stride, stride, i, camera, degree, d_color, visible, accumulate,
         detached, d_mean, d_view);
 #ifdef POSED
     store_pose_sums(pose_sums, &g, parameters, stride, i, visible, d_camera, d_u, d_view);
 #endif
 
+#pragma unroll
     for (int k = 0; k < 3; k++) {
-        put_unless(detached & BIT_MEANS, gradients + (ROW_MEAN + k) * stride + i,
+        put_unless(detached & BIT_MEANS, gradients + (ROW_MEAN + k) * gradient_stride,
             visible ? d_mean[k] : (lane)0, accumulate);
-        put_unless(detached & BIT_LOG_SCALES, gradients + (ROW_SCALE + k) * stride + i,
+        put_unless(detached & BIT_LOG_SCALES, gradients + (ROW_SCALE + k) * gradient_stride,
             visible ? d_scale[k] : (lane)0, accumulate);
     }
+#pragma unroll
     for (int k = 0; k < 4; k++)
-        put_unless(detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * stride + i,
+        put_unless(detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * gradient_stride,
             visible ? d_quaternion[k] : (lane)0, accumulate);
-    put_unless(detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * stride + i,
+    put_unless(detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * gradient_stride,
         visible ? d_log_opacity / g.opacity * g.opacity_slope : (lane)0, accumulate);
     if (collect) {
         const lane ndc_x = d_mean_x * (real)(camera[CAMERA_WIDTH] / 2);
         const lane ndc_y = d_mean_y * (real)(camera[CAMERA_HEIGHT] / 2);
         const lane norm = visible ? lane_sqrt(ndc_x * ndc_x + ndc_y * ndc_y) : (lane)0;
-        put(statistics + i, norm, 1);
-        put(statistics + stride + i, visible ? (lane)1 : (lane)0, 1);
+        add(statistics + i, norm);
+        add(statistics + stride + i, visible ? (lane)1 : (lane)0);
     }
     if (collect == COLLECT_ABSOLUTE) {
         const lane pull_x = sums[PAIR_ABSOLUTE_X] * (real)(camera[CAMERA_WIDTH] / 2) / LOG2_E;
         const lane pull_y = sums[PAIR_ABSOLUTE_Y] * (real)(camera[CAMERA_HEIGHT] / 2) / LOG2_E;
         const lane norm = visible ? lane_sqrt(pull_x * pull_x + pull_y * pull_y) : (lane)0;
-        put(statistics + 2 * stride + i, norm, 1);
+        add(statistics + 2 * stride + i, norm);
     }
 }
+
+#ifndef STEP
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
+void project_backward(
+    __global const real *parameters, __global const real *modifiers, __global const wide *camera,
+    __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
+    __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
+    uint capacity, int degree, int activated, int modified, int accumulate, int collect,
+    int detached
+#ifdef POSED
+    , __global wide *pose_sums
+#endif
+)
+{
+    const size_t begin = get_global_id(0) * PROJECT_SPAN;
+#ifndef POSED
+    __global wide *pose_sums = 0;
+#endif
+    for (size_t i = begin; i < begin + PROJECT_SPAN && i < count; i += LANES)
+        backward_of_block(parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
+            gradients + i, capacity, statistics, count, capacity, degree, activated, modified,
+            accumulate, collect, detached, pose_sums, i);
+}
+#endif

@@ -169,6 +169,7 @@ static inline pair camera_number(__global const wide *camera, int index)
 static inline pair camera_coordinate(__global const wide *camera, int axis, const lane *mean)
 {
     pair sum = camera_number(camera, CAMERA_TRANSLATION + axis);
+#pragma unroll
     for (int k = 0; k < 3; k++) {
         const pair factor = camera_number(camera, CAMERA_ROTATION + 3 * axis + k);
         sum = add_product(sum, factor.high, factor.low, mean[k]);
@@ -240,7 +241,9 @@ static inline void project_block(
         LOAD_GLOBAL(row + (ROW_QUATERNION + 1) * capacity),
         LOAD_GLOBAL(row + (ROW_QUATERNION + 2) * capacity),
         LOAD_GLOBAL(row + (ROW_QUATERNION + 3) * capacity), rotation);
+#pragma unroll
     for (int j = 0; j < 3; j++)
+#pragma unroll
         for (int k = 0; k < 3; k++)
             g->u[3 * j + k] = (real)w[3 * j] * rotation[k] + (real)w[3 * j + 1] * rotation[3 + k]
                 + (real)w[3 * j + 2] * rotation[6 + k];
@@ -257,6 +260,7 @@ static inline void project_block(
     g->j12 = -g->j11 * g->ratio_y;
 
     lane xx = (lane)0, xy = (lane)0, yy = (lane)0;
+#pragma unroll
     for (int k = 0; k < 3; k++) {
         const lane parameter = LOAD_GLOBAL(row + (ROW_SCALE + k) * capacity);
         g->scale[k] = activated ? parameter : lane_exp(parameter);

@@ -1,0 +1,63 @@
+/* The arithmetic of a step of Adam (Kingma & Ba 2015). Twin: torch.optim.Adam.
+ *
+ * Each of six groups of rows has a learning rate, divided by the first bias correction, and 1 / sqrt of the
+ * second. */
+
+#ifndef GRADIENT
+#define GRADIENT __global real
+#endif
+
+/* Kernel arguments, and their selection by group. Arrays keep the selection out of the loop; a chain of ?: took
+ * a tenth longer. */
+#define ADAM_RATES                                                                                \
+    real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,         \
+        real sh_rest, real correct_means, real correct_log_scales, real correct_quaternions,      \
+        real correct_opacity_logits, real correct_sh_constant, real correct_sh_rest
+#define ADAM_RATES_BY_GROUP                                                                       \
+    const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};  \
+    const real corrections[] = {correct_means, correct_log_scales, correct_quaternions,           \
+        correct_opacity_logits, correct_sh_constant, correct_sh_rest};
+#define ADAM_GROUP_OF(row)                                                                        \
+    ((row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY) + (row >= ROW_SH)        \
+        + (row >= ROW_SH + 3))
+
+#define BETA1 ((real)0.9)
+#define BETA2 ((real)0.999)
+/* 1 - beta, written out: in float, 1 - 0.999f is wrong in the fifth digit. */
+#define SHARE1 ((real)0.1)
+#define SHARE2 ((real)0.001)
+#define EPSILON ((real)1e-15)
+/* The square of a larger gradient overflows; such gradients, and undefined ones, count as 0. */
+#define LARGEST_GRADIENT ((real)1e18)
+
+/* With VISIBLE_ONLY, values without gradient are skipped, so their moments do not decay; used by
+ * benchmarks. Whole blocks without gradient cost one read instead of seven accesses. */
+#ifndef VISIBLE_ONLY
+#define VISIBLE_ONLY 0
+#endif
+#define BLOCK (LANES == 1 ? 1 : 16)
+
+/* Scalar code that the compiler vectorizes, including the square root, thanks to `restrict`. Returns
+ * whether a parameter is not finite afterwards. */
+static inline int step_values(
+    __global real *restrict parameters, const GRADIENT *restrict gradients,
+    __global real *restrict first_moments, __global real *restrict second_moments, size_t begin,
+    size_t end, real rate, real correction)
+{
+    int undefined = 0;
+    for (size_t at = begin; at < end; at++) {
+        const real given = gradients[at];
+        const int defined = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT);
+        const real gradient = defined ? given : 0;
+        const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
+        const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
+        const int still = VISIBLE_ONLY & (given == 0);
+        first_moments[at] = still ? first_moments[at] : m;
+        second_moments[at] = still ? second_moments[at] : v;
+        const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
+        const real moved = parameters[at] - (still ? 0 : change);
+        parameters[at] = moved;
+        undefined |= !((moved > -INFINITY) & (moved < INFINITY)); /* comparisons with NaN are false */
+    }
+    return undefined;
+}
