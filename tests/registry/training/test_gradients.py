@@ -108,7 +108,7 @@ def test_a_failure_of_the_engine_blames_no_component(fail: Any, monkeypatch: Any
     def refuse(*arguments: object, **options: object) -> None:
         raise MemoryBudgetError("too much", where="60 Gaussians", fix="less")
 
-    monkeypatch.setattr("core_rasterizer.raster.Renderer.backward", refuse)
+    monkeypatch.setattr("core_rasterizer.raster.Renderer.begin_backward", refuse)
     error = fail("regularizers: [toy_term]\n")
     assert (error.what, error.where) == ("too much", "60 Gaussians; iteration 1")
     monkeypatch.setattr("core_rasterizer.GaussianModel.render", refuse)
