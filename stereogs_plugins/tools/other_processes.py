@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
-from unittest import mock
 
 from registry import PluginError, Register, TrainOption, hookimpl
 
@@ -23,8 +22,9 @@ if TYPE_CHECKING:
 
 ITERATIONS = 24
 """Length of the trainings; schedules are scaled to it, so that late components are called too."""
+_HASH_SEED = "PYTHONHASHSEED"
 HASH_SEEDS = ("1", "2")
-"""PYTHONHASHSEED of the processes: it decides `hash()` of texts, and the order of sets."""
+"""Values of `_HASH_SEED` in the processes: it decides `hash()` of texts, and the order of sets."""
 _METHODS = {
     "initializer": "initialize",
     "samplers": "sample",
@@ -99,11 +99,16 @@ def refuse_different_answers(pipeline: Pipeline, scene: Scene, device: str) -> N
 
 
 def _in_process(seed: str, *given: Any) -> Sequence[Answer]:
-    with (
-        mock.patch.dict(os.environ, PYTHONHASHSEED=seed),
-        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
-    ):
-        return pool.submit(answers_of, *given).result()
+    before = os.environ.get(_HASH_SEED)
+    os.environ[_HASH_SEED] = seed  # a new process reads it when it starts
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(answers_of, *given).result()
+    finally:
+        if before is None:
+            del os.environ[_HASH_SEED]
+        else:
+            os.environ[_HASH_SEED] = before
 
 
 def answers_of(pipeline: Pipeline, scene: Scene, device: str) -> Sequence[Answer]:
