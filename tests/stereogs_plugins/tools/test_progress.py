@@ -109,9 +109,13 @@ def test_ctrl_c_during_the_report_says_how_to_continue(
 
     monkeypatch.chdir(tmp_path)
     words = command()[3:]
-    with monkeypatch.context() as patched:
-        patched.setattr(HtmlReport, "write", lambda *_: signal.raise_signal(signal.SIGINT))
-        assert main(words) == 130
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(HtmlReport, "write", lambda *_: signal.raise_signal(signal.SIGINT))
+            assert main(words) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     told = capsys.readouterr().err
     assert "The trained scene is kept. `stereogs resume run` scores it" in told
     assert main(["resume", "run"]) == 0
