@@ -26,7 +26,15 @@ def plugins() -> Plugins:
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_its_pipelines_are_understood(plugins: Plugins, example: str) -> None:
+def test_its_pipelines_are_understood(
+    plugins: Plugins, example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The preferred prior is chosen where its model file exists."""
+    monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
+    for name in re.findall(r"\$\{STEREOGS_MODELS\}/([\w./]+)", example):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
     rest = HEAD if "initializer:" in example else f"{HEAD}initializer: sfm\n"
     pipeline = parse_pipeline(rest + example, plugins, source=PAGE.name)
     networks = [prior for prior in pipeline.items["priors"] if prior.offer.name in NAMES]
