@@ -125,7 +125,9 @@ def _psnr(run: Run) -> float:
         mean = evaluate(run.model, run.scene, run.scene.test, metrics).mean["psnr"]
     if mean is None:
         raise RunError(
-            "a view has no score", where=run.scene.name, fix="choose a scene whose views have one"
+            "a view has no score",
+            where=run.scene.name,
+            fix="choose a scene whose test views psnr can score",
         )
     return round(mean, 4)
 

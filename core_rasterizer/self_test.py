@@ -73,7 +73,7 @@ def self_test(device: Device) -> Verdict:
     scenes = (
         (_gaussians(300, -3.5, -1.5), Camera(pose, 90.0, 95.0, 27.0, 34.0, width=96, height=66)),
         (_many_behind(), Camera(straight, 90.0, 90.0, 48.0, 32.0, width=96, height=64)),
-        # One Gaussian covers more than 64 tiles of up to 64x32 pixels, so it has no tile mask.
+        # One Gaussian covers more than 64 tiles (each at most 64x32 pixels), too many for a tile mask.
         (_with_giant(), Camera(straight, 550.0, 550.0, 288.0, 128.0, width=576, height=256)),
     )
     verdicts = [_compare(device, gaussians, camera) for gaussians, camera in scenes]

@@ -94,7 +94,7 @@ class Gradients:
         if self._used:
             raise GaussianError(
                 "the gradients are gone: the optimizer's step used them without storing them",
-                field="means",
+                field="gradients",
                 fix="read them before the step, in an opacity policy or a densification",
             )
         return self._rows

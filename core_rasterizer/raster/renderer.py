@@ -167,7 +167,7 @@ class Renderer:
             absolute: If True, also sum the absolute screen gradients.
 
         Returns:
-            Sums of each (tile, Gaussian) pair, valid until the next call; None if there are no pairs.
+            Sums of each (tile, Gaussian) pair, valid until the next call. None without pairs.
 
         Raises:
             ExplainedError: a gradient of an image is not finite.

@@ -201,7 +201,7 @@ def _report(bench: Bench, built: Any) -> Any:
 def _confidence(bench: Bench, built: Any) -> Any:
     def unknown(name: str) -> Any:
         raise PluginError(
-            f"the check has no estimator {name!r}", fix="estimate from the rest of `trained`"
+            f"the check has no estimator {name!r}", fix="use the other attributes of `trained`"
         )
 
     scene, reader = bench.scene, GaussianReader(bench.model())

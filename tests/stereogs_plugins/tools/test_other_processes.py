@@ -7,9 +7,10 @@ import logging
 from dataclasses import replace
 
 import pytest
+from torch import Tensor
 
 from core_rasterizer import Device
-from registry import PluginError, Regularizer, Settings
+from registry import PluginError, Regularizer, Settings, Step
 from registry.commands import TrainRequest
 from registry.pipeline import TrainingSettings
 from registry.runs import RunOptions
@@ -26,7 +27,7 @@ from stereogs_plugins.tools.other_processes import (
 class Hashing(Regularizer[Settings]):
     """Depends on PYTHONHASHSEED."""
 
-    def loss(self, step):  # type: ignore[no-untyped-def]
+    def loss(self, step: Step) -> Tensor:
         return step.rendering.alpha.mean() * (1 + hash("text") % 1000)
 
 
