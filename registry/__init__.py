@@ -64,11 +64,10 @@ else:
 
 _MOVED = {
     "registry.events": "RunEnded RunStarted",
-    "registry.plugins": "optional_module",
     "registry.priors": "MonocularDepthPrior MultiViewDepthPrior",
     "registry.runs": "read_results trained_gaussians",
     "registry.system": "write_text",
-    "registry.toolkit": "cache web_page",
+    "registry.toolkit": "cache optional_module web_page",
     "registry.toolkit.drawing": "LoggerSettings ViewPictures depth_ends",
     "registry.toolkit.networks": "OnnxModelSettings image_fitting",
     "registry.toolkit.views": "ViewParameters epipolar_distances triangulation virtual_views",

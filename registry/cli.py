@@ -177,7 +177,3 @@ def _explain(error: ExplainedError) -> int:
         traceback.print_exception(error)
     console(stderr=True).print(f"stereogs: {error}")
     return USAGE_ERROR
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,7 @@
 
 import sys
 
-from registry.cli import main
+from registry.__main__ import main
 
 if __name__ == "__main__":
     sys.exit(main())

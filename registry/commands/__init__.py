@@ -7,8 +7,7 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from ..contract.command import TrainRequest
     from .arguments import (
-        add_accept_changed_inputs,
-        add_accept_changed_plugins,
+        add_accept_changed,
         add_changes,
         add_device,
         add_run,
@@ -22,8 +21,7 @@ else:
 __all__ = [
     "ABSENT",
     "TrainRequest",
-    "add_accept_changed_inputs",
-    "add_accept_changed_plugins",
+    "add_accept_changed",
     "add_changes",
     "add_device",
     "add_run",

@@ -61,7 +61,7 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Add the argument RUN and the options with which `open_given` opens it."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
-    add_accept_changed_inputs(parser)
+    add_accept_changed(parser, "inputs")
     add_device(parser)
 
 
@@ -76,22 +76,14 @@ def open_given(arguments: argparse.Namespace) -> Run:
     )
 
 
-def add_accept_changed_inputs(parser: argparse.ArgumentParser) -> None:
-    """Add the option --accept-changed-inputs."""
-    parser.add_argument(
-        "--accept-changed-inputs",
-        action="store_true",
-        help="continue even if photographs, cameras or model files have changed since the run began",
-    )
-
-
-def add_accept_changed_plugins(parser: argparse.ArgumentParser) -> None:
-    """Add the option --accept-changed-plugins."""
-    parser.add_argument(
-        "--accept-changed-plugins",
-        action="store_true",
-        help="continue even if a plugin's package has another version or code than when the run was written",
-    )
+def add_accept_changed(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --accept-changed-inputs or --accept-changed-plugins."""
+    changed = {
+        "inputs": "photographs, cameras or model files have changed since the run began",
+        "plugins": "a plugin's package has another version or code than when the run was written",
+    }
+    help_text = f"continue even if {changed[what]}"
+    parser.add_argument(f"--accept-changed-{what}", action="store_true", help=help_text)
 
 
 def positive_seconds(text: str) -> float:

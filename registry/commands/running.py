@@ -16,7 +16,7 @@ from ..errors import RunError
 from ..plugins.commands import train_options
 from ..toolkit.progress import showing
 from .arguments import (
-    add_accept_changed_plugins,
+    add_accept_changed,
     add_changes,
     add_device,
     add_run,
@@ -110,7 +110,7 @@ a kill, a crash or a full disk. A finished run is scored and exported again.
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add_run(parser)
-        add_accept_changed_plugins(parser)
+        add_accept_changed(parser, "plugins")
         add_run_options(parser, "resume")
 
     def run(self, arguments: argparse.Namespace) -> int:

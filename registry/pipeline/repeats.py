@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import logging
+import math
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+from torch import Generator, Tensor
 
 from core_rasterizer import GaussianModel, GaussianReader
 
@@ -21,6 +24,8 @@ from ..errors import PluginError
 
 _RECORDS = ("facts", "pictures")
 """Parts of answers that may differ: they do not change the Gaussians, and facts may be seconds."""
+_PAUSE = 0.001
+"""Seconds before a call is repeated: else two readings of a clock may round to one answer."""
 
 
 def answer_of(
@@ -30,24 +35,43 @@ def answer_of(
     *,
     twice: bool,
     again: tuple[Any, ...] | None = None,
+    longest: float = math.inf,
 ) -> Any:
     """Return a component's answer to a call.
 
     Args:
         given: the arguments.
-        twice: ask a copy of the component (`copy.deepcopy`) first, and compare. If the component cannot be
+        twice: ask a copy of the component (`copy.deepcopy`) too, and compare. If the component cannot be
             copied, or its copy fails, nothing is compared.
         again: the arguments for the copy; None: the same.
+        longest: seconds; the copy is not asked if the call takes longer.
 
     Raises:
         PluginError: the answers differ.
     """
     if not twice:
         return getattr(component, method)(*given)
-    copied, first = _answer_of_copy(component, method, again or given)
-    _occupied = [object() for _ in range(64)]  # else a new object has the address of a freed one
+    twin, before = _copy_of(component, given)
+    began = time.monotonic()
     answer = getattr(component, method)(*given)
-    path = first_difference(first, answer) if copied else None
+    if twin is None or time.monotonic() - began > longest:
+        return answer
+    after, path = [(generator, generator.get_state()) for generator, _ in before], None
+    shown = logging.root.manager.disable
+    _occupied = [object() for _ in range(64)]  # else a new object has the address of a freed one
+    time.sleep(_PAUSE)
+    try:
+        logging.disable()
+        for generator, state in before:
+            generator.set_state(state)
+        with own_random_numbers(component.context.seed):
+            path = first_difference(answer, getattr(twin, method)(*(again or given)))
+    except Exception:  # it cannot be repeated
+        return answer
+    finally:
+        logging.disable(shown)
+        for generator, state in after:
+            generator.set_state(state)
     if path is not None and not path.startswith(_RECORDS):
         raise PluginError(
             f"it gave another answer when the same call was repeated{path and f' ({path})'}: no run could "
@@ -58,24 +82,18 @@ def answer_of(
     return answer
 
 
-def _answer_of_copy(component: Any, method: str, given: tuple[Any, ...]) -> tuple[bool, Any]:
-    """Return whether a copy answered, and its answer."""
+def _copy_of(component: Any, given: tuple[Any, ...]) -> tuple[Any, list[tuple[Generator, Tensor]]]:
+    """Return a copy that shares the arguments, or None, and the states of generators of priors in them."""
     shared = [component.context, component.settings, *given]
     priors = [v for value in given if isinstance(value, Mapping) for v in value.values()]
     for step in given:
         if isinstance(step, Step):
             shared += [step.scene, *step.scene.train, *step.maps.values()]
             priors += step.priors.values()
-    states = [prior.generator.get_state() for prior in priors]
-    try:
-        twin = copy.deepcopy(component, {id(value): value for value in [*shared, *priors]})
-        with own_random_numbers(component.context.seed):
-            return True, getattr(twin, method)(*given)
-    except Exception:  # if the component fails too, it is reported
-        return False, None
-    finally:
-        for prior, state in zip(priors, states, strict=True):
-            prior.generator.set_state(state)
+    states = [(prior.generator, prior.generator.get_state()) for prior in priors]
+    with suppress(Exception):
+        return copy.deepcopy(component, {id(value): value for value in [*shared, *priors]}), states
+    return None, states
 
 
 def first_difference(first: Any, second: Any) -> str | None:

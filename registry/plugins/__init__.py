@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         Plugins,
         installed_entries,
         offered_name,
-        optional_module,
         recognize,
         scene_loaders,
     )
@@ -26,7 +25,6 @@ __all__ = [
     "Plugins",
     "installed_entries",
     "offered_name",
-    "optional_module",
     "recognize",
     "scene_loaders",
     "verbs",

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from importlib.metadata import Distribution, EntryPoint, entry_points, version
 from itertools import groupby
 from pathlib import Path
@@ -345,23 +344,3 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
         fix="give the folder that holds one of them, or name the loader: `check --format NAME`, "
         "`train --set scene.use=NAME`",
     )
-
-
-def optional_module(
-    name: str, install: str, then: str = "`stereogs resume RUN` then continues a started run"
-) -> Any:
-    """Import a module of an optional package.
-
-    Args:
-        name: full name of the module.
-        install: the command that installs it.
-        then: what to do after the installation; empty: the same command again.
-
-    Raises:
-        PluginError: it cannot be imported.
-    """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        fix = f"{install}; {then}" if then else install
-        raise PluginError(f"{name} cannot be imported: {error}", fix=fix) from error

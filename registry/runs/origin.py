@@ -126,6 +126,7 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
         "platform": platform.platform(),
         "processor": platform.machine(),
         "python": sys.version.split()[0],
+        "hash_seed": os.environ.get("PYTHONHASHSEED"),
         "source": checkout(),
         "packages": {name: _version(name) for name in packages},
         "plugins": {name: package_of(offer) for name, offer in offers.items()},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -46,6 +47,9 @@ AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
+
+QUICK = 0.1
+"""Longest initialization that is repeated if plugins are not checked, in seconds."""
 
 _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 """Sections whose packages may change before a run is resumed; digests of the inputs cover the scene."""
@@ -177,8 +181,8 @@ def _initialized(
     initializer, known = parts.one("initializer"), scene.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     with initializer.at_work(lent=of_scene(known)):
-        given, twice = (known, parts.priors), are_checked()
-        points = answer_of(initializer.component, "initialize", given, twice=twice)
+        longest, given = math.inf if are_checked() else QUICK, (known, parts.priors)
+        points = answer_of(initializer.component, "initialize", given, twice=True, longest=longest)
         check_maps(points.maps, known)
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from typing import Any
 from unittest import mock
 
-SEEDS: tuple[int, ...] = (1, 2)
+SEEDS: tuple[str, ...] = ("1", "2")
 """Values of PYTHONHASHSEED, of one process each; they serve all later calls."""
 
 
@@ -22,14 +22,14 @@ def in_other_processes(function: Callable[..., Any], *given: Any) -> list[Any]:
     """
     try:
         pickle.dumps(given)
-        return [_process(seed).submit(function, *given).result() for seed in SEEDS]
+        return [_process(*one).submit(function, *given).result() for one in enumerate(SEEDS)]
     except Exception:
         return []
 
 
 @cache
-def _process(seed: int) -> ProcessPoolExecutor:
+def _process(number: int, seed: str) -> ProcessPoolExecutor:
     pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-    with mock.patch.dict(os.environ, PYTHONHASHSEED=str(seed)):
+    with mock.patch.dict(os.environ, PYTHONHASHSEED=seed):
         pool.submit(os.getpid).result()
     return pool

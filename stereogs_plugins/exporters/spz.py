@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
-from registry.plugins import optional_module
+from registry.toolkit import optional_module
 
 if TYPE_CHECKING:
     from pathlib import Path

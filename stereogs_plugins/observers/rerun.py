@@ -6,7 +6,7 @@ from typing import Any
 
 from registry import Observer, Register, TrainingScene, hookimpl
 from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
-from registry.plugins import optional_module
+from registry.toolkit import optional_module
 from registry.toolkit.drawing import LoggerSettings
 
 _DC = 0.28209479177387814

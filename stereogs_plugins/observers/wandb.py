@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from registry import Observer, Register, hookimpl
 from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
-from registry.plugins import optional_module
+from registry.toolkit import optional_module
 from registry.toolkit.drawing import LoggerSettings
 
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import Field
 
 from registry import Context, PluginError, Register, Settings, hookimpl
-from registry.plugins import optional_module
 from registry.runners import Runner, RunningTask
+from registry.toolkit import optional_module
 
 if TYPE_CHECKING:
     from registry.runners import TrainingTask

@@ -6,7 +6,7 @@ import argparse
 
 from registry import Command, Register, hookimpl
 from registry.commands import (
-    add_accept_changed_plugins,
+    add_accept_changed,
     add_run,
     console,
     open_given,
@@ -30,7 +30,7 @@ class Eval(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add_run(parser)
-        add_accept_changed_plugins(parser)
+        add_accept_changed(parser, "plugins")
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Evaluate and print; return 1 if a metric, an exporter or a report failed."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, RunError, hookimpl
-from registry.commands import add_accept_changed_inputs, add_device, console
+from registry.commands import add_accept_changed, add_device, console
 
 if TYPE_CHECKING:
     from core_rasterizer import Device
@@ -42,7 +42,7 @@ class Replay(Command):
             metavar="FAILURE",
             help="a folder in RUN/failures, or a file in it",
         )
-        add_accept_changed_inputs(parser)
+        add_accept_changed(parser, "inputs")
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:

@@ -28,6 +28,8 @@ NAMED = (
     "metrics: return registry.Unavailable(3)",
     "metrics: return float(time.time() % 1)",
     "exporters: return [self.written(folder / '\\x1b[31m.txt')]",
+    "modifiers: return torch.full((step.model.count,), 0.5 + 0.4 * float((time.time() % 1) % 1000) / 1000)",
+    "initializer: return replace(points, positions=points.positions * (1 + float(time.time() % 1) * 1e-3))",
     "initializer: return replace(points, facts={'a': object()})",
     "initializer: return replace(points, maps={'view0': DepthMap(*3 * [torch.ones(3, 3)])})",
 )

@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+from unittest import mock
 
 import numpy as np
 import torch
@@ -41,6 +42,8 @@ error without its name. crash: another exception. harmless: the numbers are thos
 fault. silent: they differ."""
 
 NAME = "sick_one"
+AS_COMMAND = ("0", "0")
+"""PYTHONHASHSEED of the two processes that are compared: the command `stereogs` fixes it."""
 _TRAINING = TrainingSettings(iterations=12, sh_degree=0, evaluate_every=6)
 _MODULES = Path(tempfile.mkdtemp(prefix="sick-"))
 """Modules of the components: other processes import them too."""
@@ -148,14 +151,15 @@ def verdict(case: Case, device: Device, *, checked: bool = False) -> Verdict:
     if any(NAME in line for line in lines):
         return "warned"
     if case.compared == "again":
+        if checked and _refused_between_processes(case, device):
+            return "named"
         # No answers: refused there, after it went unnoticed here.
-        answers = in_other_processes(_numbers, case, checked, str(_MODULES))
+        with mock.patch("registry.testing.processes.SEEDS", AS_COMMAND):
+            answers = in_other_processes(_numbers, case, checked, str(_MODULES))
         expected, numbers = answers or ({}, numbers)
     else:
         expected = _trained(case, component(case, healthy=True), device, checked)
-    if expected.items() >= numbers.items():
-        return "harmless"
-    return "named" if checked and _refused_between_processes(case, device) else "silent"
+    return "harmless" if expected.items() >= numbers.items() else "silent"
 
 
 def _refused_between_processes(case: Case, device: Device) -> bool:

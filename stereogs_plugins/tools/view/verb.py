@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import Command, Register, hookimpl
-from registry.commands import add_accept_changed_inputs, add_device, console
+from registry.commands import add_accept_changed, add_device, console
 
 from . import PORT, import_viser
 
@@ -38,7 +38,7 @@ class View(Command):
             metavar="N",
             help=f"first port to try (default {PORT}); if it is in use, the next free one",
         )
-        add_accept_changed_inputs(parser)
+        add_accept_changed(parser, "inputs")
         add_device(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -61,6 +62,7 @@ def test_files_of_a_run(toys: Plugins, device: Device, tmp_path: Path) -> None:
     assert facts["plugin_sources"] == {"unknown package": None}
     assert facts["plugins"]["regularizers.toy_term"].startswith("unknown package ?, code ")
     assert facts["command"] == sys.argv
+    assert facts["hash_seed"] == os.environ.get("PYTHONHASHSEED")
     assert facts["source"] == checkout()
     # PyPI's file for Linux says 2.13.0, the library in it 2.13.0+cu130.
     assert torch.__version__.startswith(facts["packages"]["torch"])

@@ -435,7 +435,7 @@ def test_faults_are_found(component: Any, settings: dict[str, Any], message: str
 
 
 def test_answers_that_depend_on_the_process_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("registry.testing.processes.SEEDS", (1, 2))
+    monkeypatch.setattr("registry.testing.processes.SEEDS", ("1", "2"))
     for component in (Ordered, Numbered):
         with pytest.raises(AssertionError, match="two processes gave different answers"):
             check(component)
