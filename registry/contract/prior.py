@@ -30,15 +30,19 @@ class Prior(Component[SettingsType], ABC):
     def fingerprint(self) -> str:
         """Return what estimates depend on besides settings and code: a model file's hash, a device.
 
-        By default hashes of the files that the settings name, and of models that are attributes
-        (`registry.toolkit.networks.OnnxModel`).
+        By default hashes of the files that settings of type `Path` name, and of models that are attributes or
+        in a list or dictionary (`registry.toolkit.networks.OnnxModel`).
         """
         hashes = [
             _file_hash(value, value.stat().st_mtime_ns)
             for _, value in self.settings
             if isinstance(value, Path) and value.is_file()
         ]
-        opened = (getattr(value, "sha256", None) for value in vars(self).values())
+        opened = []
+        for own in vars(self).values():
+            inside = own.values() if isinstance(own, dict) else own
+            models = inside if isinstance(own, dict | list | tuple) else [own]
+            opened += [getattr(model, "sha256", None) for model in models]
         return " ".join([*hashes, *(digest for digest in opened if isinstance(digest, str))])
 
     @classmethod
@@ -50,7 +54,7 @@ class Prior(Component[SettingsType], ABC):
         this prior cannot run the model.
 
         Args:
-            model: a `registry.OnnxModel`.
+            model: a `registry.toolkit.networks.OnnxModel`.
         """
         return ()
 

@@ -42,11 +42,6 @@ def _schedule_fault(item: Item, iterations: int) -> str | None:
     )
 
 
-def _is_used(item: Item, pipeline: Pipeline) -> bool:
-    due = item.schedule.due_in(pipeline.training.iterations)
-    return not item.point.scheduled or bool(due and item.host.weight)
-
-
 def refuse_missing_priors(pipeline: Pipeline) -> None:
     """Raise a PluginError if a needed prior is missing, ambiguous, or has another capability."""
     for _, fault in _prior_faults(pipeline):
@@ -62,7 +57,8 @@ def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
     """Yield each component whose prior is missing, ambiguous, or has another capability."""
     known = capabilities(pipeline)
     for item in pipeline:
-        if not _is_used(item, pipeline):
+        due = item.schedule.due_in(pipeline.training.iterations)
+        if item.point.scheduled and not (due and item.host.weight):
             continue
         for wanted in needs(item.offer.component):
             names = leaves(getattr(item.settings, "prior", None), str)

@@ -24,8 +24,6 @@ from ..errors import PluginError
 
 _RECORDS = ("facts", "pictures")
 """Parts of answers that may differ: they do not change the Gaussians, and facts may be seconds."""
-_PAUSE = 0.001
-"""Seconds before a call is repeated: else two readings of a clock may round to one answer."""
 
 
 def answer_of(
@@ -59,7 +57,7 @@ def answer_of(
     after, path = [(generator, generator.get_state()) for generator, _ in before], None
     shown = logging.root.manager.disable
     _occupied = [object() for _ in range(64)]  # else a new object has the address of a freed one
-    time.sleep(_PAUSE)
+    time.sleep(0.001)  # else two readings of a clock may round to one answer
     try:
         logging.disable()
         for generator, state in before:

@@ -60,7 +60,10 @@ def cached(
         with torch.no_grad():
             found = {label: tensor.contiguous() for label, tensor in compute().items()}
         facts = {"views": list(map(stem, views)), "question": list(map(str, arguments))}
-        save_estimate(name, key, found, pictures(found), facts)
+        with prior.context.at_work():
+            complete = prior.fingerprint() == fingerprint
+        if complete:  # else `compute` opened a model, which the key lacks
+            save_estimate(name, key, found, pictures(found), facts)
     return found
 
 

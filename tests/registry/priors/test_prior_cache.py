@@ -6,6 +6,7 @@ import json
 import logging
 import resource
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -135,3 +136,43 @@ def test_a_model_file_with_other_content_is_noticed(
         prior.inverse_depth_of(tiny_scene().train[0])
         calls.append(prior.calls)
     assert calls == [1, 0, 1]
+
+
+class Opening(MonocularDepthPrior[FileSettings]):
+    """Opens models that no setting names: the first as an attribute, or in its first call in a dictionary."""
+
+    lazy = False
+
+    def __init__(self, settings: FileSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self.models: dict[str, Opened] = {}
+        if not self.lazy:
+            self.models["depth"] = Opened(settings.file)
+
+    def estimate(self, image: torch.Tensor) -> torch.Tensor:
+        self.models["depth"] = Opened(self.settings.file)
+        return image.mean(dim=2) * self.models["depth"].factor
+
+
+class OpeningLate(Opening):
+    lazy = True
+
+
+class Opened:
+    """A model file that holds a number."""
+
+    def __init__(self, file: Path) -> None:
+        content = (file.parent / "hidden.onnx").read_bytes()
+        self.sha256, self.factor = sha256(content).hexdigest(), float(content)
+
+
+@pytest.mark.parametrize("kind", [Opening, OpeningLate])
+def test_a_model_that_no_setting_names_is_noticed(
+    cache: Path, tmp_path: Path, device: Device, kind: type[Opening]
+) -> None:
+    means = []
+    for factor in (b"1", b"3"):
+        (tmp_path / "hidden.onnx").write_bytes(factor)
+        prior = kind(FileSettings(file=tmp_path / "none"), Context("opening", 0, device))
+        means.append(float(prior.inverse_depth_of(tiny_scene().train[0]).mean()))
+    assert means[1] == pytest.approx(3 * means[0])
