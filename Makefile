@@ -49,7 +49,7 @@ kills: $(VENV)/.dev ## 50 runs killed with SIGKILL at random moments and resumed
 fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, an hour; resumable
 	$(BIN)/python -m tests.fuzzing 100000
 
-sick: $(VENV)/.dev ## 223 components with one fault each, and what the host says about them; minutes
+sick: $(VENV)/.dev ## 252 components with one fault each, and what the host says about them; minutes
 	$(BIN)/python -m tests.sick
 
 # Fetched into build/runtimes with apt-get and pip, installed nowhere; skipped with a reason without a network.

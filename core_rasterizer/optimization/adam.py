@@ -91,6 +91,7 @@ class Adam:
                     fix=f"give one below {_LARGEST_RATE:g}",
                 )
         moving = _groups_without(skip)
+        self._model.steps += 1
         gradients = self._model.gradients
         unprojected = None if keep_gradients else gradients.take()
         if unprojected is None:

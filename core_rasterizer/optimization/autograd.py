@@ -98,6 +98,7 @@ class RenderFunction(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.storage, ctx.renderer, ctx.lease, ctx.images = storage, renderer, lease, images
         ctx.collect, ctx.detach, ctx.parameters = collect, detach, storage.parameters
+        ctx.steps = storage.steps
         return *images.outputs(), images, lease.frame.coverage(storage.count)
 
     @staticmethod
@@ -106,10 +107,11 @@ class RenderFunction(torch.autograd.Function):
         """Add to the storage's gradients and statistics.
 
         Raises:
-            GaussianError: the Gaussians were edited since the forward pass.
+            GaussianError: the Gaussians were edited or stepped since the forward pass.
         """
         storage: GaussianStorage = ctx.storage
         storage.check_unedited(ctx.parameters)
+        storage.check_not_stepped(ctx.steps)
         d_rgb, d_depth, d_alpha, d_loss, *_ = image_gradients
         images = ctx.images.gradients(d_rgb, d_depth, d_alpha, d_loss)
         renderer, frame, (collect, absolute) = ctx.renderer, ctx.lease.frame, ctx.collect

@@ -25,12 +25,13 @@ class GaussianStorage:
         parameters: `[rows, capacity]` on the device.
         gradients: of the parameters.
         statistics: screen-space gradients of the renders that collect them.
+        steps: number of steps of optimizers so far.
     """
 
     def __init__(
         self, device: Device, dtype: torch.dtype, sh_degree: int, parameters: Tensor, count: int
     ) -> None:
-        self.device, self.dtype, self.sh_degree = device, dtype, sh_degree
+        self.device, self.dtype, self.sh_degree, self.steps = device, dtype, sh_degree, 0
         self.adopt(parameters, count)
 
     def adopt(self, parameters: Tensor | DeviceArray, count: int) -> None:
@@ -133,6 +134,22 @@ class GaussianStorage:
                 "Gaussians were added or removed between a render and its backward pass",
                 field="means",
                 fix="call backward before editing the Gaussians",
+            )
+
+    def check_not_stepped(self, steps: int) -> None:
+        """Raise if an optimizer has stepped since a render: its gradients would mix old and new values.
+
+        Args:
+            steps: `self.steps` at the render.
+
+        Raises:
+            GaussianError: it has stepped.
+        """
+        if steps != self.steps:
+            raise GaussianError(
+                "the optimizer has stepped between a render and its backward pass",
+                field="means",
+                fix="render again, or keep `rendering.detach()` between iterations",
             )
 
     def rows_of(self, name: str) -> tuple[int, int]:

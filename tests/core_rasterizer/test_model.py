@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from core_rasterizer import (
+    Adam,
     Camera,
     Device,
     GaussianError,
@@ -14,7 +15,7 @@ from core_rasterizer import (
     rasterize,
     reference,
 )
-from core_rasterizer.layout import PARAMETERS
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 from tests.core_rasterizer.scenes import random_camera, random_scene
 
 
@@ -179,6 +180,16 @@ def test_backward_after_an_edit_raises(device: Device) -> None:
     model.adopt(model.parameters.read().clone(), model.count)
     with pytest.raises(GaussianError, match="between a render and its backward"):
         rendering.rgb.sum().backward()
+
+
+def test_backward_after_a_step_raises(device: Device) -> None:
+    """As torch does: the gradient would mix the render's values with new ones."""
+    model = GaussianModel(parameters(), device)
+    first, second = model.render(view()), model.render(view())
+    second.rgb.sum().backward()
+    Adam(model).step(dict.fromkeys(PARAMETER_GROUPS, 1e-3), 0)
+    with pytest.raises(GaussianError, match="stepped between a render and its backward"):
+        first.rgb.sum().backward()
 
 
 def test_undefined_parameters_and_unknown_names_raise(device: Device) -> None:

@@ -199,6 +199,47 @@ UNREPEATABLE = (
 )
 
 
+ODD_WRITES = (
+    ("regularizers", "step.model.read('means').mul_(.5)"),
+    ("regularizers", "step.model.opacities().mul_(.5)"),
+    ("regularizers", "step.parameter('means').data.mul_(.5)"),
+    ("regularizers", "step.render(step.view.camera).rgb.detach().mul_(.5)"),
+    ("regularizers", "step.view.image.resize_(2, 2, 3)"),
+    ("regularizers", "step.view.image.set_(torch.zeros(24, 32, 3))"),
+    ("regularizers", "step.view.image.requires_grad_(True)"),
+    ("regularizers", "np.clip(step.view.image.numpy(), .2, .8, out=step.view.image.numpy())"),
+    ("regularizers", "step.learning_rates['means'] = 0"),
+    ("densification", "step.model.read('means').zero_()"),
+    ("opacity", "step.model.read('opacity_logits').zero_()"),
+    ("perturbations", "step.model.read('means').mul_(.5)"),
+    ("metrics", "rendered.resize_(2, 2, 3)"),
+    ("metrics", "torch.manual_seed(3)"),
+    ("observers", "done.model.read('means').mul_(.5)"),
+    ("observers", "done.numbers.clear()"),
+    ("observers", "torch.rand(3)"),
+    ("exporters", "model.gaussians().means.mul_(.5)"),
+    ("exporters", "model.write('means', model.read('means') * 0)"),
+    ("exporters", "(folder.parent / 'results.json').write_text('{}')"),
+    ("reports", "(folder / 'results.json').write_text('{}')"),
+)
+ODD_ANSWERS = (
+    ("appearances", "rgb.mul_(1.1)"),
+    ("samplers", "replace(sample, target=sample.target.mul_(.5))"),
+    ("initializer", "replace(points, colors=points.colors * 255)"),
+    ("initializer", "replace(points, positions=points.positions.mul_(1.01))"),
+    ("initializer", "replace(points, positions=points.positions.requires_grad_())"),
+)
+KEPT = (
+    ("self.kept = getattr(self, 'kept', step.rendering.alpha)", "self.kept.mean()"),
+    ("type(self).called += 1", "step.rendering.alpha.mean() * type(self).called"),
+)
+"""Regularizers that keep a render of an earlier iteration, and numbers of all runs of the process."""
+OWN_GENERATOR = (
+    "self.own = getattr(self, 'own', None) or np.random.default_rng()",
+    "step.rendering.alpha.mean() * self.own.random()",
+)
+
+
 FACTORS = {
     "regularizers": "step.rendering.alpha.mean() * ({})",
     "modifiers": "torch.full((step.model.count,), 0.5 + 0.4 * float(({}) % 1000) / 1000)",
@@ -221,6 +262,10 @@ def all_cases() -> list[Case]:
     for factor in UNREPEATABLE:
         for section, answer in FACTORS.items():
             cases.append(Case(section, answer=answer.format(factor), compared="again"))
+    cases += [Case(section, fault) for section, fault in ODD_WRITES]
+    cases += [Case(section, answer=answer) for section, answer in ODD_ANSWERS]
+    cases += [Case("regularizers", *kept) for kept in KEPT]
+    cases.append(Case("regularizers", *OWN_GENERATOR, compared="again"))
     rare = "step.rendering.alpha.mean() * (torch.rand(()) if step.iteration % 10 == 3 else 1)"
     cases.append(Case("regularizers", answer=rare, iterations=40))
     return cases

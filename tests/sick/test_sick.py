@@ -24,6 +24,8 @@ NAMED = (
     "regularizers: return torch.tensor(float(step.rendering.alpha.detach().mean()), requires_grad=True)",
     "appearances: return rgb.detach() * self.gain",
     "samplers: return replace(sample, background=('0', 0.0, 0.0))",
+    "regularizers: self.kept = getattr(self, 'kept', step.rendering.alpha)",
+    "initializer: return replace(points, colors=points.colors * 255)",
     "opacity: return registry.OpacityUpdate(step.model.opacities(), 'yes')",
     "metrics: return registry.Unavailable(3)",
     "metrics: return float(time.time() % 1)",

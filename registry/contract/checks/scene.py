@@ -70,8 +70,8 @@ def check_points(points: PointCloud, where: str = "") -> None:
     """Check the shape and values of positions, colours, scales and opacities.
 
     Raises:
-        SceneError: a shape is wrong, a value is not finite, a scale is not positive, or an opacity is
-            not in (0, 1).
+        SceneError: a shape is wrong, a value is not finite, a scale is not positive, an opacity is not in
+            (0, 1), or a colour is far outside [0, 1], as one of 0 to 255 is.
     """
     _raise_first(_point_faults(points), where)
 
@@ -206,6 +206,7 @@ def _point_faults(points: PointCloud) -> Faults:
         "scales": (count,),
         "opacities": (count,),
     }
+    ranges = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0), "colors": (-1.0, 2.0)}
     for name, shape in shapes.items():
         values: Tensor | None = getattr(points, name)
         if values is None:
@@ -215,15 +216,13 @@ def _point_faults(points: PointCloud) -> Faults:
                 f"points.{name} has the shape {tuple(values.shape)}, expected {shape}",
                 "give each point three coordinates and three colour values",
             )
-        good = finite = torch.isfinite(values)
-        if name == "scales":
-            good = finite & (values > 0)
-        elif name == "opacities":
-            good = finite & (values > 0) & (values < 1)
+        finite = torch.isfinite(values)
+        low, high = ranges.get(name, (-math.inf, math.inf))
+        good = finite & (low < values) & (values < high)
         if not good.all():
             index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
-            is_finite = bool(finite[index].all())
-            fault = f"{values[index].tolist()}, which is not valid" if is_finite else "not finite"
+            given = values[index].tolist()
+            fault = f"{given}, which is not valid" if finite[index].all() else "not finite"
             yield f"points.{name}[{index}] is {fault}", "leave such points out"
 
 
