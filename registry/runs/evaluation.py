@@ -86,6 +86,7 @@ def evaluate(
     views: Iterable[View],
     metrics: Sequence[Part],
     pictures: Path | None = None,
+    repeat: bool = False,
 ) -> Scores:
     """Render views and score them, colours clamped to [0, 1].
 
@@ -94,6 +95,7 @@ def evaluate(
 
     Args:
         pictures: folder for `save_view_pictures`; None writes none.
+        repeat: ask metrics that do not take long twice about the first view, and compare.
     """
     scores = Scores({})
     for view in views:
@@ -105,7 +107,7 @@ def evaluate(
                 with part.at_work():
                     given, again = (copied((rendering, view, scene)) for _ in range(2))
                     metric = part.component
-                    twice = are_checked() or (not scores.views and not metric.takes_long)
+                    twice = are_checked() or (repeat and not (scores.views or metric.takes_long))
                     answer = answer_of(metric, "measure_view", given, twice=twice, again=again)
                     score = check_score(answer)
             except ExplainedError as error:

@@ -171,7 +171,7 @@ class Run:
             views = tracked([*scene.test, *scene.train], "scoring")
             test = islice(views, len(scene.test))
             scores = {
-                "test": evaluate(self.model, scene, test, metrics, pictures),
+                "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
                 "train": evaluate(self.model, scene, views, quick(metrics), of_train),
             }
         self.seconds.evaluation = monotonic() - begin

@@ -205,3 +205,23 @@ def test_the_table_distinguishes_missing_and_infinite_scores() -> None:
     assert [cell.strip() for cell in cells["v"]] == ["inf", "–", "–"]  # noqa: RUF001
     assert [cell.strip() for cell in cells["train mean"]] == ["20.00", "–", "0.5000"]  # noqa: RUF001
     assert "lpips: no network is named" in stream.getvalue()
+
+
+def test_the_first_test_view_is_measured_twice(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If asked, and not for views that are scored during training."""
+    asked: list[int] = []
+
+    def count(*_: Any) -> float:
+        asked.append(1)
+        return 0.0
+
+    monkeypatch.setattr(Fixed, "measure", count)
+    scene = tiny_scene()
+    assert scene.points is not None
+    model = GaussianModel(initial_gaussians(scene.points, TrainingSettings()), device)
+    for repeat in (False, True):
+        asked.clear()
+        evaluate(model, scene, scene.train, [part("fixed", Fixed, device)], None, repeat)
+        assert len(asked) == len(scene.train) + repeat
