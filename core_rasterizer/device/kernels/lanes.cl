@@ -8,8 +8,7 @@
  * functions and spills every vector register around the call.
  */
 
-/* LANES = 0, used by the rasterizer on a CPU: choose by register width. A vector of two registers hides the
- * latency of one behind the other. */
+/* LANES = 0, used by rasterizer and SSIM on a CPU: choose by register width. */
 #if LANES == 0
 #undef LANES
 #ifdef __AVX512F__
