@@ -25,8 +25,8 @@ Kind = Literal["cpu", "gpu", "accelerator"]
 Variant = Literal["cpu", "gpu"]
 
 CPU_LANES = 8
-"""Vector width of kernels on a CPU: eight floats fill an AVX register. Wider was not faster, except in the
-rasterizer, which chooses its own width (`kernels/lanes.cl`)."""
+"""Vector width of kernels on a CPU: eight floats fill an AVX register. Rasterizer and SSIM
+choose their own width (`kernels/lanes.cl`)."""
 
 
 class Device(DeviceMemory):

@@ -40,6 +40,7 @@ class Program:
             ) from error
         self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
+        self._typed: set[str] = set()
 
     def run(
         self,
@@ -58,6 +59,11 @@ class Program:
         try:
             # A kernel object stores its arguments, so only one thread at a time may set them.
             with device.lock:
+                if kernel not in self._typed:
+                    # pyopencl passes scalars of known types in a tenth of the time.
+                    types = [None if isinstance(a, DeviceArray) else a.dtype for a in arguments]
+                    self._kernels[kernel].set_scalar_arg_dtypes(types)
+                    self._typed.add(kernel)
                 self._kernels[kernel](device.queue, global_size, local_size, *values)
                 device.retired.kernel_enqueued()
         except cl.Error as error:

@@ -29,6 +29,8 @@ _GPU_TILE = 16
 """Width and height of the pixels of a work-group on a GPU."""
 _DERIVATIVES = 3
 """Numbers per pixel and channel that a GPU keeps between its two kernels."""
+_WIDEST_VECTOR = 16
+"""Reals of the widest vector that `kernels/lanes.cl` chooses."""
 _SHORT_BAND = 20
 """Rows of a band on a CPU below which each core takes one band instead of two. A band computes ten extra
 rows; two per core balance a late start."""
@@ -161,8 +163,8 @@ class _Bands:
 
     def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
         row = _CHANNELS * width
-        # An image row narrower than a vector (one or two pixels) is processed real by real.
-        lanes = device.lanes if row >= device.lanes else 1
+        # 0: as wide as the registers. Rows narrower than a vector are processed real by real.
+        lanes = 0 if row >= _WIDEST_VECTOR else 1
         self._program = device.program(
             "optimization/ssim", "optimization/photometric", dtype=dtype, LANES=lanes
         )

@@ -8,8 +8,7 @@
  * functions and spills every vector register around the call.
  */
 
-/* LANES = 0, used by the rasterizer on a CPU: choose by register width. A vector of two registers hides the
- * latency of one behind the other. */
+/* LANES = 0, used by rasterizer and SSIM on a CPU: choose by register width. */
 #if LANES == 0
 #undef LANES
 #ifdef __AVX512F__
@@ -79,15 +78,20 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #endif
 
 /* Prefetch a cache line on a CPU, to read, to read LATER (into the second level of caches) or to write. Any
- * address is valid. Compilers that target SPIR-V do not know the builtin, and Mesa's exits the process. */
+ * address is valid. Compilers that target SPIR-V do not know the compiler's builtin, and Mesa's exits the
+ * process: they get OpenCL's function, which does nothing in PoCL. */
 #if LANES > 1 && (defined(__x86_64__) || defined(__aarch64__))
 #define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
 #define PREFETCH_LATER(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 0, 2)
 #define PREFETCH_TO_WRITE(pointer) __builtin_prefetch((const void *)(size_t)(pointer), 1)
 #else
+#if LANES > 1
+#define PREFETCH(pointer) prefetch((__global const real *)(pointer), 1)
+#else
 #define PREFETCH(pointer)
-#define PREFETCH_LATER(pointer)
-#define PREFETCH_TO_WRITE(pointer)
+#endif
+#define PREFETCH_LATER PREFETCH
+#define PREFETCH_TO_WRITE PREFETCH
 #endif
 
 /* Positions on the image are computed in double where the device can: in float the transform to camera
