@@ -19,7 +19,7 @@ import numpy as np
 from registry.toolkit.progress import progress
 
 from .no_depth import LEAST_OFF_SURFACE, has_depth, transfer_errors
-from .unposed_photos import image_index
+from .unposed_photos import MIN_PHOTOS, image_index
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,8 +95,7 @@ def place_cameras(
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
     Photographs and models that the matches or the pictures contradict are discarded, as are models with an
-    implausible lens. Attempts run in order of cost until one places all photographs; otherwise the one that
-    places most is returned.
+    implausible lens. Attempts run in order of cost; the one that places most photographs is returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
@@ -110,18 +109,18 @@ def place_cameras(
     count = len(focals)
     if count == 2:
         trust = _ALWAYS_CHECKED
-    for name, attempt in _attempts(colmap, count):
-        target = folder / name
+    for attempt in _attempts(colmap, count):
+        if placed(best) >= attempt.enough:
+            break
+        target = folder / attempt.name
         target.mkdir()
         found = [
             model
-            for model in attempt(database, images, target).values()
+            for model in attempt.run(database, images, target).values()
             if is_plausible(model, focals)
             and drop_unsupported(colmap, database, model, trust, confirms)
         ]
         best = max(best, _pieces(found, target), key=placed)
-        if placed(best) == count:
-            break
     return best
 
 
@@ -130,12 +129,23 @@ def placed(pieces: list[Piece]) -> int:
     return len(pieces[0].members) if pieces else 0
 
 
-def _attempts(
-    colmap: Any, total: int
-) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
-    """Name and mapping function of each attempt, cheapest first, for a number of photographs.
+class _Attempt(NamedTuple):
+    """A mapping function.
 
-    Two photographs do not determine the focal length: the initial one is kept.
+    Args:
+        enough: number of photographs placed before that makes the attempt unnecessary.
+    """
+
+    name: str
+    run: Callable[[Path, Path, Path], dict[int, Any]]
+    enough: int
+
+
+def _attempts(colmap: Any, total: int) -> list[_Attempt]:
+    """Attempts for a number of photographs, cheapest first.
+
+    Two photographs do not determine the focal length: the initial one is kept. With more, a fixed lens could
+    place photographs that do not belong to it, so it is only for those that no free lens connects.
     """
 
     def incremental(
@@ -155,13 +165,19 @@ def _attempts(
 
         return attempt
 
-    fixed = [(f"fixed_lens_{d:g}", incremental(d, True)) for d in _FIRST_PAIR_DEGREES]
+    fixed = [
+        _Attempt(f"fixed_lens_{d:g}", incremental(d, True), min(MIN_PHOTOS, total))
+        for d in _FIRST_PAIR_DEGREES
+    ]
     if total == 2:
         return fixed
     options = _global_options(colmap)
     return [
-        *((f"incremental_{d:g}", incremental(d, False)) for d in _FIRST_PAIR_DEGREES),
-        ("global", lambda *paths: colmap.global_mapping(*paths, options)),
+        *(
+            _Attempt(f"incremental_{d:g}", incremental(d, False), total)
+            for d in _FIRST_PAIR_DEGREES
+        ),
+        _Attempt("global", lambda *paths: colmap.global_mapping(*paths, options), total),
         fixed[-1],
     ]
 
