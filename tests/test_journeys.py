@@ -168,6 +168,44 @@ ROOM = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
 
 
 @pytest.mark.proof
+def test_ctrl_c_and_resume_give_the_scene_of_an_undisturbed_run(tmp_path: Path) -> None:
+    train = f"stereogs train demo {ROOM} --set training.iterations=300 --out"
+    # With job control, background jobs do not ignore SIGINT.
+    output = shell(
+        f"set -m; {train} stopped & until [ -s stopped/metrics.jsonl ]; do sleep 0.1; done; "
+        "kill -INT %1; wait %1",
+        tmp_path,
+        status=130,
+    )
+    assert "stereogs resume stopped" in output
+    assert not (tmp_path / "stopped" / "results.json").exists()
+    shell("stereogs resume stopped", tmp_path)
+    shell(f"{train} undisturbed", tmp_path)
+    hashes = [
+        json.loads((tmp_path / run / "results.json").read_text())["hash"]
+        for run in ("stopped", "undisturbed")
+    ]
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.proof
+def test_seconds_on_a_busy_machine_end_in_a_scene(tmp_path: Path) -> None:
+    take("llff_fern", (0, 4, 9), tmp_path / "photos", (504, 378))
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        output = shell("stereogs train photos --seconds 10 --out run", tmp_path)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert "trained: weightfree_quick" in output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert len(results["scene"]["train"]) == 3
+    assert results["train"]["psnr"] > 15
+    assert (tmp_path / "run" / "report.html").is_file()
+
+
+@pytest.mark.proof
 def test_an_own_pipeline_is_written_trained_ablated_and_exported(tmp_path: Path) -> None:
     assert "next: stereogs train mine.yaml" in shell("stereogs init mine", tmp_path)
     again = shell("stereogs init mine", tmp_path, status=2)

@@ -2,14 +2,15 @@
 
 Incremental mapping (Schoenberger and Frahm 2016) starts from a pair with a wide triangulation angle. COLMAP
 requires 16 degrees, which gives an exact start but excludes forward-facing captures; 2 degrees suffice for
-those. Global mapping (Pan et al. 2024) needs no initial pair. Wrong models are contradicted by matches or by
-the pictures (`drop_unsupported`), or have implausible lenses.
+those. Global mapping (Pan et al. 2024) needs no initial pair. The last attempt keeps the initial lens: with
+little perspective, matches fit any focal length. Wrong models are contradicted by matches or by the pictures
+(`drop_unsupported`), or have implausible lenses.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count as numbers_from
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,7 +19,7 @@ import numpy as np
 from registry.toolkit.progress import progress
 
 from .no_depth import LEAST_OFF_SURFACE, has_depth, transfer_errors
-from .unposed_photos import image_index
+from .unposed_photos import MIN_PHOTOS, image_index
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
 MAX_ERROR = 2.0
 """Largest error of matches and points, pixels; COLMAP's 4 is meant for much larger photographs."""
 SEED = 0
-FOCAL_RANGE = (0.3, 4.0)
-"""Plausible focal lengths in units of the longer side, as of phone lenses."""
-SHORTEST_GUESS = 0.5
-"""Shortest plausible focal length without EXIF; wrong models of few photographs often have shorter ones."""
+FOCAL_RANGE = (0.5, 4.0)
+"""Plausible focal lengths without EXIF, in units of the longer side."""
+FOCAL_FACTOR = 3.0
+"""Plausible ratio to the focal length by EXIF and its inverse. Cropping does not change EXIF."""
 MOST_DISTORTION = 1.0
 """Largest radial term k1; beyond it the picture would fold before its corners."""
 LEAST_SUPPORT = 0.9
@@ -74,13 +75,11 @@ class Piece(NamedTuple):
     Args:
         folder: COLMAP model with photographs named by index.
         members: sorted indices of its photographs.
-        plausible: True if its lenses are plausible.
         focal_is_known: False if neither matches nor EXIF determine the focal length.
     """
 
     folder: Path
     members: list[int]
-    plausible: bool = True
     focal_is_known: bool = True
 
 
@@ -89,77 +88,98 @@ def place_cameras(
     database: Path,
     images: Path,
     folder: Path,
-    count: int,
+    focals: Sequence[float | None],
     trust: Trust,
     confirms: Confirms,
 ) -> list[Piece]:
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
-    Photographs and models that the matches or the pictures contradict are discarded. Attempts run in order of
-    cost until one places all photographs with a plausible lens; otherwise the one of the highest `worth` is
-    returned.
+    Photographs and models that the matches or the pictures contradict are discarded, as are models with an
+    implausible lens. Attempts run in order of cost; the one that places most photographs is returned.
 
     Args:
         database: keypoints, matches and two-view geometries.
         images: folder of the photographs, for the colours of points.
         folder: folder for the models.
-        count: number of photographs.
+        focals: focal length by EXIF of each photograph, in units of the longer side.
         trust: matches that suffice to connect photographs.
         confirms: decides about pairs with fewer.
     """
     best: list[Piece] = []
+    count = len(focals)
     if count == 2:
         trust = _ALWAYS_CHECKED
-    for name, attempt in _attempts(colmap, count):
-        target = folder / name
+    for attempt in _attempts(colmap, count):
+        if placed(best) >= attempt.enough:
+            break
+        target = folder / attempt.name
         target.mkdir()
         found = [
             model
-            for model in attempt(database, images, target).values()
-            if drop_unsupported(colmap, database, model, trust, confirms)
+            for model in attempt.run(database, images, target).values()
+            if is_plausible(model, focals)
+            and drop_unsupported(colmap, database, model, trust, confirms)
         ]
-        pieces = _pieces(found, target)
-        if pieces and worth(pieces) > worth(best):
-            best = pieces
-        if worth(best) == (True, count):
-            break
+        best = max(best, _pieces(found, target), key=placed)
     return best
 
 
-def worth(pieces: list[Piece]) -> tuple[bool, int]:
-    """Rank of an attempt: plausible lens, then number of photographs in the best piece."""
-    return (pieces[0].plausible, len(pieces[0].members)) if pieces else (False, 0)
+def placed(pieces: list[Piece]) -> int:
+    """Number of photographs in the best piece."""
+    return len(pieces[0].members) if pieces else 0
 
 
-def _attempts(
-    colmap: Any, total: int
-) -> list[tuple[str, Callable[[Path, Path, Path], dict[int, Any]]]]:
-    """Name and mapping function of each attempt, cheapest first, for a number of photographs.
+class _Attempt(NamedTuple):
+    """A mapping function.
 
-    Two photographs do not determine the focal length: the initial one is kept.
+    Args:
+        enough: number of photographs placed before that makes the attempt unnecessary.
     """
-    fixed_lens = total == 2
 
-    def incremental(degrees: float) -> Callable[[Path, Path, Path], dict[int, Any]]:
+    name: str
+    run: Callable[[Path, Path, Path], dict[int, Any]]
+    enough: int
+
+
+def _attempts(colmap: Any, total: int) -> list[_Attempt]:
+    """Attempts for a number of photographs, cheapest first.
+
+    Two photographs do not determine the focal length: the initial one is kept. With more, a fixed lens could
+    place photographs that do not belong to it, so it is only for those that no free lens connects.
+    """
+
+    def incremental(
+        degrees: float, fixed_lens: bool
+    ) -> Callable[[Path, Path, Path], dict[int, Any]]:
         options = _incremental_options(colmap, degrees)
         options.ba_refine_focal_length = options.ba_refine_extra_params = not fixed_lens
 
         def attempt(*paths: Path) -> dict[int, Any]:
-            placed = numbers_from(2)  # after the first pair
+            number = numbers_from(2)  # after the first pair
             progress("cameras", 0, total)
             found: dict[int, Any] = colmap.incremental_mapping(
                 *(*paths, options),
-                next_image_callback=lambda: progress("cameras", next(placed), total),
+                next_image_callback=lambda: progress("cameras", next(number), total),
             )
             return found
 
         return attempt
 
-    attempts = [(f"incremental_{d:g}", incremental(d)) for d in _FIRST_PAIR_DEGREES]
-    if not fixed_lens:
-        options = _global_options(colmap)
-        attempts.append(("global", lambda *paths: colmap.global_mapping(*paths, options)))
-    return attempts
+    fixed = [
+        _Attempt(f"fixed_lens_{d:g}", incremental(d, True), min(MIN_PHOTOS, total))
+        for d in _FIRST_PAIR_DEGREES
+    ]
+    if total == 2:
+        return fixed
+    options = _global_options(colmap)
+    return [
+        *(
+            _Attempt(f"incremental_{d:g}", incremental(d, False), total)
+            for d in _FIRST_PAIR_DEGREES
+        ),
+        _Attempt("global", lambda *paths: colmap.global_mapping(*paths, options), total),
+        fixed[-1],
+    ]
 
 
 def _incremental_options(colmap: Any, degrees: float) -> Any:
@@ -187,17 +207,30 @@ def _pieces(found: list[Any], folder: Path) -> list[Piece]:
         path.mkdir()
         model.write(path)
         members = sorted(image_index(model.image(k).name) for k in model.reg_image_ids())
-        plausible = all(is_plausible(camera) for camera in model.cameras.values())
-        pieces.append(Piece(path, members, plausible))
-    return sorted(pieces, key=lambda piece: (not piece.plausible, -len(piece.members)))
+        pieces.append(Piece(path, members))
+    return sorted(pieces, key=lambda piece: -len(piece.members))
 
 
-def is_plausible(camera: Any) -> bool:
-    """Whether focal length and distortion of a camera are possible."""
+def is_plausible(model: Any, focals: Sequence[float | None]) -> bool:
+    """Whether focal lengths and distortions of a model are possible.
+
+    Args:
+        focals: focal lengths by EXIF in units of the longer side, by index.
+    """
+    images = map(model.image, model.reg_image_ids())
+    return all(
+        _is_possible(model.camera(image.camera_id), focals[image_index(image.name)])
+        for image in images
+    )
+
+
+def _is_possible(camera: Any, by_exif: float | None) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
     bend = float(camera.params[camera.extra_params_idxs()[0]])
-    shortest = FOCAL_RANGE[0] if camera.has_prior_focal_length else SHORTEST_GUESS
-    return bool(shortest < focal < FOCAL_RANGE[1]) and abs(bend) < MOST_DISTORTION
+    shortest, longest = FOCAL_RANGE
+    if by_exif is not None:
+        shortest, longest = by_exif / FOCAL_FACTOR, by_exif * FOCAL_FACTOR
+    return shortest < focal < longest and abs(bend) < MOST_DISTORTION
 
 
 def drop_unsupported(

@@ -28,7 +28,7 @@ from .mapping import (
     Piece,
     Trust,
     place_cameras,
-    worth,
+    placed,
 )
 from .no_depth import Doubt, doubt_of
 from .reported import rows_reported
@@ -63,9 +63,9 @@ class Reconstruction:
     doubts: dict[tuple[int, int], Doubt] = field(default_factory=dict)
 
     @property
-    def rank(self) -> tuple[bool, int, int]:
-        """Order of results: plausible lens, number of photographs placed, number of matches."""
-        return (*worth(self.pieces), sum(self.matches.values()))
+    def rank(self) -> tuple[int, int]:
+        """Order of results: number of photographs placed, number of matches."""
+        return placed(self.pieces), sum(self.matches.values())
 
 
 def reconstruct(
@@ -94,6 +94,7 @@ def reconstruct(
         stage="reading",
     )
     lenses = _lenses(photos, share_lens)
+    focals = [photo.focal for photo in photos]
     best: Reconstruction | None = None
     tried: list[str] = []
     for name, trust, fill in _ways(colmap, images, folder, len(photos)):
@@ -106,18 +107,20 @@ def reconstruct(
             _import(colmap, database, images, group, photos[group[0]], decoder)
         fill(database)
         tried.append(name)
-        found = _placed(colmap, database, images, workplace, len(photos), trust)
+        found = _placed(colmap, database, images, workplace, focals, trust)
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
-        if best.rank[:2] == (True, len(photos)):
+        if placed(best.pieces) == len(photos):
             break
-        placed = found.rank[1]
-        _log.info("%s: the cameras of %d of %d photographs fit together", name, placed, len(photos))
+        _log.info(
+            "%s: the cameras of %d of %d photographs fit together",
+            *(name, placed(found.pieces), len(photos)),
+        )
     assert best is not None
     pieces = list(best.pieces)
     if pieces:
-        pieces[0] = _refined(colmap, pieces[0], images, photos)
+        pieces[0] = _refined(colmap, pieces[0], images, focals)
     return replace(best, pieces=pieces, tried=tuple(tried))
 
 
@@ -146,23 +149,26 @@ def _ways(
 
 
 def _placed(
-    colmap: Any, database: Path, images: Path, folder: Path, count: int, trust: Trust
+    colmap: Any,
+    database: Path,
+    images: Path,
+    folder: Path,
+    focals: Sequence[float | None],
+    trust: Trust,
 ) -> Reconstruction:
     with colmap.Database.open(database) as opened:
         index = {image.image_id: image_index(image.name) for image in opened.read_all_images()}
         features = {index[k]: opened.num_keypoints_for_image(k) for k in index}
         matches, doubts = _verified_matches(colmap, opened, index)
     check = DenseCheck(images)
-    pieces = place_cameras(colmap, database, images, folder, count, trust, check.confirms)
+    pieces = place_cameras(colmap, database, images, folder, focals, trust, check.confirms)
     doubts |= dict.fromkeys(check.rejected, "pictures")
-    return Reconstruction(pieces, matches, [features[k] for k in range(count)], doubts=doubts)
+    return Reconstruction(pieces, matches, [features[k] for k in range(len(focals))], doubts=doubts)
 
 
-def _refined(colmap: Any, piece: Piece, images: Path, photos: Sequence[UnposedPhoto]) -> Piece:
-    if not piece.plausible:
-        return piece
+def _refined(colmap: Any, piece: Piece, images: Path, focals: Sequence[float | None]) -> Piece:
     model = colmap.Reconstruction(piece.folder)
-    model, focal_is_known = refine(colmap, model, images, photos[piece.members[0]].focal)
+    model, focal_is_known = refine(colmap, model, images, focals)
     model.write(piece.folder)
     return piece._replace(focal_is_known=focal_is_known)
 

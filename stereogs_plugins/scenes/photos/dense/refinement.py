@@ -15,6 +15,7 @@ import numpy as np
 from registry import SceneError
 
 from ..mapping import MAX_ERROR, is_plausible, sampson_distances
+from ..unposed_photos import image_index
 from .matches import Match, dense_matches
 
 if TYPE_CHECKING:
@@ -40,13 +41,15 @@ class Refined(NamedTuple):
     focal_is_known: bool
 
 
-def refine(colmap: Any, model: Any, images: Path, focal: float | None = None) -> Refined:
+def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]) -> Refined:
     """Refine the cameras and points of a pycolmap model, which is returned unchanged if that does not help.
+
+    If the points do not determine the focal lengths, those by EXIF are used instead of the estimated ones if
+    all are known; otherwise those of the model are kept if free ones become implausible.
 
     Args:
         images: folder of the photographs, named by index.
-        focal: focal length of all photographs by EXIF, in units of the longer side. It is used instead of
-            the estimated one if the points do not determine that.
+        focals: focal lengths by EXIF in units of the longer side, by index.
     """
     from core_rasterizer import CameraError
 
@@ -54,10 +57,10 @@ def refine(colmap: Any, model: Any, images: Path, focal: float | None = None) ->
         return Refined(model, True)
     start = _adjusted(colmap, model, [])
     determined = _determines_focal(colmap, start)
-    fixed = False
-    if focal is not None and not determined:
-        fixed = True
-        start = _adjusted(colmap, _with_focal(colmap, start, focal), [], fixed)
+    by_exif = None if determined else _with_focals(colmap, start, focals)
+    fixed = by_exif is not None or not is_plausible(start, focals)
+    if fixed:
+        start = _adjusted(colmap, by_exif or model, [], fixed)
     try:
         matches = dense_matches(start, images)
     except (SceneError, CameraError):  # the lens is not plausible
@@ -67,32 +70,36 @@ def refine(colmap: Any, model: Any, images: Path, focal: float | None = None) ->
     if not fitted:
         return Refined(model, determined)
     refined = _adjusted(colmap, start, fitted, fixed)
-    helps = all(is_plausible(camera) for camera in refined.cameras.values())
-    helps = helps and (fixed or _error(refined, left_out) < _error(model, left_out))
-    return Refined(refined if helps else model, determined or (fixed and helps))
+    helps = is_plausible(refined, focals)
+    helps = helps and (by_exif is not None or _error(refined, left_out) < _error(model, left_out))
+    return Refined(refined if helps else model, determined or (by_exif is not None and helps))
 
 
 def _determines_focal(colmap: Any, model: Any) -> bool:
-    """Whether another focal length increases the cost clearly; True for several lenses."""
-    if len(model.cameras) > 1:
-        return True
-    (lens,) = model.cameras.values()
-    longer = max(lens.width, lens.height)
+    """Whether focal lengths longer or shorter by one factor increase the cost clearly."""
     costs = [
-        _cost(
-            _adjusted(
-                colmap, _with_focal(colmap, model, factor * lens.focal_length / longer), [], True
-            )
-        )
+        _cost(_adjusted(colmap, _zoomed(colmap, model, factor), [], True))
         for factor in (1.0, OTHER_FOCAL, 1 / OTHER_FOCAL)
     ]
     return min(costs[1:]) > LEAST_INCREASE * costs[0]
 
 
-def _with_focal(colmap: Any, model: Any, focal: float) -> Any:
-    """A copy of a model with this focal length in units of the longer side."""
+def _zoomed(colmap: Any, model: Any, factor: float) -> Any:
+    """A copy of a model with its focal lengths multiplied."""
     changed = colmap.Reconstruction(model)
     for camera in changed.cameras.values():
+        camera.params = [factor * camera.focal_length, *camera.params[1:]]
+    return changed
+
+
+def _with_focals(colmap: Any, model: Any, focals: Sequence[float | None]) -> Any:
+    """A copy of a model with focal lengths by index, or None if one is unknown."""
+    changed = colmap.Reconstruction(model)
+    for key in model.reg_image_ids():
+        image = model.image(key)
+        focal, camera = focals[image_index(image.name)], changed.camera(image.camera_id)
+        if focal is None:
+            return None
         camera.params = [focal * max(camera.width, camera.height), *camera.params[1:]]
     return changed
 

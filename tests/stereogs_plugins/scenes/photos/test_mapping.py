@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos.mapping import (
@@ -16,10 +17,10 @@ from stereogs_plugins.scenes.photos.mapping import (
     Trust,
     connected,
     drop_unsupported,
-    worth,
+    is_plausible,
 )
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import read_folder
+from stereogs_plugins.scenes.photos.unposed_photos import image_name, read_folder
 from tests.data import data_folder
 
 
@@ -107,25 +108,53 @@ def test_connected_groups() -> None:
     assert connected(links) == [[0, 2, 3], [1, 4]]
 
 
-def test_the_larger_piece_with_a_plausible_lens_wins() -> None:
-    pieces = [
-        Piece(Path(), members, plausible)
-        for members, plausible in (([0, 1], True), ([0, 1, 2], True), ([0, 1, 2, 3], False))
-    ]
-    assert sorted(pieces, key=lambda piece: worth([piece])) == [pieces[2], pieces[0], pieces[1]]
-    assert worth([]) < worth(pieces[:1])
+@pytest.mark.parametrize(
+    ("focal", "by_exif", "plausible"),
+    [
+        (0.8, None, True),
+        (0.4, None, False),
+        (5.0, None, False),
+        (5.0, 6.7, True),
+        (5.0, 0.7, False),
+    ],
+)
+def test_plausible_focal_lengths(
+    made: tuple[Any, Path, Any], focal: float, by_exif: float | None, plausible: bool
+) -> None:
+    _, _, model = made
+    for index, image in enumerate(model.reg_image_ids()):
+        model.image(image).name = image_name(index)
+    (lens,) = model.cameras.values()
+    lens.params = [focal * max(lens.width, lens.height), *lens.params[1:]]
+    assert is_plausible(model, [by_exif] * 4) is plausible
+
+
+def place(scene: str, numbers: tuple[int, ...], folder: Path, cropped: int | None = None) -> Piece:
+    """The piece of some photographs, one of which lacks its right quarter."""
+    every = sorted((data_folder(scene) / "images_8").iterdir())
+    (folder / "in").mkdir()
+    for number in numbers:
+        with Image.open(every[number]) as opened:
+            width = opened.width * 3 // 4 if number == cropped else opened.width
+            opened.crop((0, 0, width, opened.height)).save(folder / "in" / every[number].name)
+    (folder / "out").mkdir()
+    decoder = Decoder(longest_side(1200), "box", upright=True)
+    found = reconstruct(read_folder(folder / "in").photos, decoder, True, folder / "out")
+    assert found.tried == ("SIFT",)
+    return found.pieces[0]
 
 
 def test_forward_facing_pictures_are_placed(tmp_path: Path) -> None:
     """Three of llff_flower: no pair of them is 16 degrees apart, COLMAP's own minimum."""
-    every = sorted((data_folder("llff_flower") / "images_8").iterdir())
-    for k in (0, 16, 33):
-        (tmp_path / every[k].name).symlink_to(every[k])
-    out = tmp_path / "out"
-    out.mkdir()
-    decoder = Decoder(longest_side(1200), "box", upright=True)
-    photos = [photo for photo in read_folder(tmp_path).photos if photo.path.parent == tmp_path]
-    found = reconstruct(photos, decoder, True, out)
-    assert found.pieces[0].members == [0, 1, 2]
-    assert found.pieces[0].plausible
-    assert found.pieces[0].folder.parent.name == "incremental_2"
+    piece = place("llff_flower", (0, 16, 33), tmp_path)
+    assert piece.members == [0, 1, 2]
+    assert piece.folder.parent.name == "incremental_2"
+
+
+def test_a_lens_without_perspective_is_kept(tmp_path: Path) -> None:
+    """Free focal lengths become more than four times the longer side."""
+    piece = place("llff_fortress", (9, 11, 13), tmp_path, cropped=11)
+    assert piece.members == [0, 1, 2]
+    assert piece.folder.parent.name == "fixed_lens_2"
+    assert not piece.focal_is_known
+    assert is_plausible(import_pycolmap(3).Reconstruction(piece.folder), [None] * 3)

@@ -58,7 +58,7 @@ def test_inexact_cameras_become_exact(three: Any, images: Path, room: Scene) -> 
     turned, focal = errors(three, room)
     assert turned > 0.35
     assert focal > 0.03
-    refined, focal_is_known = refine(colmap, three, images)
+    refined, focal_is_known = refine(colmap, three, images, [None] * 3)
     assert refined is not three
     assert focal_is_known
     turned, focal = errors(refined, room)
@@ -94,7 +94,7 @@ def test_many_photographs_are_left_as_they_are(
 ) -> None:
     monkeypatch.setattr("stereogs_plugins.scenes.photos.dense.refinement.MOST_PHOTOS", 4)
     assert MOST_PHOTOS > model.num_reg_images() > 4
-    assert refine(colmap, model, images).model is model
+    assert refine(colmap, model, images, [None] * model.num_reg_images()).model is model
 
 
 def test_exif_replaces_a_focal_length_that_points_do_not_determine(
@@ -106,11 +106,13 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
     for key in three.point3D_ids():
         if key % 8:
             three.delete_point3D(key)
-    assert errors(refine(colmap, three, images, wrong).model, room)[1] < 0.02, "points determine it"
+    assert errors(refine(colmap, three, images, [wrong] * 3).model, room)[1] < 0.02, (
+        "points determine it"
+    )
     monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
-    refined, focal_is_known = refine(colmap, three, images, right)
+    refined, focal_is_known = refine(colmap, three, images, [right] * 3)
     assert focal_is_known
     turned, focal = errors(refined, room)
     assert turned < 0.1
     assert focal < 1e-9
-    assert not refine(colmap, three, images).focal_is_known
+    assert not refine(colmap, three, images, [None] * 3).focal_is_known
