@@ -29,6 +29,10 @@ MOST_PHOTOS = 24
 HELD_OUT_EVERY = 4
 LOSS_SCALE = 0.5
 """Error in pixels from which the soft L1 loss is linear. Half of the matches are exact to 0.15 pixels."""
+LEAST_TO_COMPARE = 4
+"""Photographs that show whether one of them was zoomed."""
+LEAST_ZOOM = 1.15
+"""Least ratio of a zoomed photograph's focal length to the median, or its inverse; others have up to 1.06."""
 OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
 """The points determine the focal length if a change by this factor increases the cost by that factor."""
 _MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
@@ -55,6 +59,7 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
 
     if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
         return Refined(model, True)
+    model = with_zoomed_lenses(colmap, model)
     start = _adjusted(colmap, model, [])
     determined = _determines_focal(colmap, start)
     by_exif = None if determined else _with_focals(colmap, start, focals)
@@ -73,6 +78,29 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
     helps = is_plausible(refined, focals)
     helps = helps and (by_exif is not None or _error(refined, left_out) < _error(model, left_out))
     return Refined(refined if helps else model, determined or (by_exif is not None and helps))
+
+
+def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
+    """Return a model in which zoomed photographs have a lens of their own, or the model if there are none.
+
+    Those that were zoomed, or cropped and enlarged, fit the others' lens less exactly, from a wrong place.
+    """
+    images = sorted(model.reg_image_ids())
+    if len(images) < LEAST_TO_COMPARE or len(model.cameras) == len(images):
+        return model
+    alone = _adjusted(colmap, model, [], own_lens=images)
+    focals = {k: alone.camera(alone.image(k).camera_id).focal_length for k in images}
+    zoomed = []
+    for k in images:
+        lens = model.image(k).camera_id
+        usual = np.median([focals[i] for i in images if model.image(i).camera_id == lens])
+        if abs(np.log(focals[k] / usual)) > np.log(LEAST_ZOOM):
+            zoomed.append(k)
+    if not zoomed:
+        return model
+    separate = _adjusted(colmap, model, [], own_lens=zoomed)
+    shared = _cost(_adjusted(colmap, model, []))
+    return separate if LEAST_INCREASE * _cost(separate) < shared else model
 
 
 def _determines_focal(colmap: Any, model: Any) -> bool:
@@ -111,10 +139,21 @@ def _cost(model: Any) -> float:
     return float(np.dot(lengths, np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1))
 
 
-def _adjusted(colmap: Any, model: Any, matches: Sequence[Match], fixed_focal: bool = False) -> Any:
-    """A copy of a model after bundle adjustment; its points are those of the model that agree."""
+def _adjusted(
+    colmap: Any,
+    model: Any,
+    matches: Sequence[Match],
+    fixed_focal: bool = False,
+    own_lens: Sequence[int] = (),
+) -> Any:
+    """A copy of a model after bundle adjustment; its points are those of the model that agree.
+
+    Args:
+        own_lens: images by id that do not share a lens.
+    """
     adjusted = colmap.Reconstruction()
-    for camera in model.cameras.values():
+    lens_of = _lenses(colmap, model, own_lens)
+    for camera in {camera.camera_id: camera for camera in lens_of.values()}.values():
         adjusted.add_camera_with_trivial_rig(camera)
     points = [point for _, point in sorted(model.points3D.items())]
     tracks = [
@@ -131,7 +170,10 @@ def _adjusted(colmap: Any, model: Any, matches: Sequence[Match], fixed_focal: bo
     for k, places in keypoints.items():
         image = model.image(k)
         copied = colmap.Image(
-            name=image.name, keypoints=np.array(places), camera_id=image.camera_id, image_id=k
+            name=image.name,
+            keypoints=np.array(places),
+            camera_id=lens_of[k].camera_id,
+            image_id=k,
         )
         adjusted.add_image_with_trivial_frame(copied, image.cam_from_world())
     positions = [point.xyz for point in points] + [match.point for match in matches]
@@ -152,6 +194,15 @@ def _adjusted(colmap: Any, model: Any, matches: Sequence[Match], fixed_focal: bo
         else:
             adjusted.delete_point3D(key)
     return adjusted
+
+
+def _lenses(colmap: Any, model: Any, own_lens: Sequence[int]) -> dict[int, Any]:
+    """Camera of each image by id; new copies for some."""
+    lenses = {k: model.camera(model.image(k).camera_id) for k in sorted(model.reg_image_ids())}
+    unused = max(model.cameras) + 1
+    for number, k in enumerate(own_lens, start=unused):
+        lenses[k] = colmap.Camera(lenses[k].todict() | {"camera_id": number})
+    return lenses
 
 
 def _options(colmap: Any, fixed_focal: bool) -> Any:

@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from registry import Scene
 from registry.toolkit.photos import import_pycolmap
 from stereogs_plugins.scenes.photos.dense.matches import dense_matches
-from stereogs_plugins.scenes.photos.dense.refinement import MOST_PHOTOS, refine
+from stereogs_plugins.scenes.photos.dense.refinement import (
+    MOST_PHOTOS,
+    refine,
+    with_zoomed_lenses,
+)
 from stereogs_plugins.scenes.photos.mapping import MAX_ERROR, sampson_distances
 from stereogs_plugins.scenes.photos.unposed_photos import image_index
 
@@ -116,3 +120,17 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
     assert turned < 0.1
     assert focal < 1e-9
     assert not refine(colmap, three, images, [None] * 3).focal_is_known
+
+
+def test_a_zoomed_photograph_gets_its_own_lens(model: Any) -> None:
+    assert with_zoomed_lenses(colmap, model) is model
+    zoomed = model.image(min(model.reg_image_ids()))
+    (lens,) = model.cameras.values()
+    middle = np.array([lens.width, lens.height]) / 2
+    for point in zoomed.points2D:
+        point.xy = middle + 1.4 * (point.xy - middle)
+    own = with_zoomed_lenses(colmap, model)
+    focals = {k: own.camera(own.image(k).camera_id).focal_length for k in own.reg_image_ids()}
+    assert len(own.cameras) == 2
+    ratio = focals.pop(zoomed.image_id) / max(focals.values())
+    assert ratio == pytest.approx(1.4, rel=0.02)
