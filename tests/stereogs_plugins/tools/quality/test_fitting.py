@@ -61,10 +61,10 @@ class Machine:
             self.now += self.slow * (0.05 + 1e-4 * field.model.count)
             step(field)
 
-        def evaluated(model, scene, views, metrics, pictures=None):  # type: ignore[no-untyped-def]
+        def evaluated(model, scene, views, *given, **options):  # type: ignore[no-untyped-def]
             views = list(views)
             self.now += self.slow * 0.3 * len(views)
-            return evaluate(model, scene, views, metrics, pictures)
+            return evaluate(model, scene, views, *given, **options)
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
         monkeypatch.setattr(rehearsal, "evaluate", evaluated)
