@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sqlite3
 import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from registry.toolkit.progress import progress
 
@@ -15,32 +15,33 @@ SECONDS = 0.5
 
 
 @contextmanager
-def rows_reported(database: Path, table: str, stage: str, total: int) -> Iterator[None]:
-    """Report the number of rows in a table while the block fills it.
+def rows_reported(
+    colmap: Any, database: Path, count: Callable[[Any], int], stage: str, total: int
+) -> Iterator[None]:
+    """Report a number of rows while the block fills a database.
+
+    COLMAP's own SQLite reads it. With a second SQLite library in the process, such as Python's, the locks of
+    one end when the other closes the file, and the process ends with SIGBUS now and then
+    (https://sqlite.org/howtocorrupt.html, "Multiple copies of SQLite linked into the same application").
 
     Args:
         database: existing COLMAP database.
+        count: returns the number of rows of an open database.
         stage, total: as for `registry.toolkit.progress`.
     """
     finished = threading.Event()
 
     def look() -> None:
-        with closing(
-            sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)
-        ) as opened:
-            while not finished.wait(SECONDS):
-                try:
-                    (count,) = opened.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
-                except sqlite3.OperationalError:  # it is locked at the moment
-                    continue
-                progress(stage, count, total)
+        while not finished.wait(SECONDS):
+            progress(stage, count(opened), total)
 
     progress(stage, 0, total)
-    thread = threading.Thread(target=look, name="rows of COLMAP", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        finished.set()
-        thread.join()
+    with colmap.Database.open(database) as opened:
+        thread = threading.Thread(target=look, name="rows of COLMAP", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            finished.set()
+            thread.join()
     progress(stage, total, total)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from PIL import Image
@@ -208,14 +209,22 @@ def _import(
 def _extract(colmap: Any, database: Path, images: Path, pooled: bool, count: int) -> None:
     options = colmap.FeatureExtractionOptions()
     options.sift.domain_size_pooling = pooled
-    with rows_reported(database, "keypoints", "features", count):
+
+    def done(opened: Any) -> int:
+        return sum(opened.exists_keypoints(image.image_id) for image in opened.read_all_images())
+
+    with rows_reported(colmap, database, done, "features", count):
         colmap.extract_features(
             database, images, extraction_options=options, device=colmap.Device.cpu
         )
 
 
 def _match(colmap: Any, database: Path, count: int) -> None:
-    with rows_reported(database, "two_view_geometries", "matching", count * (count - 1) // 2):
+    def done(opened: Any) -> int:
+        images = sorted(image.image_id for image in opened.read_all_images())
+        return sum(opened.exists_two_view_geometry(*pair) for pair in combinations(images, 2))
+
+    with rows_reported(colmap, database, done, "matching", count * (count - 1) // 2):
         colmap.match_exhaustive(
             database,
             matching_options=colmap.FeatureMatchingOptions(),
