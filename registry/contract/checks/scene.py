@@ -223,7 +223,7 @@ def _point_faults(points: PointCloud) -> Faults:
             index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
             given = values[index].tolist()
             fault = f"{given}, which is not valid" if finite[index].all() else "not finite"
-            yield f"points.{name}[{index}] is {fault}", "leave such points out"
+            yield f"points.{name}[{index}] is {fault}", "leave it out; colours are 0 to 1"
 
 
 def _without_equal_poses(scene: Scene) -> Scene:
