@@ -34,12 +34,13 @@ OVERRIDES = frozenset(
         "EXACT_TILE_TEST",
         "EXP2_DEGREE",
         "RASTER_LANES",
+        "SLANTED",
         "TILE_HEIGHT",
         "TILE_WIDTH",
     )
 )
 """Kernel macros that a `Renderer` may override."""
-_BLENDING_ONLY = ("EARLY_STOP", "EXP2_DEGREE", "RASTER_LANES")
+_BLENDING_ONLY = ("EARLY_STOP", "EXP2_DEGREE", "RASTER_LANES", "SLANTED")
 _PROJECTION_ONLY = ("EXACT_TILE_TEST",)
 """Macros that the other kernels do not use: programs that differ in them only are built once."""
 

@@ -30,12 +30,13 @@ def outcome(
     overrides: Overrides,
     dtype: torch.dtype = torch.float32,
     gaussians: Gaussians | None = None,
+    camera: Camera | None = None,
 ) -> dict[str, Tensor]:
     """The images, and the gradients of a loss on all three."""
     model = GaussianModel(gaussians or parameters(), device, dtype=dtype)
     model.renderer = Renderer(device, dtype, overrides=overrides)
     model.zero_gradients()
-    rendering = model.render(view())
+    rendering = model.render(camera or view())
     images = {"rgb": rendering.rgb, "depth": rendering.depth, "alpha": rendering.alpha}
     sum((image.square().sum() for image in images.values()), torch.zeros(())).backward()
     gradients = {name: model.gradient(name).clone() for name in PARAMETERS}
@@ -89,6 +90,23 @@ def test_the_exact_tile_test_drops_pairs_and_changes_nothing(device: Device) -> 
     ours, theirs = outcome(device, small), outcome(device, small | {"EXACT_TILE_TEST": 0})
     for name in ours:
         assert torch.equal(ours[name], theirs[name]), name
+
+
+@pytest.mark.parametrize("length", [0.2, 1.0, 4.0, 30.0])
+def test_rows_outside_slanted_ellipses_change_nothing(device: Device, length: float) -> None:
+    if device.variant == "gpu":
+        pytest.skip("its work-items blend one pixel each")
+    gaussians = parameters(800)
+    generator = torch.Generator().manual_seed(0)
+    thin = length * 10 ** (-4 * torch.rand(800, 2, generator=generator))
+    gaussians.log_scales[:] = torch.cat([torch.full((800, 1), length), thin], 1).log()
+    camera = Camera(torch.eye(4), 150.0, 150.0, 100.0, 75.0, 201, 151)
+    never, always = ({"SLANTED": value} for value in (5, -1))
+    theirs = outcome(device, never, gaussians=gaussians, camera=camera)
+    for overrides in ({}, always):
+        ours = outcome(device, overrides, gaussians=gaussians, camera=camera)
+        for name in ours:
+            assert torch.equal(ours[name], theirs[name]), name
 
 
 @pytest.mark.parametrize(("inverse", "stop"), [(1e6, 1e-12), (127.5, 1e-2)])

@@ -29,6 +29,13 @@
 #define EPSILON ((real)1e-15)
 /* The square of a larger gradient overflows; such gradients, and undefined ones, count as 0. */
 #define LARGEST_GRADIENT ((real)1e18)
+/* First moments below the smallest normal number become 0. Those of Gaussians that get no gradient any more would
+ * stay subnormal, because 0.9 times the smallest number rounds to itself; each step then costs many cycles. */
+#if REAL_IS_DOUBLE
+#define SMALLEST_MOMENT DBL_MIN
+#else
+#define SMALLEST_MOMENT FLT_MIN
+#endif
 
 /* With VISIBLE_ONLY, values without gradient are skipped, so their moments do not decay; used by
  * benchmarks. Whole blocks without gradient cost one read instead of seven accesses. */
@@ -51,8 +58,9 @@ static inline int step_values(
         const real gradient = defined ? given : 0;
         const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
         const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
+        const real kept_m = (m > -SMALLEST_MOMENT) & (m < SMALLEST_MOMENT) ? 0 : m;
         const int still = VISIBLE_ONLY & (given == 0);
-        first_moments[at] = still ? first_moments[at] : m;
+        first_moments[at] = still ? first_moments[at] : kept_m;
         second_moments[at] = still ? second_moments[at] : v;
         const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
         const real moved = parameters[at] - (still ? 0 : change);

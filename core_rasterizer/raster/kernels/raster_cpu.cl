@@ -1,6 +1,6 @@
 /* Rasterization on a CPU: one work-item per tile, with pixel state in private arrays. Each Gaussian is
- * blended into the rows of its box in vectors, one column of vectors at a time. Exact spans per row are
- * slower: their square root and branch cost more than the lanes that they save.
+ * blended into the rows of its box in vectors, one column of vectors at a time. The rows of a column are
+ * narrowed to the ellipse where most of the box is outside it; elsewhere the square root costs more than it saves.
  *
  * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: it may start at any
  * column, and fits a small Gaussian better than one long row. */
@@ -9,6 +9,10 @@
 #define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
 #define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
 #define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
+/* b^2 / (a c) above which an ellipse is slanted: 4 is a line, and 3 fills 39 % of its box. */
+#ifndef SLANTED
+#define SLANTED 3
+#endif
 #define PAIRS_AHEAD 12 /* Gaussians to prefetch ahead; their data is scattered in memory */
 #define CHECK_EVERY 32 /* Gaussians between two tests whether the whole tile is finished */
 
@@ -39,6 +43,47 @@ static inline pixel_box box_in(__global const real *record, tile_area area)
     box.y0 = max((int)record[REC_Y0] - area.y, 0) / ROWS * ROWS;
     box.y1 = (min((int)record[REC_Y1] - area.y, area.height) + ROWS - 1) / ROWS * ROWS;
     return box;
+}
+
+static inline int is_slanted(__global const real *g, pixel_box box)
+{
+    return box.x1 - box.x0 > COLUMNS && box.y1 - box.y0 > COLUMNS
+        && g[REC_B] * g[REC_B] > (real)SLANTED * g[REC_A] * g[REC_C];
+}
+
+/* The part of a column of vectors that is visited: offsets in the tile, and the first vector's dy. */
+typedef struct {
+    int begin, end;
+    lane dy;
+} column_part;
+
+/* Leaves out rows where a slanted ellipse of alpha >= 1/255 does not reach the COLUMNS columns from `x` on. The
+ * exponent is c (dy - slope dx)^2 + e dx^2 with slope = -b / (2 c) and e = a - b^2 / (4 c). */
+static inline void narrow(
+    column_part *part, __global const real *g, pixel_box box, tile_area area, int x,
+    real floor_of_alpha)
+{
+    const real a = g[REC_A], b = g[REC_B], c = g[REC_C];
+    const real left = area.x + x + (real)0.5 - g[REC_X], right = left + (COLUMNS - 1);
+    const real nearest = left > 0 ? left : (right < 0 ? right : 0);
+    const real farthest = -left > right ? left : right;
+    const real slope = (real)-0.5 * b / c, e = a + (real)0.5 * b * slope;
+    /* The margin exceeds the rounding errors of the exponent, because the test of each pixel decides. */
+    const real level = floor_of_alpha + (real)4e-6 * a * farthest * farthest - (real)1e-3;
+    const real square = (level - (e < 0 ? e : 0) * nearest * nearest) / c;
+    if (square < 0) {
+        part->end = part->begin;
+        return;
+    }
+    const real reach = sqrt(square) + (real)1e-2, origin = g[REC_Y] - area.y - (real)0.5;
+    const real low = origin + fmin(slope * left, slope * right) - reach;
+    const real high = origin + fmax(slope * left, slope * right) + reach;
+    /* An undefined value (c of a needle rounded to 0) keeps all rows. */
+    const int y0 = (int)fmin(fmax(low, (real)box.y0), (real)box.y1) / ROWS * ROWS;
+    const int y1 = ((int)fmax(fmin(high + 1, (real)box.y1), (real)y0) + ROWS - 1) / ROWS * ROWS;
+    for (; part->begin < AT(x, y0); part->begin += STRIDE)
+        part->dy += ROWS; /* one by one, for the same bits */
+    part->end = AT(x, y1);
 }
 
 /* Pixels outside the image start finished, so that no other code tests for the image's edge. */
@@ -98,6 +143,34 @@ static inline void show_background(
     }
 }
 
+/* Adds a Gaussian to the pixels of its box. */
+static inline __attribute__((always_inline)) void blend(
+    __global const real *g, tile_area area, pixel_box box, real *t, real *red, real *green,
+    real *blue, real *z, const int slanted)
+{
+    const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+    const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+    const real floor_of_alpha = slanted ? -log2((real)ALPHA_CUT_INVERSE * opacity) : 0;
+    const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
+    for (int x = box.x0; x < box.x1; x += COLUMNS) {
+        const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
+        const lane square = a * dx * dx, slope = b * dx;
+        column_part part = {AT(x, box.y0), AT(x, box.y1), first_dy};
+        if (slanted)
+            narrow(&part, g, box, area, x, floor_of_alpha);
+        lane dy = part.dy;
+        for (int i = part.begin; i < part.end; i += STRIDE, dy += ROWS) {
+            const lane before = LOAD(t + i);
+            const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+            STORE(t + i, keep_transmittance(m, before));
+            STORE(red + i, LOAD(red + i) + m.weight * r);
+            STORE(green + i, LOAD(green + i) + m.weight * gr);
+            STORE(blue + i, LOAD(blue + i) + m.weight * bl);
+            STORE(z + i, LOAD(z + i) + m.weight * depth_here);
+        }
+    }
+}
+
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void raster(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
@@ -126,23 +199,10 @@ void raster(
         if (p + PAIRS_AHEAD < end)
             PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
         const pixel_box box = box_in(g, area);
-        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
-        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
-        for (int x = box.x0; x < box.x1; x += COLUMNS) {
-            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
-            const lane square = a * dx * dx, slope = b * dx;
-            lane dy = first_dy;
-            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
-                const lane before = LOAD(t + i);
-                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
-                STORE(t + i, keep_transmittance(m, before));
-                STORE(red + i, LOAD(red + i) + m.weight * r);
-                STORE(green + i, LOAD(green + i) + m.weight * gr);
-                STORE(blue + i, LOAD(blue + i) + m.weight * bl);
-                STORE(z + i, LOAD(z + i) + m.weight * depth_here);
-            }
-        }
+        if (is_slanted(g, box))
+            blend(g, area, box, t, red, green, blue, z, 1);
+        else
+            blend(g, area, box, t, red, green, blue, z, 0);
     }
 
     const int width = (int)camera[CAMERA_WIDTH];
@@ -212,8 +272,73 @@ static inline void load_gradients(
         }
 }
 
-/* Front to back like the forward pass. With v = c . dL/dC + z dL/dD of the current Gaussian and `rest` the
- * same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
+/* Gradients of a (tile, Gaussian) pair, summed over its pixels, lane by lane. */
+typedef struct {
+    lane p, px, py, pxx, pxy, pyy; /* of the exponent, times powers of dx and dy */
+    lane red, green, blue, z, touched;
+#ifdef ABSOLUTE
+    lane absolute_x, absolute_y;
+#endif
+} lane_sums;
+
+/* Adds the gradients of the pixels of a Gaussian's box. With v = c . dL/dC + z dL/dD of the Gaussian and `rest`
+ * the same sum over everything behind it: dL/dalpha = (T_next v - rest) / (1 - alpha). */
+static inline __attribute__((always_inline)) void blend_backward(
+    __global const real *g, tile_area area, pixel_box box, real *t, const real *red,
+    const real *green, const real *blue, const real *z, real *rest, lane_sums *sums,
+    const int with_depth, const int slanted)
+{
+    const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
+    const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
+    const real floor_of_alpha = slanted ? -log2((real)ALPHA_CUT_INVERSE * opacity) : 0;
+    const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
+    for (int x = box.x0; x < box.x1; x += COLUMNS) {
+        const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
+        const lane square = a * dx * dx, slope = b * dx;
+        lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
+        column_part part = {AT(x, box.y0), AT(x, box.y1), first_dy};
+        if (slanted)
+            narrow(&part, g, box, area, x, floor_of_alpha);
+        lane dy = part.dy;
+        for (int i = part.begin; i < part.end; i += STRIDE, dy += ROWS) {
+            const lane before = LOAD(t + i);
+            const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+            STORE(t + i, keep_transmittance(m, before));
+            const lane d_red = LOAD(red + i), d_green = LOAD(green + i), d_blue = LOAD(blue + i);
+            lane value = r * d_red + gr * d_green + bl * d_blue;
+            if (with_depth) {
+                const lane d_z = LOAD(z + i);
+                value += depth_here * d_z;
+                sums->z += m.weight * d_z;
+            }
+            const lane behind = LOAD(rest + i) - m.weight * value;
+            STORE(rest + i, behind);
+            const lane slope_alpha = (m.next * value - behind) / (1 - m.alpha);
+            /* The gradient is 0 above the clamp and where nothing was added. */
+            const lane_mask moves = (m.weight > (lane)0) & (m.raw <= (lane)ALPHA_MAX);
+            const lane d_p = moves ? slope_alpha * m.alpha : (lane)0;
+            column_p += d_p;
+            column_py += d_p * dy;
+            column_pyy += d_p * (dy * dy);
+#ifdef ABSOLUTE
+            sums->absolute_x += lane_abs(d_p * (2 * a * dx + b * dy));
+            sums->absolute_y += lane_abs(d_p * (slope + 2 * c * dy));
+#endif
+            sums->red += m.weight * d_red;
+            sums->green += m.weight * d_green;
+            sums->blue += m.weight * d_blue;
+            sums->touched += m.weight;
+        }
+        sums->p += column_p;
+        sums->px += column_p * dx;
+        sums->pxx += column_p * dx * dx;
+        sums->py += column_py;
+        sums->pxy += column_py * dx;
+        sums->pyy += column_pyy;
+    }
+}
+
+/* Front to back like the forward pass. */
 static inline __attribute__((always_inline)) void walk_back(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
@@ -241,64 +366,21 @@ static inline __attribute__((always_inline)) void walk_back(
             PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + PAIRS_AHEAD].y * PAIR);
         }
         const pixel_box box = box_in(g, area);
-        const real a = g[REC_A], b = g[REC_B], c = g[REC_C], opacity = g[REC_OPACITY];
-        const real r = g[REC_RED], gr = g[REC_GREEN], bl = g[REC_BLUE], depth_here = g[REC_Z];
-        const lane first_dy = (area.y + box.y0 + (real)0.5 - g[REC_Y]) - g[REC_REST_Y] + DOWN;
-        lane sum_p = (lane)0, sum_px = (lane)0, sum_py = (lane)0, sum_pxx = (lane)0,
-             sum_pxy = (lane)0, sum_pyy = (lane)0, sum_red = (lane)0, sum_green = (lane)0,
-             sum_blue = (lane)0, sum_z = (lane)0, touched = (lane)0;
-#ifdef ABSOLUTE
-        lane absolute_x = (lane)0, absolute_y = (lane)0;
-#endif
-        for (int x = box.x0; x < box.x1; x += COLUMNS) {
-            const lane dx = (area.x + x + (real)0.5 - g[REC_X]) - g[REC_REST_X] + ACROSS;
-            const lane square = a * dx * dx, slope = b * dx;
-            lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
-            lane dy = first_dy;
-            for (int i = AT(x, box.y0); i < AT(x, box.y1); i += STRIDE, dy += ROWS) {
-                const lane before = LOAD(t + i);
-                const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
-                STORE(t + i, keep_transmittance(m, before));
-                const lane d_red = LOAD(red + i), d_green = LOAD(green + i), d_blue = LOAD(blue + i);
-                lane value = r * d_red + gr * d_green + bl * d_blue;
-                if (with_depth) {
-                    const lane d_z = LOAD(z + i);
-                    value += depth_here * d_z;
-                    sum_z += m.weight * d_z;
-                }
-                const lane behind = LOAD(rest + i) - m.weight * value;
-                STORE(rest + i, behind);
-                const lane slope_alpha = (m.next * value - behind) / (1 - m.alpha);
-                /* The gradient is 0 above the clamp and where nothing was added. */
-                const lane_mask moves = (m.weight > (lane)0) & (m.raw <= (lane)ALPHA_MAX);
-                const lane d_p = moves ? slope_alpha * m.alpha : (lane)0;
-                column_p += d_p;
-                column_py += d_p * dy;
-                column_pyy += d_p * (dy * dy);
-#ifdef ABSOLUTE
-                absolute_x += lane_abs(d_p * (2 * a * dx + b * dy));
-                absolute_y += lane_abs(d_p * (slope + 2 * c * dy));
-#endif
-                sum_red += m.weight * d_red;
-                sum_green += m.weight * d_green;
-                sum_blue += m.weight * d_blue;
-                touched += m.weight;
-            }
-            sum_p += column_p;
-            sum_px += column_p * dx;
-            sum_pxx += column_p * dx * dx;
-            sum_py += column_py;
-            sum_pxy += column_py * dx;
-            sum_pyy += column_pyy;
-        }
+        lane_sums sums = {(lane)0};
+        if (is_slanted(g, box))
+            blend_backward(
+                g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 1);
+        else
+            blend_backward(
+                g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 0);
         __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR);
-        out[0] = sum_quad(sum_p, sum_px, sum_py, sum_pxx);
-        out[1] = sum_quad(sum_pxy, sum_pyy, sum_red, sum_green);
+        out[0] = sum_quad(sums.p, sums.px, sums.py, sums.pxx);
+        out[1] = sum_quad(sums.pxy, sums.pyy, sums.red, sums.green);
 #ifdef ABSOLUTE
-        out[2] = sum_quad(sum_blue, sum_z, touched, absolute_x);
-        out[3] = sum_quad(absolute_y, (lane)0, (lane)0, (lane)0);
+        out[2] = sum_quad(sums.blue, sums.z, sums.touched, sums.absolute_x);
+        out[3] = sum_quad(sums.absolute_y, (lane)0, (lane)0, (lane)0);
 #else
-        out[2] = sum_quad(sum_blue, sum_z, touched, (lane)0);
+        out[2] = sum_quad(sums.blue, sums.z, sums.touched, (lane)0);
 #endif
     }
     for (; p < end; p++)
