@@ -92,7 +92,8 @@ def test_with_networks_differs_from_weightfree_by_the_networks_alone() -> None:
     assert without.training == beside.training
     differing = {s for s in without.items if without.items[s] != beside.items[s]}
     assert differing == {"priors", "initializer", "regularizers"}
-    assert [item.name for item in beside.items["priors"]][:2] == ["plane_sweep", "patch_match"]
+    names = [item.name for item in beside.items["priors"]]
+    assert names == ["plane_sweep", "learned", "patch_match", "multi_view", "stereo"]
     first, second = (p.one("initializer").settings.model_dump() for p in (without, beside))
     assert [name for name in first if first[name] != second[name]] == ["prior"]
     assert without.items["regularizers"] == ()
