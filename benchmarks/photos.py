@@ -2,8 +2,8 @@
 
 Evenly spaced and neighbouring pictures of every data set, without and with networks (`STEREOGS_MODELS`). The
 search uses nothing else. One of the placed pictures is held out from a training with the found cameras, and
-from one with the published ones. Finished cases are kept in `benchmarks/records/photos.jsonl`: the same
-command continues where it stopped. With `--write-docs` rewrites the tables.
+from one with the published ones. Cases that are in `benchmarks/records/photos.jsonl` are not measured again.
+With `--write-docs` rewrites the tables.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class Record:
         placed: Number of pictures whose cameras fit together.
         errors: None if fewer than `MIN_PHOTOS` were placed.
         cpu_seconds: CPU seconds of the search over all threads, without reading the folder.
-        psnr: with estimated and with published cameras (`photos_scored`); None without errors.
+        psnr: with estimated and with published cameras (`photos_scored`); None without errors, or if only the
+            cameras were measured.
     """
 
     scene: str
@@ -77,12 +78,7 @@ class Record:
     placed: int
     errors: Errors | None
     cpu_seconds: float
-    psnr: tuple[float, float] | None = None
-
-    @property
-    def finished(self) -> bool:
-        """False if the record was written before scenes were trained."""
-        return self.errors is None or self.psnr is not None
+    psnr: tuple[float, float] | None
 
     @property
     def case(self) -> tuple[str, str, bool]:
@@ -212,11 +208,11 @@ def main() -> None:
             raise SystemExit(f"set {variable} (docs/your_own_photographs.md)")
     records = read_records()
     for case in () if arguments.finished else cases():
-        if case in records and records[case].finished:
+        if case in records:
             continue
         scene, chosen, networks = case
         plain = records.get((scene, chosen, False))
-        if networks and plain is not None and plain.finished and plain.placed == plain.pictures:
+        if networks and plain is not None and plain.placed == plain.pictures:
             record: Record | None = replace(plain, networks=True)  # they are not asked
         else:
             print(*case, flush=True)

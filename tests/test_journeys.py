@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -16,8 +16,9 @@ from skimage import data
 
 from tests.data import data_folder
 
-ORIENTATION = 0x0112
+ORIENTATION, EXIF_BLOCK, FOCAL_MM, FOCAL_35MM = 0x0112, 0x8769, 0x920A, 0xA405
 SMALL = (320, 240)
+ROOM = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
 
 
 def shell(command: str, folder: Path, *, status: int = 0) -> str:
@@ -56,10 +57,23 @@ def take(scene: str, numbers: Sequence[int], folder: Path, size: tuple[int, int]
     return taken
 
 
+def tag(picture: Path, exif: bytes) -> None:
+    with Image.open(picture) as opened:
+        copy = opened.copy()
+    copy.save(picture, quality=92, exif=exif)
+
+
 def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
-    """A text, a raw file, a broken picture, a copy and a stray picture beside four that connect."""
+    """A text, a raw file, a broken picture, a copy and a stray picture beside four with absurd EXIF data."""
     folder = tmp_path / "my photos"
-    first, *_ = take("llff_fern", (0, 4, 9, 14), folder, SMALL)
+    first, second, third, fourth = take("llff_fern", (0, 4, 9, 14), folder, SMALL)
+    absurd = Image.Exif()
+    absurd[ORIENTATION] = 9
+    absurd.get_ifd(EXIF_BLOCK)[FOCAL_MM] = absurd.get_ifd(EXIF_BLOCK)[FOCAL_35MM] = 0
+    tag(second, absurd.tobytes())
+    tag(third, absurd.tobytes()[:20])
+    absurd.get_ifd(EXIF_BLOCK)[FOCAL_35MM] = 65535
+    tag(fourth, absurd.tobytes())
     (folder / "notes.txt").write_text("shopping list")
     (folder / "IMG_0020.dng").write_bytes(b"II*\0 raw")
     (folder / "broken.jpg").write_bytes(first.read_bytes()[:2000])
@@ -77,12 +91,16 @@ def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     ):
         assert line in output
     assert output.count("stray.jpg: ") == 1
+    assert "PIL" not in output, "warnings of Pillow"
     *_, verdict, command = output.splitlines()
     assert verdict.startswith("4 of 5 photographs connect; ready")
     assert command == "  stereogs train 'my photos'"
 
-    trained = shell(f"{command} --set training.iterations=20 --out run", tmp_path)
+    trained = shell(f"{command} --seconds 0.1 --out run", tmp_path)
     assert "4 photographs, fewer than 8: all train" in trained
+    assert "late      took" in trained
+    assert "30 iterations took" in trained, "the least"
+    assert "PIL" not in trained
     assert "finding the cameras" not in trained, "they are cached"
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert len(results["scene"]["train"]) == 4
@@ -93,6 +111,39 @@ def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     assert "only 4 of 5 photographs connect" in refused
     assert "STEREOGS_MODELS" in refused
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
+    if sys.platform != "linux" or subprocess.run(mounted, capture_output=True).returncode:
+        pytest.skip("only root can mount a file system")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_loses_nothing(disk: Path, tmp_path: Path) -> None:
+    train = f"stereogs train demo {ROOM} --set training.iterations=40"
+    output = shell(f"{train} --out disk/run", tmp_path, status=2)
+    assert "No space left on device" in output
+    assert "stereogs resume disk/run" in output
+    subprocess.run(["mount", "-o", "remount,size=99m", str(disk)], check=True)
+    assert "hash " in shell("stereogs resume disk/run", tmp_path)
+
+
+def test_a_read_only_folder_is_refused_before_the_work(disk: Path, tmp_path: Path) -> None:
+    take("llff_fern", (0, 4, 9), tmp_path / "photos", SMALL)
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    for command in ("check ../photos", "train ../photos"):
+        output = shell(f"cd disk && stereogs {command}", tmp_path, status=2)
+        assert f"the folder {disk} cannot be written" in output
+        assert "choose another --out" in output
+        assert "reading" not in output
+    shell("cd disk && stereogs check ../photos --out ..", tmp_path)
+    assert (tmp_path / "check.png").is_file()
 
 
 @pytest.mark.proof
@@ -143,10 +194,9 @@ def test_a_turntable_with_gaps(tmp_path: Path) -> None:
 
 @pytest.mark.proof
 def test_lengths_are_compared(tmp_path: Path) -> None:
-    room = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
     for length in (50, 200):
         shell(
-            f"stereogs train demo {room} --set training.iterations={length} --out runs/{length}",
+            f"stereogs train demo {ROOM} --set training.iterations={length} --out runs/{length}",
             tmp_path,
         )
     rows = [line.split() for line in shell("stereogs compare runs/*", tmp_path).splitlines()]
@@ -162,9 +212,6 @@ def test_lengths_are_compared(tmp_path: Path) -> None:
     page = (tmp_path / "bench" / "index.html").read_text()
     assert "against seconds" in page
     assert "against pipeline" not in page
-
-
-ROOM = "--set scene='{use: procedural, train_views: 3, width: 96, height: 72}'"
 
 
 @pytest.mark.proof

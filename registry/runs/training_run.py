@@ -82,8 +82,8 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
     Raises:
         ExplainedError: any failure.
     """
-    if isinstance(out, Path):
-        RunFolder.check_vacant(out)
+    if out is not None:
+        RunFolder.check_vacant(out if isinstance(out, Path) else Path("runs", "*"))
     refuse_missing_priors(pipeline)
     console = options.console()
     with _guarded(options, console):

@@ -12,6 +12,7 @@ the small result.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -78,6 +79,8 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
     formats = (*FORMATS, "HEIF") if "HEIF" in Image.OPEN else FORMATS
     if not path.is_file():
         raise SceneError(f"{what} is missing, or not a regular file", where=str(path), fix=fix)
+    # Damaged EXIF data count as missing. Not `catch_warnings`, which is not safe in threads.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     with decoding(what, path, fix):
         with Image.open(path, formats=formats) as file:
             _check_size(file, path, what)

@@ -119,6 +119,7 @@ def place_cameras(
             for model in attempt.run(database, images, target).values()
             if is_plausible(model, focals)
             and drop_unsupported(colmap, database, model, trust, confirms)
+            and not (attempt.fixed_lens and is_contradicted(colmap, database, model))
         ]
         best = max(best, _pieces(found, target), key=placed)
     return best
@@ -134,11 +135,13 @@ class _Attempt(NamedTuple):
 
     Args:
         enough: number of photographs placed before that makes the attempt unnecessary.
+        fixed_lens: True if the initial lens is kept.
     """
 
     name: str
     run: Callable[[Path, Path, Path], dict[int, Any]]
     enough: int
+    fixed_lens: bool = False
 
 
 def _attempts(colmap: Any, total: int) -> list[_Attempt]:
@@ -166,7 +169,7 @@ def _attempts(colmap: Any, total: int) -> list[_Attempt]:
         return attempt
 
     fixed = [
-        _Attempt(f"fixed_lens_{d:g}", incremental(d, True), min(MIN_PHOTOS, total))
+        _Attempt(f"fixed_lens_{d:g}", incremental(d, True), min(MIN_PHOTOS, total), True)
         for d in _FIRST_PAIR_DEGREES
     ]
     if total == 2:
@@ -263,6 +266,15 @@ def drop_unsupported(
     for k in {*range(len(images))}.difference(groups[0]):
         model.deregister_frame(model.image(images[k]).frame_id)
     return bool(deep[np.ix_(groups[0], groups[0])].any())
+
+
+def is_contradicted(colmap: Any, database: Path, model: Any) -> bool:
+    """Whether too few matches of a pair with many agree with a model: if its lens was fixed, it is wrong."""
+    found = _supports(colmap, database, model, 2 * MAX_ERROR).values()
+    return any(
+        support.total >= LEAST_CHECKED and support.agreeing < LEAST_SUPPORT * support.total
+        for support in found
+    )
 
 
 def _connect(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -127,6 +128,12 @@ def _check_writable(path: Path) -> None:
             "the image must be a .png file in an existing folder",
             where=f"--out {path}",
             fix="for example --out check.png",
+        )
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise RunError(
+            f"the folder {path.absolute().parent} cannot be written",
+            where=f"--out {path}",
+            fix="choose another --out",
         )
 
 

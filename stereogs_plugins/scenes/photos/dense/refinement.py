@@ -8,6 +8,7 @@ the points do not determine.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,8 @@ LEAST_ZOOM = 1.15
 """Least ratio of a zoomed photograph's focal length to the median, or its inverse; others have up to 1.06."""
 OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
 """The points determine the focal length if a change by this factor increases the cost by that factor."""
+_ROUNDS = 4
+"""Adjustments of a principal point and of the other lenses in turn."""
 _MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
 
 
@@ -59,7 +62,7 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
 
     if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
         return Refined(model, True)
-    model = with_zoomed_lenses(colmap, model)
+    model = with_cropped_lenses(colmap, with_zoomed_lenses(colmap, model))
     start = _adjusted(colmap, model, [])
     determined = _determines_focal(colmap, start)
     by_exif = None if determined else _with_focals(colmap, start, focals)
@@ -101,6 +104,27 @@ def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
     separate = _adjusted(colmap, model, [], own_lens=zoomed)
     shared = _cost(_adjusted(colmap, model, []))
     return separate if LEAST_INCREASE * _cost(separate) < shared else model
+
+
+def with_cropped_lenses(colmap: Any, model: Any) -> Any:
+    """Return a model in which cropped photographs have their own principal point, or the model without any.
+
+    A photograph can be cropped if no other one has its lens, since others differ in size. After a crop off
+    centre, the lens points beside the centre of the picture. With the centre as principal point, the
+    photograph fits only from a wrong place, and with few photographs all focal lengths adapt to it.
+    """
+    images = sorted(model.reg_image_ids())
+    lenses = Counter(model.image(k).camera_id for k in images)
+    if max(lenses.values()) < LEAST_TO_COMPARE - 1:
+        return model
+    for lens in (k for k in sorted(lenses) if lenses[k] == 1):
+        moved = model
+        # In turn, because COLMAP frees the principal points of all lenses whose focal length is free.
+        for _ in range(_ROUNDS):
+            moved = _adjusted(colmap, _adjusted(colmap, moved, [], centre_of=lens), [])
+        if LEAST_INCREASE * _cost(moved) < _cost(_adjusted(colmap, model, [])):
+            model = moved
+    return model
 
 
 def _determines_focal(colmap: Any, model: Any) -> bool:
@@ -145,11 +169,13 @@ def _adjusted(
     matches: Sequence[Match],
     fixed_focal: bool = False,
     own_lens: Sequence[int] = (),
+    centre_of: int | None = None,
 ) -> Any:
     """A copy of a model after bundle adjustment; its points are those of the model that agree.
 
     Args:
         own_lens: images by id that do not share a lens.
+        centre_of: lens by id whose principal point is free too, while the other lenses are fixed.
     """
     adjusted = colmap.Reconstruction()
     lens_of = _lenses(colmap, model, own_lens)
@@ -183,9 +209,12 @@ def _adjusted(
     everything = colmap.BundleAdjustmentConfig()
     for k in keypoints:
         everything.add_image(k)
-    colmap.create_default_bundle_adjuster(
-        _options(colmap, fixed_focal), everything, adjusted
-    ).solve()
+    options = _options(colmap, fixed_focal)
+    if centre_of is not None:
+        options.refine_principal_point = True
+        for lens in set(adjusted.cameras).difference([centre_of]):
+            everything.set_constant_cam_intrinsics(lens)
+    colmap.create_default_bundle_adjuster(options, everything, adjusted).solve()
     adjusted.update_point_3d_errors()
     for number, key in enumerate(sorted(adjusted.point3D_ids())):
         point = adjusted.point3D(key)

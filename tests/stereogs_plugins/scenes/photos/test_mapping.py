@@ -17,6 +17,7 @@ from stereogs_plugins.scenes.photos.mapping import (
     Trust,
     connected,
     drop_unsupported,
+    is_contradicted,
     is_plausible,
 )
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
@@ -90,6 +91,13 @@ def test_a_wrong_model_is_discarded(made: tuple[Any, Path, Any]) -> None:
     colmap, path, model = made
     turn(colmap, model, 4)
     assert not drop_unsupported(colmap, path, model, SIFT_TRUST, never)
+
+
+def test_a_pair_contradicts_a_model(made: tuple[Any, Path, Any]) -> None:
+    colmap, path, model = made
+    assert not is_contradicted(colmap, path, model)
+    turn(colmap, model, 1)
+    assert is_contradicted(colmap, path, model)
 
 
 def test_a_pair_without_a_third_photograph_needs_more_matches(made: tuple[Any, Path, Any]) -> None:

@@ -15,6 +15,7 @@ from stereogs_plugins.scenes.photos.dense.matches import dense_matches
 from stereogs_plugins.scenes.photos.dense.refinement import (
     MOST_PHOTOS,
     refine,
+    with_cropped_lenses,
     with_zoomed_lenses,
 )
 from stereogs_plugins.scenes.photos.mapping import MAX_ERROR, sampson_distances
@@ -122,15 +123,26 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
     assert not refine(colmap, three, images, [None] * 3).focal_is_known
 
 
-def test_a_zoomed_photograph_gets_its_own_lens(model: Any) -> None:
+def test_zoomed_and_cropped_photographs_get_their_own_lens(model: Any) -> None:
     assert with_zoomed_lenses(colmap, model) is model
-    zoomed = model.image(min(model.reg_image_ids()))
+    assert with_cropped_lenses(colmap, model) is model
+    first = min(model.reg_image_ids())
     (lens,) = model.cameras.values()
     middle = np.array([lens.width, lens.height]) / 2
-    for point in zoomed.points2D:
+    for point in model.image(first).points2D:
         point.xy = middle + 1.4 * (point.xy - middle)
     own = with_zoomed_lenses(colmap, model)
     focals = {k: own.camera(own.image(k).camera_id).focal_length for k in own.reg_image_ids()}
     assert len(own.cameras) == 2
-    ratio = focals.pop(zoomed.image_id) / max(focals.values())
-    assert ratio == pytest.approx(1.4, rel=0.02)
+    assert focals.pop(first) / max(focals.values()) == pytest.approx(1.4, rel=0.02)
+
+    assert with_cropped_lenses(colmap, own) is own
+    shift = np.array([0.15, 0.1]) * lens.width
+    for point in own.image(first).points2D:
+        point.xy = point.xy + shift
+    cropped = with_cropped_lenses(colmap, own)
+    centres = {
+        k: cropped.camera(cropped.image(k).camera_id).params[1:3] for k in cropped.reg_image_ids()
+    }
+    assert centres.pop(first) - middle == pytest.approx(shift, abs=0.01 * lens.width)
+    assert max(abs(centre - middle).max() for centre in centres.values()) == 0
