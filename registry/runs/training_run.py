@@ -74,7 +74,7 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
     """Train a pipeline. Nothing is written before the scene, the points and the Gaussians are valid.
 
     Args:
-        out: the run folder, or a function that returns it; None writes nothing.
+        out: the run folder, or a function that returns one in `runs`; None writes nothing.
 
     Returns:
         The run. It is not `finished`, but has a checkpoint, if Ctrl-C or the callback stopped it.
