@@ -29,8 +29,8 @@
 #define EPSILON ((real)1e-15)
 /* The square of a larger gradient overflows; such gradients, and undefined ones, count as 0. */
 #define LARGEST_GRADIENT ((real)1e18)
-/* First moments below the smallest normal number become 0. Those of Gaussians that get no gradient any more would
- * stay subnormal, because 0.9 times the smallest number rounds to itself; each step then costs many cycles. */
+/* First moments below the smallest normal number become 0. Without gradient they would stay subnormal, because
+ * 0.9 times the smallest number rounds to itself, and arithmetic with subnormal numbers is slow. */
 #if REAL_IS_DOUBLE
 #define SMALLEST_MOMENT DBL_MIN
 #else

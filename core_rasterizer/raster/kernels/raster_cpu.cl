@@ -1,6 +1,6 @@
 /* Rasterization on a CPU: one work-item per tile, with pixel state in private arrays. Each Gaussian is
- * blended into the rows of its box in vectors, one column of vectors at a time. The rows of a column are
- * narrowed to the ellipse where most of the box is outside it; elsewhere the square root costs more than it saves.
+ * blended into the rows of its box in vectors, one column of vectors at a time. If most of the box is outside
+ * the ellipse, columns visit only rows that it reaches; otherwise the square root costs more than it saves.
  *
  * A vector holds COLUMNS pixels of each of ROWS rows, whose pixels alternate in memory: it may start at any
  * column, and fits a small Gaussian better than one long row. */

@@ -269,7 +269,10 @@ def drop_unsupported(
 
 
 def is_contradicted(colmap: Any, database: Path, model: Any) -> bool:
-    """Whether too few matches of a pair with many agree with a model: if its lens was fixed, it is wrong."""
+    """Whether a pair of `LEAST_CHECKED` matches or more supports a model with too few of them.
+
+    A model whose lens was fixed is then wrong.
+    """
     found = _supports(colmap, database, model, 2 * MAX_ERROR).values()
     return any(
         support.total >= LEAST_CHECKED and support.agreeing < LEAST_SUPPORT * support.total

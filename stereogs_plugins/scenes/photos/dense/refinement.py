@@ -107,9 +107,9 @@ def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
 
 
 def with_cropped_lenses(colmap: Any, model: Any) -> Any:
-    """Return a model in which cropped photographs have their own principal point, or the model without any.
+    """Return a model in which cropped photographs have their own principal point, or the same model.
 
-    A photograph can be cropped if no other one has its lens, since others differ in size. After a crop off
+    Photographs of equal size share a lens, so only one with a lens of its own is tried. After a crop off
     centre, the lens points beside the centre of the picture. With the centre as principal point, the
     photograph fits only from a wrong place, and with few photographs all focal lengths adapt to it.
     """
