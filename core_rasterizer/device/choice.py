@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ..errors import DeviceError
 
-_VERSION = 1
+_VERSION = 2
 """Version of the measurement; remembered results of other versions are ignored."""
 
 

@@ -17,6 +17,10 @@ from .unknown_cpu import correct_cpu_name
 CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
 """Environment variable; 1 corrects the driver's processor name before any build fails (`unknown_cpu`)."""
 
+_opened: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
+"""One context for each device, whatever its variants: on a GPU each takes hundreds of megabytes."""
+_opening = RLock()
+
 
 class Retired:
     """Keeps host memory alive until the kernels that may use it have run.
@@ -87,7 +91,7 @@ class DeviceMemory:
 
     @property
     def context(self) -> cl.Context:
-        """The context, which contains this device only.
+        """The context, which contains this device only; variants of a device share it, and the queue.
 
         Raises:
             DeviceError: the driver cannot open the device.
@@ -105,8 +109,10 @@ class DeviceMemory:
 
     def _opened(self) -> tuple[cl.Context, cl.CommandQueue]:
         if self._open is None:
-            with self.lock:
-                self._open = self._open or self._open_it()
+            with _opening:
+                if self._handle not in _opened:
+                    _opened[self._handle] = self._open_it()
+                self._open = _opened[self._handle]
         return self._open
 
     def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:

@@ -8,8 +8,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
-from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
+from core_rasterizer import (
+    Device,
+    DeviceError,
+    GaussianModel,
+    list_devices,
+    open_device,
+    reference,
+)
 from core_rasterizer import self_test as self_test_module
 from core_rasterizer.device import Description, Trial, choose, trial
 from core_rasterizer.raster.tile_lists import FEW
@@ -123,6 +131,29 @@ def test_the_self_test_reaches_large_chunks_and_boxes_over_64_tiles(
     assert verdict.depth_error < 1e-6
     assert max(counts) > FEW
     assert max(boxes) > 64
+
+
+def test_rounding_decides_no_pixel_of_the_self_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pixel beside a threshold failed a correct GPU, whose arithmetic rounds differently."""
+
+    def images(factor: float) -> list[Tensor]:
+        for threshold in ("ALPHA_MIN", "TRANSMITTANCE_MIN"):
+            monkeypatch.setattr(reference, threshold, factor * getattr(reference, threshold))
+        return [
+            reference.render(
+                gaussians.means.double(),
+                gaussians.quaternions.double(),
+                gaussians.log_scales.double().exp(),
+                gaussians.opacity_logits.double().sigmoid(),
+                gaussians.sh.double(),
+                camera,
+            ).rgb
+            for gaussians, camera in self_test_module._scenes()
+        ]
+
+    as_they_are, lower = images(1), images(1 - 1e-4)
+    for image, *others in zip(as_they_are, lower, images((1 + 1e-4) / (1 - 1e-4)), strict=True):
+        assert all(torch.equal(image, other) for other in others)
 
 
 def test_a_wrong_result_fails_the_self_test(

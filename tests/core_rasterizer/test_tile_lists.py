@@ -149,7 +149,7 @@ def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
     together, alone = lists
     assert np.array_equal(together.pairs, alone.pairs)
     assert np.array_equal(together.starts, alone.starts)
-    boxes = together.records[:, 10:14]
+    boxes = together.records[:, 12:16]
     spans = np.maximum(boxes[:, 1] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 2], 0)
     if device.variant == "gpu":
         assert (spans > 64 * 16 * 16).any()

@@ -4,37 +4,46 @@
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 #define BATCH 32 /* records staged at a time */
 
+/* Records are read in quads: a load from local memory costs as much as four additions, whatever its size. */
+typedef GLUE(REAL_NAME, 4) quad;
+#define QUADS (RECORD / 4)
+#define BOX(quads) ((quads)[REC_X0 / 4])
+#define LOAD_RECORD(g, quads)                                                                     \
+    real g[RECORD];                                                                               \
+    for (int q = 0; q < QUADS; q++)                                                               \
+    vstore4((quads)[q], q, g)
+
 /* Copies the records of pairs [p, p + BATCH) into local memory. */
 static inline void stage(
-    __local real *staged, __global const real *records, __global const uint2 *pairs, uint p, uint end)
+    __local quad *staged, __global const quad *records, __global const uint2 *pairs, uint p, uint end)
 {
-    for (uint k = get_local_id(0); k < BATCH * RECORD; k += GROUP)
-        if (p + k / RECORD < end)
-            staged[k] = records[(size_t)pairs[p + k / RECORD].x * RECORD + k % RECORD];
+    for (uint k = get_local_id(0); k < BATCH * QUADS; k += GROUP)
+        if (p + k / QUADS < end)
+            staged[k] = records[(size_t)pairs[p + k / QUADS].x * QUADS + k % QUADS];
 }
 
-static inline real exponent_at(__local const real *g, real dx, real dy)
+static inline real exponent_at(const real *g, real dx, real dy)
 {
     return g[REC_A] * dx * dx + dy * (g[REC_B] * dx + g[REC_C] * dy);
 }
 
 /* Distances from the mean to a pixel's centre; the bracket is exact, the rest is the rounding error. */
-static inline real distance_x(__local const real *g, int x)
+static inline real distance_x(const real *g, int x)
 {
     return (x + (real)0.5 - g[REC_X]) - g[REC_REST_X];
 }
 
-static inline real distance_y(__local const real *g, int y)
+static inline real distance_y(const real *g, int y)
 {
     return (y + (real)0.5 - g[REC_Y]) - g[REC_REST_Y];
 }
 
 /* Whether (int)x0 <= x < (int)x1 and the same for y. Integer coordinates need no conversion of the record's
  * floats, which GPUs do at a quarter of the rate of comparisons. */
-static inline int in_box(__local const real *g, int x, int y)
+static inline int in_box(quad box, int x, int y)
 {
     const real right = x + 1, bottom = y + 1;
-    return right > g[REC_X0] && right <= g[REC_X1] && bottom > g[REC_Y0] && bottom <= g[REC_Y1];
+    return right > box.s0 && right <= box.s1 && bottom > box.s2 && bottom <= box.s3;
 }
 
 /* True in every work-item if `open` is true in any. */
@@ -52,12 +61,12 @@ static inline int any_in_group(__local int *flag, int open)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void raster(
-    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const ulong *counters, __global const wide *camera, __global real *rgb,
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
     uint pair_capacity)
 {
-    __local real staged[BATCH * RECORD];
+    __local quad staged[BATCH * QUADS];
     __local int flag;
     if (counters[COUNT_PAIRS] > pair_capacity)
         return;
@@ -76,9 +85,10 @@ void raster(
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint batch = min((uint)BATCH, end - p);
         for (uint k = 0; k < batch; k++) {
-            __local const real *g = staged + k * RECORD;
-            if (t < 0 || !in_box(g, x, y))
+            __local const quad *quads = staged + k * QUADS;
+            if (t < 0 || !in_box(BOX(quads), x, y))
                 continue;
+            LOAD_RECORD(g, quads);
             const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
             const meeting m = meet(exponent, g[REC_OPACITY], t);
             t = keep_transmittance(m, t);
@@ -116,13 +126,13 @@ static inline uint place_of_buckets(__global const uint *tile_starts, uint tile)
 /* Stores transmittance and `rest` (see raster_cpu.cl) of each pixel, or in `open` that all are finished. */
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void checkpoint(
-    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
     __global const real *d_depth, __global const real *d_alpha, __global real *checkpoints,
     __global uint *open, int tiles_x, int with_depth)
 {
-    __local real staged[BATCH * RECORD];
+    __local quad staged[BATCH * QUADS];
     __local int flag;
     const uint tile = get_group_id(0), local_id = get_local_id(0);
     const int x = (int)(tile % tiles_x) * TILE_WIDTH + (int)(local_id % TILE_WIDTH);
@@ -155,9 +165,10 @@ void checkpoint(
         stage(staged, records, pairs, p, end);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (uint k = 0; k < BUCKET; k++) {
-            __local const real *g = staged + k * RECORD;
-            if (t < 0 || !in_box(g, x, y))
+            __local const quad *quads = staged + k * QUADS;
+            if (t < 0 || !in_box(BOX(quads), x, y))
                 continue;
+            LOAD_RECORD(g, quads);
             const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
             const meeting m = meet(exponent, g[REC_OPACITY], t);
             t = keep_transmittance(m, t);
@@ -194,7 +205,7 @@ static inline void load_pixels(
 
 /* Adds what a pixel contributes to the sums of a pair, and moves the pixel behind the Gaussian. */
 static inline void add_pixel(
-    real *sums, __local const real *g, __local tile_pixels *pixels, int k, int x, int y)
+    real *sums, const real *g, __local tile_pixels *pixels, int k, int x, int y)
 {
     const real t = pixels->t[k], dx = distance_x(g, x), dy = distance_y(g, y);
     const real red = pixels->red[k], green = pixels->green[k], blue = pixels->blue[k],
@@ -226,15 +237,15 @@ static inline void add_pixel(
 }
 
 /* One work-group per bucket. In each round a work-item meets one pixel, a round after the work-item of the
- * pair before, so that pixels meet pairs in depth order and pairs sum over pixels in a fixed order. */
+ * pair before, so that pixels meet pairs in depth order and pairs sum over pixels in a fixed order. Each
+ * work-item keeps its record in registers: in local memory all records begin in the same two banks. */
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
 void raster_backward(
-    __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
+    __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *d_rgb, __global const real *d_depth,
     __global const real *checkpoints, __global const uint *open, __global real *pair_sums, uint tiles,
     int tiles_x, int with_depth)
 {
-    __local real staged[BATCH * RECORD];
     __local tile_pixels pixels;
     const size_t place = get_group_id(0);
     const int id = get_local_id(0);
@@ -256,20 +267,16 @@ void raster_backward(
     for (int k = 0; k <= PAIR_LAST; k++)
         sums[k] = 0;
     if (open[place]) { /* the same for the whole group */
-        for (uint k = id; k < BATCH * RECORD; k += BUCKET)
-            if (first + k / RECORD < end)
-                staged[k] = records[(size_t)pairs[first + k / RECORD].x * RECORD + k % RECORD];
+        __global const quad *quads = records + (has_pair ? (size_t)pairs[first + id].x : 0) * QUADS;
+        LOAD_RECORD(g, quads);
+        const quad box = has_pair ? BOX(quads) : (quad)0;
         load_pixels(&pixels, tile, tiles_x, camera, d_rgb, d_depth, checkpoints + place * 2 * GROUP,
             with_depth);
         const int x0 = (int)(tile % tiles_x) * TILE_WIDTH, y0 = (int)(tile / tiles_x) * TILE_HEIGHT;
-        __local const real *g = staged + id * RECORD;
         for (int round = 0; round < GROUP + BUCKET - 1; round++) {
             barrier(CLK_LOCAL_MEM_FENCE);
-            const int k = round - id;
-            if (!has_pair || k < 0 || k >= GROUP || pixels.t[k] < 0)
-                continue;
-            const int x = x0 + k % TILE_WIDTH, y = y0 + k / TILE_WIDTH;
-            if (in_box(g, x, y))
+            const int k = round - id, x = x0 + k % TILE_WIDTH, y = y0 + k / TILE_WIDTH;
+            if (k >= 0 && k < GROUP && in_box(box, x, y) && pixels.t[k] >= 0)
                 add_pixel(sums, g, &pixels, k, x, y);
         }
     }

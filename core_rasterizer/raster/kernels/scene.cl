@@ -29,12 +29,12 @@
 #define REC_GREEN 7
 #define REC_BLUE 8
 #define REC_Z 9
-#define REC_X0 10 /* the pixels it can reach: columns [x0, x1), rows [y0, y1) */
-#define REC_X1 11
-#define REC_Y0 12
-#define REC_Y1 13
-#define REC_REST_X 14 /* rounding errors of REC_X and REC_Y: the mean is their sum */
-#define REC_REST_Y 15
+#define REC_REST_X 10 /* rounding errors of REC_X and REC_Y: the mean is their sum */
+#define REC_REST_Y 11
+#define REC_X0 12 /* the pixels it can reach: columns [x0, x1), rows [y0, y1) */
+#define REC_X1 13
+#define REC_Y0 14
+#define REC_Y1 15
 
 /* Sums over the pixels of a (tile, Gaussian) pair, 16 reals. */
 #define PAIR 16
