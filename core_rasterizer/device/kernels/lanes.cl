@@ -77,6 +77,10 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
 #endif
 
+/* The end of a loop over `count` of at most `most` elements of a private array. A GPU goes through all, unrolled,
+ * and skips those from `count` on: an index known only at run time would move the array from registers to memory. */
+#define UP_TO(count, most) (LANES == 1 ? (most) : (count))
+
 /* Prefetch a cache line on a CPU, to read, to read LATER (into the second level of caches) or to write. Any
  * address is valid. Compilers that target SPIR-V do not know the compiler's builtin, and Mesa's exits the
  * process: they get OpenCL's function, which does nothing in PoCL. */

@@ -4,8 +4,6 @@
  * A work-item first differentiates PROJECT_SPAN Gaussians, then steps them row by row, so that each row is
  * a run of neighbouring addresses; interleaved, 177 rows are more streams than caches and TLB follow. */
 
-#define MOST_ROWS (ROW_SH + 48)
-
 /* Moments are read once, after the gradients: fetch a part of them with each block. To read, since fetching
  * them to write took longer (Zen 4). */
 static inline void prefetch_moments(
@@ -41,7 +39,8 @@ void project_backward_and_step(
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
     if (begin >= capacity)
         return;
-    const int size = begin + PROJECT_SPAN < capacity ? PROJECT_SPAN : capacity - begin;
+    const int size
+        = PROJECT_SPAN == 1 || begin + PROJECT_SPAN < capacity ? PROJECT_SPAN : capacity - begin;
     real gradients[MOST_ROWS * PROJECT_SPAN] __attribute__((aligned(64)));
     const int written = ROW_SH + 3 * (degree + 1) * (degree + 1);
     for (int block = 0; block < size / LANES; block++) {
@@ -50,13 +49,20 @@ void project_backward_and_step(
             gradients + block * LANES, PROJECT_SPAN, statistics, count, capacity, degree, 0, modified,
             0, collect, detached, 0, begin + block * LANES);
     }
-    for (int k = written * PROJECT_SPAN; k < rows * PROJECT_SPAN; k++)
-        gradients[k] = 0;
+#if LANES == 1
+#pragma unroll
+#endif
+    for (int k = UP_TO(written * PROJECT_SPAN, 0); k < UP_TO(rows, MOST_ROWS) * PROJECT_SPAN; k++)
+        if (k >= written * PROJECT_SPAN)
+            gradients[k] = 0;
     ADAM_RATES_BY_GROUP
     int found = 0;
-    for (int row = 0; row < rows; row++) {
+#if LANES == 1
+#pragma unroll
+#endif
+    for (int row = 0; row < UP_TO(rows, MOST_ROWS); row++) {
         const int group = ADAM_GROUP_OF(row);
-        if ((moving >> group & 1) == 0)
+        if (row >= rows || (moving >> group & 1) == 0)
             continue;
         const size_t at = row * (size_t)capacity + begin;
         prefetch_row(first_moments + at + capacity, second_moments + at + capacity);

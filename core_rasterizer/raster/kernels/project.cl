@@ -31,10 +31,17 @@ static inline void shade(
     sh_basis(basis, degree, dx * scale, dy * scale, dz * scale);
     fade_last_band(basis, degree, camera);
     lane sums[3] = {(lane)0.5, (lane)0.5, (lane)0.5};
-    for (int k = 0; k < (degree + 1) * (degree + 1); k++)
+    const int coefficients = (degree + 1) * (degree + 1);
+#if LANES == 1
+#pragma unroll
+#endif
+    for (int k = 0; k < UP_TO(coefficients, 16); k++) {
+        if (k >= coefficients)
+            continue;
 #pragma unroll
         for (int c = 0; c < 3; c++)
             sums[c] += basis[k] * LOAD_GLOBAL(row + (ROW_SH + 3 * k + c) * capacity);
+    }
 #pragma unroll
     for (int c = 0; c < 3; c++)
         color[c] = sums[c];

@@ -12,6 +12,8 @@
 /* `collect`: 0 no statistics, 1 two rows, 2 a third row, which needs kernels with ABSOLUTE. */
 #define COLLECT_ABSOLUTE 2
 
+#define MOST_ROWS (ROW_SH + 48)
+
 /* Sums the slots of each lane's Gaussian in slot order, which is fixed. */
 static inline void sum_pairs(
     lane *sums, __global const real *pair_sums, __global const uint *slot_start,
@@ -101,7 +103,12 @@ static inline void color_backward(
     sh_basis(basis, degree, dx, dy, dz);
     fade_last_band(basis, degree, camera);
     const int coefficients = (degree + 1) * (degree + 1);
-    for (int k = 0; k < coefficients; k++) {
+#if LANES == 1
+#pragma unroll
+#endif
+    for (int k = 0; k < UP_TO(coefficients, 16); k++) {
+        if (k >= coefficients)
+            continue;
         lane sum = (lane)0;
 #pragma unroll
         for (int c = 0; c < 3; c++) {
@@ -242,8 +249,11 @@ static inline void backward_of_block(
     for (int l = 0; l < LANES; l++)
         any |= slot_count[i + l] > 0;
     if (!any) {
-        if (!accumulate)
-            for (int row = 0; row < rows; row++)
+#if LANES == 1
+#pragma unroll
+#endif
+        for (int row = 0; row < UP_TO(rows, MOST_ROWS); row++)
+            if (row < rows && !accumulate)
                 STORE_GRADIENT(gradients + row * gradient_stride, (lane)0);
         return;
     }

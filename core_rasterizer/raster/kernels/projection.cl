@@ -224,8 +224,9 @@ static inline void project_mean(
 }
 #endif
 
-/* Twin: reference.py, `project`. Without culling; values behind the camera are meaningless. */
-static inline void project_block(
+/* Twin: reference.py, `project`. Without culling; values behind the camera are meaningless. A call would keep all of
+ * `g` in memory. */
+__attribute__((always_inline)) static inline void project_block(
     projected *g, __global const real *parameters, size_t capacity, size_t i,
     __global const wide *camera, __global const real *modifiers, int modified, int activated)
 {
