@@ -5,8 +5,8 @@ static inline void store_records(__global real *records, size_t i, lane *field)
 {
 #if LANES == 1
 #pragma unroll
-    for (int k = 0; k < RECORD; k++)
-        records[i * RECORD + k] = field[k];
+    for (int q = 0; q < QUADS; q++)
+        ((__global quad *)records)[i * QUADS + q] = vload4(q, field);
 #else
     transpose(field);
     transpose(field + LANES);

@@ -27,9 +27,15 @@ static inline void sum_pairs(
         const uint slots = slot_count[i + l]; /* where it is 0, slot_start is undefined */
         __global const real *slot = pair_sums + (size_t)(slots ? slot_start[i + l] : 0) * PAIR;
         for (uint s = 0; s < slots; s++, slot += PAIR)
+#if LANES == 1
+#pragma unroll
+            for (int q = 0; q < PAIR / 4; q++)
+                vstore4(vload4(q, sums) + ((__global const quad *)slot)[q], q, sums);
+#else
 #pragma unroll
             for (int k = 0; k < PAIR / LANES; k++)
                 sums[k * LANES + l] += LOAD_GLOBAL(slot + k * LANES);
+#endif
     }
 #if LANES > 1
     transpose(sums);

@@ -4,9 +4,6 @@
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 #define BATCH 32 /* records staged at a time */
 
-/* Records are read in quads: a load from local memory costs as much as four additions, whatever its size. */
-typedef GLUE(REAL_NAME, 4) quad;
-#define QUADS (RECORD / 4)
 #define BOX(quads) ((quads)[REC_X0 / 4])
 #define LOAD_RECORD(g, quads)                                                                     \
     real g[RECORD];                                                                               \
@@ -243,7 +240,7 @@ __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
 void raster_backward(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *d_rgb, __global const real *d_depth,
-    __global const real *checkpoints, __global const uint *open, __global real *pair_sums, uint tiles,
+    __global const real *checkpoints, __global const uint *open, __global quad *pair_sums, uint tiles,
     int tiles_x, int with_depth)
 {
     __local tile_pixels pixels;
@@ -263,8 +260,8 @@ void raster_backward(
     if (first >= end) /* an unused place */
         return;
     const int has_pair = first + id < end;
-    real sums[PAIR_LAST + 1];
-    for (int k = 0; k <= PAIR_LAST; k++)
+    real sums[PAIR];
+    for (int k = 0; k < PAIR; k++)
         sums[k] = 0;
     if (open[place]) { /* the same for the whole group */
         __global const quad *quads = records + (has_pair ? (size_t)pairs[first + id].x : 0) * QUADS;
@@ -281,6 +278,6 @@ void raster_backward(
         }
     }
     if (has_pair)
-        for (int k = 0; k <= PAIR_LAST; k++)
-            pair_sums[(size_t)pairs[first + id].y * PAIR + k] = sums[k];
+        for (int q = 0; q <= PAIR_LAST / 4; q++)
+            pair_sums[(size_t)pairs[first + id].y * (PAIR / 4) + q] = vload4(q, sums);
 }

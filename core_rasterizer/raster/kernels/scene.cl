@@ -17,8 +17,12 @@
 #define CAMERA_LAST_BAND 29 /* the weight of the last SH band, where it is a fraction */
 #define CAMERA_REST 32 /* the rounding errors of all these numbers; only with NO_DOUBLE */
 
+/* GPUs move records and sums in quads: a load of local memory costs as much as four additions, whatever its size. */
+typedef GLUE(REAL_NAME, 4) quad;
+
 /* One record per Gaussian for the raster stages, 16 reals: a cache line in float. */
 #define RECORD 16
+#define QUADS (RECORD / 4)
 #define REC_X 0
 #define REC_Y 1
 #define REC_A 2 /* exponent of 2: A dx^2 + B dx dy + C dy^2 */
