@@ -250,8 +250,8 @@ def test_a_gpu_makes_the_lists_of_a_cpu_and_no_work_item_takes_long(
     *ours, share, steps = tiles_of_16(device.as_variant("gpu"), scene)
     *theirs, _, _ = tiles_of_16(device.as_variant("cpu"), scene)
     if make is needles and device.kind == "gpu":
-        # A GPU's compiler contracts the variants' products and sums differently, and a needle touches many tiles
-        # by a hair.
+        # A GPU's compiler contracts the products and sums of the two variants differently, and a needle
+        # barely touches many tiles.
         counts = np.stack([ours[2], theirs[2]]).astype(np.int64)
         assert np.abs(counts[0] - counts[1]).sum() <= 1e-4 * counts[0].sum()
     else:
