@@ -15,7 +15,9 @@ from .array import DeviceArray
 from .memory import DeviceMemory
 
 _PACKAGE = __package__.rpartition(".")[0]
-_BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-no-signed-zeros")
+_BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-no-signed-zeros")
+_FOR_CPUS = ("-cl-mad-enable",)
+"""GPUs' compilers fuse products and sums differently from kernel to kernel, so bits would depend on the kernel."""
 
 
 class Program:
@@ -26,7 +28,9 @@ class Program:
     ) -> None:
         text = "\n".join(_source(name) for name in ("device/lanes", *sources))
         macros = {**KERNEL_MACROS, **macros}
-        options = [*_BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
+        for_device = _FOR_CPUS if macros["LANES"] != 1 else ()
+        defines = (f"-D{name}={value}" for name, value in macros.items())
+        options = [*_BUILD_OPTIONS, *for_device, *defines]
         try:
             with warnings.catch_warnings():
                 # Some compilers warn on every build, successful ones too; errors are raised below.

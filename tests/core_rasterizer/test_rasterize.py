@@ -106,8 +106,8 @@ def test_both_raster_variants_agree(device: Device) -> None:
         rendering = rasterize(*leaves, camera, device=device.as_variant(variant))
         weighted_loss(rendering, 0).backward()
         results.append([rendering.rgb.detach(), *(t.grad for t in leaves)])
-    for one, other in zip(*results, strict=True):
-        assert relative_error(one, other) < 1e-5
+    for tolerance, one, other in zip([1e-5, *[3e-5] * 5], *results, strict=True):
+        assert relative_error(one, other) < tolerance
 
 
 def test_equal_depths_are_ordered_by_index(device: Device) -> None:

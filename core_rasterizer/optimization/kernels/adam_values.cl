@@ -3,6 +3,10 @@
  * Each of six groups of rows has a learning rate, divided by the first bias correction, and 1 / sqrt of the
  * second. */
 
+#if LANES == 1 /* so that kernels with and without a step of Adam give the same bits */
+#pragma OPENCL FP_CONTRACT OFF
+#endif
+
 #ifndef GRADIENT
 #define GRADIENT __global real
 #endif

@@ -3,6 +3,10 @@
  * Macros: VARIANCE_ADDED, square pixels, is added to the variances on the image; COMPENSATED and SMOOTHED
  * here, FADED and POSED elsewhere, enable options, which cost nothing otherwise. */
 
+#if LANES == 1 /* so that kernels with and without a step of Adam give the same bits */
+#pragma OPENCL FP_CONTRACT OFF
+#endif
+
 #define DILATION ((real)VARIANCE_ADDED)
 
 typedef struct {
