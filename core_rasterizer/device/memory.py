@@ -17,7 +17,7 @@ from .unknown_cpu import correct_cpu_name
 CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
 """Environment variable; 1 corrects the driver's processor name before any build fails (`unknown_cpu`)."""
 
-_opened: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
+_contexts: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
 """One context for each device, whatever its variants: on a GPU each takes hundreds of megabytes."""
 _opening = RLock()
 
@@ -110,9 +110,9 @@ class DeviceMemory:
     def _opened(self) -> tuple[cl.Context, cl.CommandQueue]:
         if self._open is None:
             with _opening:
-                if self._handle not in _opened:
-                    _opened[self._handle] = self._open_it()
-                self._open = _opened[self._handle]
+                if self._handle not in _contexts:
+                    _contexts[self._handle] = self._open_it()
+                self._open = _contexts[self._handle]
         return self._open
 
     def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:

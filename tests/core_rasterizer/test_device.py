@@ -25,7 +25,7 @@ def no_device_opens(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         raise cl.RuntimeError("clCreateContext failed: DEVICE_NOT_AVAILABLE")
 
     monkeypatch.setattr(cl, "Context", refuse)
-    monkeypatch.setattr("core_rasterizer.device.memory._opened", {})
+    monkeypatch.setattr("core_rasterizer.device.memory._contexts", {})
     device_module._devices.cache_clear()
     yield
     device_module._devices.cache_clear()

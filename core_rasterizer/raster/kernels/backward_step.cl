@@ -39,7 +39,7 @@ void project_backward_and_step(
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
     if (begin >= capacity)
         return;
-    const int size
+    const int size /* a constant on a GPU */
         = PROJECT_SPAN == 1 || begin + PROJECT_SPAN < capacity ? PROJECT_SPAN : capacity - begin;
     real gradients[MOST_ROWS * PROJECT_SPAN] __attribute__((aligned(64)));
     const int written = ROW_SH + 3 * (degree + 1) * (degree + 1);

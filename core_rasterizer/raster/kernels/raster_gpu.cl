@@ -8,7 +8,7 @@
 #define LOAD_RECORD(g, quads)                                                                     \
     real g[RECORD];                                                                               \
     for (int q = 0; q < QUADS; q++)                                                               \
-    vstore4((quads)[q], q, g)
+        vstore4((quads)[q], q, g)
 
 /* Copies the records of pairs [p, p + BATCH) into local memory. */
 static inline void stage(
