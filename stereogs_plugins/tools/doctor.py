@@ -26,6 +26,16 @@ fastest. Each test has its own process, because a broken driver may end it. The 
 compile kernels for a minute. Exit status 1 if a device computes wrongly or a driver is broken.
 """
 _VENDORS = "OCL_ICD_VENDORS"
+_NVIDIA = Path("/proc/driver/nvidia/version")
+"""Exists where the driver of an NVIDIA card is loaded."""
+
+_NOT_REGISTERED = """\
+An NVIDIA card is not listed. Its OpenCL library may not be registered, as in
+many containers; this registers it:
+  mkdir -p /etc/OpenCL/vendors
+  echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd
+If that does not help, install the library, which distributions package as
+nvidia-opencl-icd or libnvidia-compute."""
 
 
 class Doctor(Command):
@@ -56,6 +66,8 @@ class Doctor(Command):
         for position, (device, trial) in enumerate(zip(devices, trials, strict=True)):
             failed |= trial.failure is not None
             output.print(_lines(device, trial, is_chosen=position == chosen))
+        if _NVIDIA.exists() and not any(device.is_named("nvidia") for device in devices):
+            output.print(_NOT_REGISTERED)
         return 1 if failed else 0
 
 

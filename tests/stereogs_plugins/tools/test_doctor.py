@@ -49,6 +49,29 @@ def test_doctor(capsys: Capture) -> None:
     assert "training iteration" in output
 
 
+@pytest.mark.parametrize("listed", [False, True])
+@pytest.mark.parametrize("loaded", [False, True])
+def test_doctor_says_how_to_register_an_nvidia_card(
+    listed: bool,
+    loaded: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    version = tmp_path / "version"
+    if loaded:
+        version.write_text("NVRM version: 580.159.04")
+    name = "NVIDIA H100" if listed else "processor"
+    monkeypatch.setattr("stereogs_plugins.tools.doctor._NVIDIA", version)
+    monkeypatch.setattr(
+        "core_rasterizer.device.described", lambda environment=None: [description(0, name)]
+    )
+    monkeypatch.setattr("core_rasterizer.device.tried", lambda device, environment=None: GOOD)
+    assert main(["doctor"]) == 0
+    shown = "nvidia.icd" in capsys.readouterr().out
+    assert shown == (loaded and not listed)
+
+
 @pytest.mark.parametrize(
     ("told", "better", "line"),
     [
