@@ -82,6 +82,12 @@ def test_a_target_of_another_size_is_refused(make: Make) -> None:
     assert "toy_target" in caught.value.where
 
 
+def test_a_target_that_is_too_bright_is_refused(make: Make) -> None:
+    with pytest.raises(PluginError, match="outside") as caught:
+        train(make("samplers: [{use: toy_target, brightness: 50}]\n"))
+    assert "toy_target" in caught.value.where
+
+
 # Colours between render and loss; parameters of a plugin.
 
 
