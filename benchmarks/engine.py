@@ -19,6 +19,7 @@ from statistics import median
 from typing import Any
 from unittest.mock import patch
 
+import pyopencl as cl
 import torch
 from rich.console import Console
 from rich.table import Table
@@ -105,21 +106,31 @@ def fixed_costs(device: Device, repeats: int = 45) -> dict[str, float]:
     return steps | {"iteration": 1e3 * median(stamps[-1] - stamps[0] for stamps in times[2:])}
 
 
-def stages(workload: Workload, repeats: int = 9) -> dict[str, float]:
-    """Return milliseconds of each kernel in an iteration, with the device drained after each."""
-    totals: dict[str, float] = {}
-    run = Program.run
+def stages(
+    count: int,
+    device: Device,
+    repeats: int = 9,
+    work: Callable[[Workload], None] = Workload.iteration,
+) -> dict[str, float]:
+    """Return milliseconds of each kernel in some work, by default an iteration, measured by the driver."""
+    device = device.as_variant(device.variant)
+    events: list[tuple[str, cl.Event]] = []
+    profiling = cl.command_queue_properties.PROFILING_ENABLE
+    device._open = device.context, cl.CommandQueue(device.context, properties=profiling)
+    workload, run = Workload(count, device), Program.run
+    work(workload)
 
-    def timed(program: Program, kernel: str, *arguments: Any) -> None:
-        begin = time.perf_counter()
-        run(program, kernel, *arguments)
-        workload.model.device.finish()
-        totals[kernel] = totals.get(kernel, 0.0) + time.perf_counter() - begin
+    def kept(program: Program, kernel: str, *arguments: Any) -> None:
+        events.append((kernel, run(program, kernel, *arguments)))
 
-    with patch.object(Program, "run", timed):
+    with patch.object(Program, "run", kept):
         for _ in range(repeats):
-            workload.iteration()
-    return {kernel: 1e3 * seconds / repeats for kernel, seconds in totals.items()}
+            work(workload)
+    totals: dict[str, float] = {}
+    for kernel, event in events:
+        nanoseconds = event.profile.end - event.profile.start
+        totals[kernel] = totals.get(kernel, 0.0) + 1e-6 * nanoseconds / repeats
+    return totals
 
 
 def torch_photometric(rgb: Tensor, target: Tensor) -> Tensor:
@@ -251,7 +262,7 @@ def measure(device: Device) -> dict[str, Any]:
         for name in ("forward", "forward_backward", "iteration"):
             result[f"{name}_ms"][str(count)] = milliseconds(getattr(workload, name))
     result["fixed_cost_ms"] = fixed_costs(device)
-    result["stages_ms"] = stages(Workload(COUNTS[-1], device))
+    result["stages_ms"] = stages(COUNTS[-1], device)
     result["ratios"] = ratios(device)
     result["options_over_plain"] = options(device)
     result["growth_with_count_ms"] = {

@@ -125,6 +125,12 @@ def peer_ms(peer: Any, count: int, repeats: int) -> tuple[float, float]:
     return forward, backward
 
 
+def _gradients(workload: Workload) -> None:
+    """Compute gradients, which wait until something reads them."""
+    workload.forward_backward()
+    workload.model.gradient("means")
+
+
 def compare(peer: Any, device: str | None, repeats: int) -> Table:
     """Return milliseconds of both and their ratio, by number of Gaussians."""
     table = Table("", *(f"N = {count:,}" for count in COUNTS))
@@ -132,9 +138,7 @@ def compare(peer: Any, device: str | None, repeats: int) -> Table:
     opened = open_device(device)
     kernels = {}
     for count in COUNTS:  # before gsplat: torch's threads spin for a while after their work
-        workload = Workload(count, opened)
-        workload.iteration()
-        taken = stages(workload, repeats)
+        taken = stages(count, opened, repeats, _gradients)
         kernels[count] = (taken["project"], taken["project_backward"])
     for count in COUNTS:
         theirs = peer_ms(peer, count, repeats)

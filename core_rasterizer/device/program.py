@@ -52,8 +52,8 @@ class Program:
         global_size: tuple[int, ...],
         local_size: tuple[int, ...] | None,
         *arguments: DeviceArray | np.generic,
-    ) -> None:
-        """Enqueue a kernel. Arrays are passed as buffers, scalars as numpy scalars.
+    ) -> cl.Event:
+        """Enqueue a kernel, and return its event. Arrays are passed as buffers, scalars as numpy scalars.
 
         Raises:
             DeviceError: the driver rejected the launch.
@@ -68,8 +68,11 @@ class Program:
                     types = [None if isinstance(a, DeviceArray) else a.dtype for a in arguments]
                     self._kernels[kernel].set_scalar_arg_dtypes(types)
                     self._typed.add(kernel)
-                self._kernels[kernel](device.queue, global_size, local_size, *values)
+                event: cl.Event = self._kernels[kernel](
+                    device.queue, global_size, local_size, *values
+                )
                 device.retired.kernel_enqueued()
+                return event
         except cl.Error as error:
             raise DeviceError(
                 f"the device {device.name!r} could not run the kernel {kernel}: {error}",
