@@ -205,6 +205,10 @@ def _advice_without_cameras(found: Reconstruction) -> str:
     doubt = _usual_doubt(found)
     if doubt is not None:
         return _REMEDIES[doubt]
+    if len(found.features) < MIN_PHOTOS:
+        return (
+            "correct the focal length in EXIF if it is wrong, or add a third photograph to find it"
+        )
     return (
         "take a step to the side between pictures, a tenth of the distance to the subject: pictures "
         "from one position, or of one flat surface, contain no depth"

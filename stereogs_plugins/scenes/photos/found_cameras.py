@@ -104,6 +104,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
         "features": found.features,
         "tried": found.tried,
         "doubts": [[*pair, doubt] for pair, doubt in found.doubts.items()],
+        "ignores_exif": found.ignores_exif,
     }
     (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
 
@@ -116,7 +117,8 @@ def _read(folder: Path) -> FoundCameras:
     matches = {(first, second): count for first, second, count in summary["matches"]}
     doubts = {(first, second): doubt for first, second, doubt in summary["doubts"]}
     reconstruction = Reconstruction(
-        pieces, matches, summary["features"], tuple(summary["tried"]), doubts
+        *(pieces, matches, summary["features"], tuple(summary["tried"])),
+        *(doubts, summary["ignores_exif"]),
     )
     return FoundCameras(reconstruction, _model(reconstruction))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -106,12 +107,16 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         tracks.check(len(placed), str(folder))
         points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
+        by_exif = sum(photo.focal is not None for photo in found)
+        if cameras.reconstruction.ignores_exif:
+            _warn_of_exif(group.model, found)
+            by_exif = 0
         facts = (
             Fact("cameras", "found in the photographs by COLMAP"),
             Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
-            Fact("focal_lengths_by_exif", sum(photo.focal is not None for photo in found)),
+            Fact("focal_lengths_by_exif", by_exif),
             *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
             *loaded.split_facts(split_rule(test_every), len(placed)),
         )
@@ -213,6 +218,25 @@ def _warn_of_focal_length(cameras: FoundCameras) -> None:
             "the photographs hardly determine the focal length (%.2f times the longer side is used), so the "
             "scene may be stretched in depth; take some from farther to the side, or keep their EXIF data",
             lens.fx / max(lens.width, lens.height),
+        )
+
+
+def _warn_of_exif(model: ColmapModel, found: list[UnposedPhoto]) -> None:
+    """Warn, with the photograph whose focal length differs most from the estimated one."""
+    from .unposed_photos import equivalent_focal, image_index
+
+    focals = []
+    for _, image in model.images:
+        photo, lens = found[image_index(image.name)], model.lens(image)
+        if photo.focal is not None:
+            estimated = lens.fx / max(lens.width, lens.height)
+            focals.append((abs(math.log(photo.focal / estimated)), photo, photo.focal, estimated))
+    if focals:
+        _, photo, *both = max(focals, key=lambda row: row[0])
+        _log.warning(
+            "the focal lengths in EXIF are ignored: %s has %.0f mm (35 mm equivalent), but the photographs "
+            "fit about %.0f mm; correct or remove them",
+            *(photo.name, *(equivalent_focal(focal, photo.size) for focal in both)),
         )
 
 

@@ -76,11 +76,13 @@ class Piece(NamedTuple):
         folder: COLMAP model with photographs named by index.
         members: sorted indices of its photographs.
         focal_is_known: False if neither matches nor EXIF determine the focal length.
+        fixed_lens: True if the initial lens was kept.
     """
 
     folder: Path
     members: list[int]
     focal_is_known: bool = True
+    fixed_lens: bool = False
 
 
 def place_cameras(
@@ -121,7 +123,7 @@ def place_cameras(
             and drop_unsupported(colmap, database, model, trust, confirms)
             and not (attempt.fixed_lens and is_contradicted(colmap, database, model))
         ]
-        best = max(best, _pieces(found, target), key=placed)
+        best = max(best, _pieces(found, target, attempt.fixed_lens), key=placed)
     return best
 
 
@@ -203,14 +205,14 @@ def _global_options(colmap: Any) -> Any:
     return options
 
 
-def _pieces(found: list[Any], folder: Path) -> list[Piece]:
+def _pieces(found: list[Any], folder: Path, fixed_lens: bool) -> list[Piece]:
     pieces = []
     for number, model in enumerate(found):
         path = folder / f"model_{number}"
         path.mkdir()
         model.write(path)
         members = sorted(image_index(model.image(k).name) for k in model.reg_image_ids())
-        pieces.append(Piece(path, members))
+        pieces.append(Piece(path, members, fixed_lens=fixed_lens))
     return sorted(pieces, key=lambda piece: -len(piece.members))
 
 

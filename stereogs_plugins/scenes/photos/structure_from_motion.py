@@ -3,8 +3,9 @@
 SIFT (Lowe 2004), exhaustive matching, two-view geometry by RANSAC, then mapping.py. If that does not place
 every photograph, it is repeated with domain-size pooling (Dong and Soatto 2015), which tolerates wider
 baselines and takes several times as long, then with additional matches of two networks (learned_matches.py)
-if their files exist. The result is deterministic: random choices are seeded, photographs are numbered before
-threads start, and mapping uses one thread. Dense matches then refine the cameras (dense/refinement.py).
+if their files exist. Focal lengths by EXIF are ignored if the matches contradict them. The result is
+deterministic: random choices are seeded, photographs are numbered before threads start, and mapping uses one
+thread. Dense matches then refine the cameras (dense/refinement.py).
 """
 
 from __future__ import annotations
@@ -12,14 +13,14 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from PIL import Image
 
 from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
 
 from .dense.check import DenseCheck
-from .dense.refinement import refine
+from .dense.refinement import contradicts_exif, refine
 from .learned_matches import add_learned_matches, known_files
 from .mapping import (
     LEARNED_TRUST,
@@ -33,7 +34,7 @@ from .mapping import (
 )
 from .no_depth import Doubt, doubt_of
 from .reported import rows_reported
-from .unposed_photos import image_index, image_name
+from .unposed_photos import MIN_PHOTOS, image_index, image_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,6 +56,7 @@ class Reconstruction:
         features: number of features of each photograph.
         tried: names of the kinds of matches used, for messages.
         doubts: why the matches of pairs of indices do not connect them.
+        ignores_exif: True if the matches contradict the focal lengths by EXIF, which are then not used.
     """
 
     pieces: list[Piece]
@@ -62,6 +64,7 @@ class Reconstruction:
     features: list[int]
     tried: tuple[str, ...] = ("SIFT",)
     doubts: dict[tuple[int, int], Doubt] = field(default_factory=dict)
+    ignores_exif: bool = False
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -94,21 +97,20 @@ def reconstruct(
         range(len(photos)),
         stage="reading",
     )
-    lenses = _lenses(photos, share_lens)
-    focals = [photo.focal for photo in photos]
+    search = _Search(colmap, decoder, share_lens, images, folder)
+    used = photos
     best: Reconstruction | None = None
     tried: list[str] = []
-    for name, trust, fill in _ways(colmap, images, folder, len(photos)):
-        workplace = folder / name
-        workplace.mkdir()
-        database = workplace / MATCHES
-        colmap.set_random_seed(SEED)
-        colmap.Database.open(database).close()  # import_images wants it to exist
-        for group in lenses:
-            _import(colmap, database, images, group, photos[group[0]], decoder)
-        fill(database)
-        tried.append(name)
-        found = _placed(colmap, database, images, workplace, focals, trust)
+    for way in _ways(colmap, images, folder, len(photos)):
+        found = search.run(way, used)
+        tried.append(way.name)
+        if best is None and _may_have_wrong_exif(found, photos):
+            again = _same_matches(colmap, folder / way.name / MATCHES)
+            without = [replace(photo, focal=None) for photo in photos]
+            other = search.run(again, without)
+            tried.append(again.name)
+            if _refutes_exif(colmap, other, found, photos):
+                used, found = without, other
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
@@ -116,19 +118,64 @@ def reconstruct(
             break
         _log.info(
             "%s: the cameras of %d of %d photographs fit together",
-            *(name, placed(found.pieces), len(photos)),
+            *(tried[-1], placed(found.pieces), len(photos)),
         )
     assert best is not None
     pieces = list(best.pieces)
     if pieces:
-        pieces[0] = _refined(colmap, pieces[0], images, focals)
-    return replace(best, pieces=pieces, tried=tuple(tried))
+        pieces[0] = _refined(colmap, pieces[0], images, [photo.focal for photo in used])
+    return replace(best, pieces=pieces, tried=tuple(tried), ignores_exif=used is not photos)
 
 
-def _ways(
-    colmap: Any, images: Path, folder: Path, count: int
-) -> list[tuple[str, Trust, Callable[[Path], None]]]:
-    """Kinds of matches, cheapest first: name, trust in them, and a function that fills a database."""
+class _Way(NamedTuple):
+    """A kind of matches: its name, trust in them, and a function that fills a database."""
+
+    name: str
+    trust: Trust
+    fill: Callable[[Path], None]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Search for cameras in a folder, with one kind of matches at a time."""
+
+    colmap: Any
+    decoder: Decoder
+    share_lens: bool
+    images: Path
+    folder: Path
+
+    def run(self, way: _Way, photos: Sequence[UnposedPhoto]) -> Reconstruction:
+        workplace = self.folder / way.name
+        workplace.mkdir()
+        database = workplace / MATCHES
+        self.colmap.set_random_seed(SEED)
+        self.colmap.Database.open(database).close()  # import_images wants it to exist
+        for group in _lenses(photos, self.share_lens):
+            _import(self.colmap, database, self.images, group, photos[group[0]], self.decoder)
+        way.fill(database)
+        focals = [photo.focal for photo in photos]
+        return _placed(self.colmap, database, self.images, workplace, focals, way.trust)
+
+
+def _may_have_wrong_exif(found: Reconstruction, photos: Sequence[UnposedPhoto]) -> bool:
+    """Whether EXIF has focal lengths, and no free lens near them places all photographs."""
+    exif = len(photos) >= MIN_PHOTOS and any(photo.focal is not None for photo in photos)
+    return exif and (placed(found.pieces) < len(photos) or found.pieces[0].fixed_lens)
+
+
+def _refutes_exif(
+    colmap: Any, other: Reconstruction, found: Reconstruction, photos: Sequence[UnposedPhoto]
+) -> bool:
+    """Whether a reconstruction without EXIF places as many photographs, and contradicts EXIF."""
+    if placed(other.pieces) < max(MIN_PHOTOS, placed(found.pieces)):
+        return False
+    model = colmap.Reconstruction(other.pieces[0].folder)
+    return contradicts_exif(colmap, model, [photo.focal for photo in photos])
+
+
+def _ways(colmap: Any, images: Path, folder: Path, count: int) -> list[_Way]:
+    """Kinds of matches, cheapest first."""
 
     def by_sift(pooled: bool) -> Callable[[Path], None]:
         def fill(database: Path) -> None:
@@ -137,16 +184,36 @@ def _ways(
 
         return fill
 
-    ways = [("SIFT", SIFT_TRUST, by_sift(False)), ("pooled SIFT", SIFT_TRUST, by_sift(True))]
+    ways = [
+        _Way("SIFT", SIFT_TRUST, by_sift(False)),
+        _Way("pooled SIFT", SIFT_TRUST, by_sift(True)),
+    ]
     files = known_files()
     if files is not None:
 
         def by_networks(database: Path) -> None:
-            add_learned_matches(colmap, files, images, folder / ways[0][0] / MATCHES, database)
+            add_learned_matches(colmap, files, images, folder / ways[0].name / MATCHES, database)
             colmap.geometric_verification(database, two_view_geometry_options=_geometry(colmap))
 
-        ways.append(("SIFT with ALIKED and LightGlue", LEARNED_TRUST, by_networks))
+        ways.append(_Way("SIFT with ALIKED and LightGlue", LEARNED_TRUST, by_networks))
     return ways
+
+
+def _same_matches(colmap: Any, known: Path) -> _Way:
+    """SIFT's keypoints and matches of a database, verified again for other lenses."""
+
+    def fill(database: Path) -> None:
+        with colmap.Database.open(known) as old, colmap.Database.open(database) as new:
+            there = {image.name: image.image_id for image in old.read_all_images()}
+            here = {image.name: image.image_id for image in new.read_all_images()}
+            for name in here:
+                new.write_keypoints(here[name], old.read_keypoints(there[name]))
+            for first, second in combinations(here, 2):
+                matches = old.read_matches(there[first], there[second])
+                new.write_matches(here[first], here[second], matches)
+        colmap.geometric_verification(database, two_view_geometry_options=_geometry(colmap))
+
+    return _Way("SIFT without EXIF", SIFT_TRUST, fill)
 
 
 def _placed(

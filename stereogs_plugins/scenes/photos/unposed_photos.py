@@ -146,6 +146,11 @@ def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
     return focal if _FOCAL_RANGE[0] < focal < _FOCAL_RANGE[1] else None
 
 
+def equivalent_focal(focal: float, size: Size) -> float:
+    """35 mm equivalent, in millimetres, of a focal length in units of the longer side."""
+    return focal * max(size) / math.hypot(*size) * _DIAGONAL_35MM
+
+
 def _number(exif: dict[int, Any], tag: int) -> float | None:
     """The value of a tag if it is a positive finite number, otherwise None."""
     try:

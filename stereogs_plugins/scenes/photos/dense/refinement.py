@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 MOST_PHOTOS = 24
 """More photographs determine the cameras without dense matches, which would take long."""
@@ -81,6 +81,21 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
     helps = is_plausible(refined, focals)
     helps = helps and (by_exif is not None or _error(refined, left_out) < _error(model, left_out))
     return Refined(refined if helps else model, determined or (by_exif is not None and helps))
+
+
+def contradicts_exif(colmap: Any, model: Any, focals: Sequence[float | None]) -> bool:
+    """Whether the points fit clearly worse with focal lengths by EXIF, where known, than with free ones."""
+    images = sorted(model.reg_image_ids())
+    free = _adjusted(colmap, model, [], own_lens=images)
+    by_exif = list(focals)
+    for k in images:
+        camera, index = free.camera(free.image(k).camera_id), image_index(free.image(k).name)
+        if by_exif[index] is None:
+            by_exif[index] = camera.focal_length / max(camera.width, camera.height)
+    fixed = _adjusted(colmap, _with_focals(colmap, free, by_exif), [], True)
+    # Points that do not fit were dropped; each has errors of `MAX_ERROR` in two photographs or more.
+    dropped = 2 * (free.num_points3D() - fixed.num_points3D()) * _loss(MAX_ERROR)
+    return bool(_cost(fixed) + dropped > LEAST_INCREASE * _cost(free))
 
 
 def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
@@ -160,7 +175,12 @@ def _cost(model: Any) -> float:
     """Sum of the soft L1 loss of the errors of all points."""
     errors = [point.error for point in model.points3D.values()]
     lengths = [point.track.length() for point in model.points3D.values()]
-    return float(np.dot(lengths, np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1))
+    return float(np.dot(lengths, _loss(errors)))
+
+
+def _loss(errors: ArrayLike) -> NDArray[np.float64]:
+    loss: NDArray[np.float64] = np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1
+    return loss
 
 
 def _adjusted(

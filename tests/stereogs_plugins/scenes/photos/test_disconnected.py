@@ -102,6 +102,11 @@ class TestExplanation:
         assert "overlap" not in str(error)
         assert "step to the side" in error.fix
 
+    def test_two_photographs_depend_on_their_focal_length(self) -> None:
+        cameras = FoundCameras(Reconstruction([], {(0, 1): 1660}, [900] * 2), None)
+        with pytest.raises(SceneError, match="correct the focal length in EXIF if it is wrong"):
+            largest_group(cameras, NAMES[:2], "folder", require_all=False)
+
     def test_one_piece_is_accepted(self) -> None:
         found = Reconstruction([Piece(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
         model = ColmapModel({}, [], [], Path())

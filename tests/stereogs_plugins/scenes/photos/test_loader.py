@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, ImageOps
 
 from registry import Scene, SceneError
 from registry.testing import check
@@ -89,6 +90,29 @@ def test_two_photographs_need_a_known_focal_length(
         Image.open(file).save(file, quality=97, exif=Image.Exif())
     with pytest.raises(SceneError, match="or two with a focal length in EXIF"):
         load(tmp_path)
+
+
+@pytest.mark.parametrize("wrong", [range(5), [2]])
+def test_wrong_focal_lengths_in_exif_are_ignored(
+    folder: Path,
+    room: Scene,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    wrong: Sequence[int],
+) -> None:
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 400
+    for index, view in enumerate(room.train):
+        with Image.open(folder / f"{view.name}.jpg") as opened:
+            upright = ImageOps.exif_transpose(opened)
+        upright.save(
+            tmp_path / f"{view.name}.jpg", quality=97, exif=exif if index in wrong else b""
+        )
+    scene = load(tmp_path)
+    found, truth = ([view.camera for view in s.train] for s in (scene, room))
+    assert pose_errors(found, truth)[0].max() < 0.5
+    assert f"{room.train[wrong[0]].name}.jpg has 400 mm" in caplog.text
+    assert scene.fact("focal_lengths_by_exif") == 0
 
 
 def test_few_photographs_all_train(folder: Path, cached: Path) -> None:
