@@ -97,8 +97,7 @@ def _write(found: Reconstruction, folder: Path) -> None:
             shutil.copy(piece.folder / file, target)
     summary = {
         "pieces": [
-            {"members": piece.members, "focal_is_known": piece.focal_is_known}
-            for piece in found.pieces
+            {k: v for k, v in piece._asdict().items() if k != "folder"} for piece in found.pieces
         ],
         "matches": [[*pair, count] for pair, count in found.matches.items()],
         "features": found.features,

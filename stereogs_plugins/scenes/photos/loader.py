@@ -93,6 +93,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         group = largest_group(cameras, names, str(folder), require_all=settings.require_all_photos)
         _warn_of_disconnected(names, group)
         _warn_of_focal_length(cameras)
+        _warn_of_altered(cameras, names)
         model = group.model
         placed = _posed(model, found)
         test_every = settings.test_every
@@ -218,6 +219,16 @@ def _warn_of_focal_length(cameras: FoundCameras) -> None:
             "the photographs hardly determine the focal length (%.2f times the longer side is used), so the "
             "scene may be stretched in depth; take some from farther to the side, or keep their EXIF data",
             lens.fx / max(lens.width, lens.height),
+        )
+
+
+def _warn_of_altered(cameras: FoundCameras, names: list[str]) -> None:
+    altered = cameras.reconstruction.pieces[0].altered
+    if altered:
+        _log.warning(
+            "WARNING: cropped or zoomed, as it seems: %s. Cameras may be wrong, as such lenses are estimated "
+            "less exactly: use the whole picture, or remove it",
+            ", ".join(names[k] for k in altered),
         )
 
 

@@ -77,12 +77,14 @@ class Piece(NamedTuple):
         members: sorted indices of its photographs.
         focal_is_known: False if neither matches nor EXIF determine the focal length.
         fixed_lens: True if the initial lens was kept.
+        altered: indices of photographs that seem to be zoomed or cropped.
     """
 
     folder: Path
     members: list[int]
     focal_is_known: bool = True
     fixed_lens: bool = False
+    altered: Sequence[int] = ()
 
 
 def place_cameras(

@@ -236,9 +236,9 @@ def _placed(
 
 def _refined(colmap: Any, piece: Piece, images: Path, focals: Sequence[float | None]) -> Piece:
     model = colmap.Reconstruction(piece.folder)
-    model, focal_is_known = refine(colmap, model, images, focals)
-    model.write(piece.folder)
-    return piece._replace(focal_is_known=focal_is_known)
+    refined = refine(colmap, model, images, focals)
+    refined.model.write(piece.folder)
+    return piece._replace(focal_is_known=refined.focal_is_known, altered=refined.altered)
 
 
 def _lenses(photos: Sequence[UnposedPhoto], share_lens: bool) -> list[list[int]]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
 MOST_PHOTOS = 24
 """More photographs determine the cameras without dense matches, which would take long."""
@@ -36,16 +36,27 @@ LEAST_ZOOM = 1.15
 """Least ratio of a zoomed photograph's focal length to the median, or its inverse; others have up to 1.06."""
 OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
 """The points determine the focal length if a change by this factor increases the cost by that factor."""
+LEAST_SHIFT, LEAST_FALL = 0.03, 1.025
+"""Least shift of the principal point of a photograph cropped off centre, in units of width or height, and
+least factor by which it reduces the cost. Others shifted by 0.01 at most, with factors up to 1.08."""
 _ROUNDS = 4
 """Adjustments of a principal point and of the other lenses in turn."""
+_STARTS = (1.0, 0.7, 0.5)
+"""Factors of initial focal lengths, which are often much too long if a photograph is cropped off centre."""
 _MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
 
 
 class Refined(NamedTuple):
-    """A refined pycolmap model, and whether points or EXIF determine its focal length."""
+    """A refined pycolmap model.
+
+    Args:
+        focal_is_known: whether points or EXIF determine its focal length.
+        altered: indices of photographs that seem to be zoomed or cropped.
+    """
 
     model: Any
     focal_is_known: bool
+    altered: tuple[int, ...] = ()
 
 
 def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]) -> Refined:
@@ -62,7 +73,8 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
 
     if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
         return Refined(model, True)
-    model = with_cropped_lenses(colmap, with_zoomed_lenses(colmap, model))
+    given, model = model, with_cropped_lenses(colmap, with_zoomed_lenses(colmap, model))
+    altered = _altered(given, model)
     start = _adjusted(colmap, model, [])
     determined = _determines_focal(colmap, start)
     by_exif = None if determined else _with_focals(colmap, start, focals)
@@ -72,15 +84,16 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
     try:
         matches = dense_matches(start, images)
     except (SceneError, CameraError):  # the lens is not plausible
-        return Refined(model, determined)
+        return Refined(model, determined, altered)
     left_out = matches[::HELD_OUT_EVERY]
     fitted = [match for k, match in enumerate(matches) if k % HELD_OUT_EVERY]
     if not fitted:
-        return Refined(model, determined)
+        return Refined(model, determined, altered)
     refined = _adjusted(colmap, start, fitted, fixed)
     helps = is_plausible(refined, focals)
     helps = helps and (by_exif is not None or _error(refined, left_out) < _error(model, left_out))
-    return Refined(refined if helps else model, determined or (by_exif is not None and helps))
+    known = determined or (by_exif is not None and helps)
+    return Refined(refined if helps else model, known, altered)
 
 
 def contradicts_exif(colmap: Any, model: Any, focals: Sequence[float | None]) -> bool:
@@ -93,9 +106,7 @@ def contradicts_exif(colmap: Any, model: Any, focals: Sequence[float | None]) ->
         if by_exif[index] is None:
             by_exif[index] = camera.focal_length / max(camera.width, camera.height)
     fixed = _adjusted(colmap, _with_focals(colmap, free, by_exif), [], True)
-    # Points that do not fit were dropped; each has errors of `MAX_ERROR` in two photographs or more.
-    dropped = 2 * (free.num_points3D() - fixed.num_points3D()) * _loss(MAX_ERROR)
-    return bool(_cost(fixed) + dropped > LEAST_INCREASE * _cost(free))
+    return _cost(fixed, free) > LEAST_INCREASE * _cost(free)
 
 
 def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
@@ -133,13 +144,47 @@ def with_cropped_lenses(colmap: Any, model: Any) -> Any:
     if max(lenses.values()) < LEAST_TO_COMPARE - 1:
         return model
     for lens in (k for k in sorted(lenses) if lenses[k] == 1):
-        moved = model
-        # In turn, because COLMAP frees the principal points of all lenses whose focal length is free.
-        for _ in range(_ROUNDS):
-            moved = _adjusted(colmap, _adjusted(colmap, moved, [], centre_of=lens), [])
-        if LEAST_INCREASE * _cost(moved) < _cost(_adjusted(colmap, model, [])):
+        costs = {}
+        for start in _STARTS:
+            moved = _centred(colmap, model, lens, start)
+            costs[_cost(moved, model)] = moved
+        least = min(costs)
+        moved = costs[least]
+        falls = LEAST_FALL * least < _cost(_adjusted(colmap, model, []), model)
+        if falls and max(abs(_shift(moved.camera(lens)))) > LEAST_SHIFT:
             model = moved
     return model
+
+
+def _centred(colmap: Any, model: Any, lens: int, start: float) -> Any:
+    """A model after adjustment of the principal point of a lens, from focal lengths times a factor."""
+    moved = _adjusted(colmap, _zoomed(colmap, model, start), [], True)
+    # In turn, because COLMAP frees the principal points of all lenses whose focal length is free.
+    for _ in range(_ROUNDS):
+        moved = _adjusted(colmap, _adjusted(colmap, moved, [], centre_of=lens), [])
+    return moved
+
+
+def _shift(camera: Any) -> NDArray[np.float64]:
+    """Distance of the principal point from the centre, in units of width and height."""
+    shift: NDArray[np.float64] = camera.params[1:3] / [camera.width, camera.height] - 0.5
+    return shift
+
+
+def _altered(given: Any, model: Any) -> tuple[int, ...]:
+    """Indices of photographs with a lens that `given` lacks, of another focal length or off centre."""
+    images = sorted(map(model.image, model.reg_image_ids()), key=lambda image: image.name)
+    lenses = [model.camera(image.camera_id) for image in images]
+    usual = np.median([camera.focal_length for camera in lenses])
+    return tuple(
+        image_index(image.name)
+        for image, camera in zip(images, lenses, strict=True)
+        if max(abs(_shift(camera))) > LEAST_SHIFT
+        or (
+            camera.camera_id not in given.cameras
+            and abs(np.log(camera.focal_length / usual)) > np.log(LEAST_ZOOM)
+        )
+    )
 
 
 def _determines_focal(colmap: Any, model: Any) -> bool:
@@ -171,16 +216,17 @@ def _with_focals(colmap: Any, model: Any, focals: Sequence[float | None]) -> Any
     return changed
 
 
-def _cost(model: Any) -> float:
-    """Sum of the soft L1 loss of the errors of all points."""
+def _cost(model: Any, other: Any = None) -> float:
+    """Sum of the soft L1 loss of the errors of all points.
+
+    Points of another model that were dropped count with an error of `MAX_ERROR` in two photographs.
+    """
     errors = [point.error for point in model.points3D.values()]
     lengths = [point.track.length() for point in model.points3D.values()]
-    return float(np.dot(lengths, _loss(errors)))
-
-
-def _loss(errors: ArrayLike) -> NDArray[np.float64]:
-    loss: NDArray[np.float64] = np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1
-    return loss
+    if other is not None:
+        errors.append(MAX_ERROR)
+        lengths.append(2 * (other.num_points3D() - model.num_points3D()))
+    return float(np.dot(lengths, np.sqrt(1 + np.square(errors) / LOSS_SCALE**2) - 1))
 
 
 def _adjusted(

@@ -115,6 +115,20 @@ def test_wrong_focal_lengths_in_exif_are_ignored(
     assert scene.fact("focal_lengths_by_exif") == 0
 
 
+def test_altered_photographs_are_named(
+    folder: Path, cached: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (whole,) = cached.glob("cameras/*")
+    found = reconstruction_of(whole)
+    found.pieces[0] = found.pieces[0]._replace(altered=(1, 3))
+    load(folder)
+    assert "cropped" not in caplog.text
+    monkeypatch.setenv("STEREOGS_CACHE", "")
+    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: found)
+    load(folder)
+    assert "cropped or zoomed, as it seems: train_01.jpg, train_03.jpg" in caplog.text
+
+
 def test_few_photographs_all_train(folder: Path, cached: Path) -> None:
     scene = load(folder)
     assert (len(scene.train), len(scene.test)) == (5, 0)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from registry import Scene
-from registry.toolkit.photos import import_pycolmap
+from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos.dense.matches import dense_matches
 from stereogs_plugins.scenes.photos.dense.refinement import (
     MOST_PHOTOS,
@@ -19,7 +20,9 @@ from stereogs_plugins.scenes.photos.dense.refinement import (
     with_zoomed_lenses,
 )
 from stereogs_plugins.scenes.photos.mapping import MAX_ERROR, sampson_distances
-from stereogs_plugins.scenes.photos.unposed_photos import image_index
+from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
+from stereogs_plugins.scenes.photos.unposed_photos import image_index, read_folder
+from tests.data import data_folder
 
 colmap = import_pycolmap(3)
 
@@ -63,9 +66,10 @@ def test_inexact_cameras_become_exact(three: Any, images: Path, room: Scene) -> 
     turned, focal = errors(three, room)
     assert turned > 0.35
     assert focal > 0.03
-    refined, focal_is_known = refine(colmap, three, images, [None] * 3)
+    refined, focal_is_known, altered = refine(colmap, three, images, [None] * 3)
     assert refined is not three
     assert focal_is_known
+    assert altered == ()
     turned, focal = errors(refined, room)
     assert turned < 0.1
     assert focal < 0.01
@@ -115,7 +119,7 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
         "points determine it"
     )
     monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
-    refined, focal_is_known = refine(colmap, three, images, [right] * 3)
+    refined, focal_is_known, _ = refine(colmap, three, images, [right] * 3)
     assert focal_is_known
     turned, focal = errors(refined, room)
     assert turned < 0.1
@@ -146,3 +150,28 @@ def test_zoomed_and_cropped_photographs_get_their_own_lens(model: Any) -> None:
     }
     assert centres.pop(first) - middle == pytest.approx(shift, abs=0.01 * lens.width)
     assert max(abs(centre - middle).max() for centre in centres.values()) == 0
+
+
+def test_an_enlarged_corner_gets_its_own_principal_point(tmp_path: Path) -> None:
+    """Five of llff_room, the last without its left and lower quarters, enlarged to the size of the others."""
+    every = sorted((data_folder("llff_room") / "images_8").iterdir())[13:18]
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    for number, path in enumerate(every):
+        with Image.open(path) as opened:
+            width, height = opened.size
+            box = (width // 4, 0, width, height * 3 // 4) if number == 4 else None
+            opened.resize((width, height), box=box).save(tmp_path / "in" / path.name)
+    decoder = Decoder(longest_side(1200), "box", upright=True)
+    found = reconstruct(read_folder(tmp_path / "in").photos, decoder, True, tmp_path / "out")
+    (piece,) = found.pieces
+    assert piece.members == [0, 1, 2, 3, 4]
+    assert piece.altered == (4,)
+    model = colmap.Reconstruction(piece.folder)
+    (lens,) = (
+        model.camera(model.image(k).camera_id)
+        for k in model.reg_image_ids()
+        if image_index(model.image(k).name) == 4
+    )
+    centre = lens.params[1:3] / [lens.width, lens.height]
+    assert centre == pytest.approx([1 / 3, 2 / 3], abs=0.03)
