@@ -116,8 +116,12 @@ def _read(folder: Path) -> FoundCameras:
     matches = {(first, second): count for first, second, count in summary["matches"]}
     doubts = {(first, second): doubt for first, second, doubt in summary["doubts"]}
     reconstruction = Reconstruction(
-        *(pieces, matches, summary["features"], tuple(summary["tried"])),
-        *(doubts, summary["ignores_exif"]),
+        pieces=pieces,
+        matches=matches,
+        features=summary["features"],
+        tried=tuple(summary["tried"]),
+        doubts=doubts,
+        ignores_exif=summary["ignores_exif"],
     )
     return FoundCameras(reconstruction, _model(reconstruction))
 
