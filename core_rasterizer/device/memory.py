@@ -18,7 +18,7 @@ CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
 """Environment variable; 1 corrects the driver's processor name before any build fails (`unknown_cpu`)."""
 
 _contexts: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
-"""One context for each device, whatever its variants: on a GPU each takes hundreds of megabytes."""
+"""One context for each device, whatever its variants: a GPU's driver refuses more when many are open."""
 _opening = RLock()
 
 

@@ -152,6 +152,7 @@ def test_zoomed_and_cropped_photographs_get_their_own_lens(model: Any) -> None:
     assert max(abs(centre - middle).max() for centre in centres.values()) == 0
 
 
+@pytest.mark.proof
 def test_an_enlarged_corner_gets_its_own_principal_point(tmp_path: Path) -> None:
     """Five of llff_room, the last without its left and lower quarters, enlarged to the size of the others."""
     every = sorted((data_folder("llff_room") / "images_8").iterdir())[13:18]
