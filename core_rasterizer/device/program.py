@@ -17,7 +17,7 @@ from .memory import DeviceMemory
 _PACKAGE = __package__.rpartition(".")[0]
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-no-signed-zeros")
 _FOR_CPUS = ("-cl-mad-enable",)
-"""On GPUs the bits would depend on the kernel: its compiler fuses products and sums as it likes."""
+"""Not for GPUs: a compiler may fuse the same products and sums in one kernel and not in another."""
 
 
 class Program:

@@ -138,7 +138,7 @@ class Field:
         for part in self.parts.due("samplers", iteration):
             with part.at_work(iteration, self.lent):
                 answer = part.answer("sample", self._step, self._step.sample)
-                sample = check_sample(answer, self.model.count, self._step.sample.target)
+                sample = check_sample(answer, self.model.count)
             render = step_renderer(self.model, sample)
             self._step = replace(self._step, sample=sample, render=render)
         # Adam steps the SH bands in use, and one that fades in.

@@ -100,14 +100,19 @@ def test_the_same_scene_gives_the_same_bits(device: Device) -> None:
 def test_both_raster_variants_agree(device: Device) -> None:
     generator = torch.Generator().manual_seed(4)
     scene, camera = random_scene(generator, 800), random_camera(generator, 180, 130)
-    results = []
+    leaves = scene.tensors()
+    truth = reference.render(*leaves, camera)
+    weighted_loss(truth, 0).backward()
+    expected = [truth.rgb.detach(), *(t.grad for t in leaves)]
+    images = []
     for variant in ("cpu", "gpu"):
         leaves = scene.tensors(torch.float32)
         rendering = rasterize(*leaves, camera, device=device.as_variant(variant))
         weighted_loss(rendering, 0).backward()
-        results.append([rendering.rgb.detach(), *(t.grad for t in leaves)])
-    for tolerance, one, other in zip([1e-5, *[3e-5] * 5], *results, strict=True):
-        assert relative_error(one, other) < tolerance
+        images.append(rendering.rgb.detach())
+        for one, exact in zip([images[-1], *(t.grad for t in leaves)], expected, strict=True):
+            assert relative_error(one, exact) < 1e-5
+    assert relative_error(*images) < 1e-5
 
 
 def test_equal_depths_are_ordered_by_index(device: Device) -> None:

@@ -17,7 +17,7 @@
 #define CAMERA_LAST_BAND 29 /* the weight of the last SH band, where it is a fraction */
 #define CAMERA_REST 32 /* the rounding errors of all these numbers; only with NO_DOUBLE */
 
-/* GPUs move records and sums in quads: a load of local memory costs as much as four additions, whatever its size. */
+/* GPUs move records and sums in quads, with a quarter of the instructions. */
 typedef GLUE(REAL_NAME, 4) quad;
 
 /* One record per Gaussian for the raster stages, 16 reals: a cache line in float. */

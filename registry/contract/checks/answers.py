@@ -69,8 +69,8 @@ def check_edit(edit: Any, count: int) -> Edit | None:
     return checked
 
 
-def check_sample(sample: Any, count: int, known: Tensor | None = None) -> Sample:
-    """Check a sampler's answer: the target's size, its values unless it is `known`, and the other numbers."""
+def check_sample(sample: Any, count: int) -> Sample:
+    """Check a sampler's answer: a target of the camera's size in [0, 1], and numbers in range."""
     checked: Sample = _instance("the answer", sample, Sample, "a Sample")
     _instance("the view", checked.view, TrainingView, "a TrainingView")
     target: Tensor = _instance("the target", checked.target, Tensor, "a torch tensor")
@@ -80,7 +80,7 @@ def check_sample(sample: Any, count: int, known: Tensor | None = None) -> Sample
             f"the target is {target.dtype} {tuple(target.shape)}, expected torch.float32 {expected}",
             fix="give the sample a camera of the target's size",
         )
-    low, high = (0, 1) if target is known else target.aminmax()  # NaN becomes both
+    low, high = target.aminmax()  # one pass; a NaN becomes both and compares as false
     if not 0 <= low <= high <= 1:
         raise PluginError("the target has values outside [0, 1] or not finite")
     numbers = [float(_instance("the background", n, Real, "numbers")) for n in checked.background]

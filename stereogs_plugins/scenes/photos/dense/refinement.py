@@ -135,8 +135,8 @@ def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
 def with_cropped_lenses(colmap: Any, model: Any) -> Any:
     """Return a model in which cropped photographs have their own principal point, or the same model.
 
-    Photographs of equal size share a lens, so only one with a lens of its own is tried. After a crop off
-    centre, the lens points beside the centre of the picture. With the centre as principal point, the
+    Only a photograph that shares its lens with no other is tried: most photographs of one size share one. In
+    a crop off centre, the principal point is not the centre of the picture. If it is assumed there, the
     photograph fits only from a wrong place, and with few photographs all focal lengths adapt to it.
     """
     images = sorted(model.reg_image_ids())
