@@ -7,23 +7,30 @@ Gradients reach the Gaussians through both renders: the colours and the depth.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
 from registry import Register, Regularizer, Settings, Step, hookimpl
+from registry.toolkit.networks.image_fitting import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+SMALLEST_ALPHA = 0.3
 EDGE = 0.33
 """Decay of the smoothness with the photograph's gradient (the authors' code)."""
 
 
 class VirtualStereoSettings(Settings):
     max_shift: float = Field(0.4, gt=0, allow_inf_nan=False)
-    """World units; the shift is uniform in [-max_shift, max_shift]. The default is the authors', for
-    COLMAP's units, where near content then moves by at most 10 pixels."""
+    """The shift is uniform in [-max_shift, max_shift]. The default is the authors', for COLMAP's world
+    units, where near content then moves by at most 10 pixels."""
+    unit: Literal["world", "baseline"] = "world"
+    """Unit of `max_shift`: world units, or the distance to the nearest other training camera."""
+    depth: Literal["accumulated", "expected"] = "accumulated"
+    """Rendered depth: as blended (the paper), which is too small where dropout or decay reduce alpha; or
+    divided by alpha, at pixels with an alpha above 0.3."""
     smoothness: float = Field(0.05, ge=0, allow_inf_nan=False)
     """Weight of the edge-aware smoothness of the disparity, relative to the colour difference."""
 
@@ -31,8 +38,8 @@ class VirtualStereoSettings(Settings):
 class VirtualStereo(Regularizer[VirtualStereoSettings]):
     """mean |warped - photograph| over all pixels, 0 where the warp is undefined, plus smoothness.
 
-    The depth is z as blended, not divided by alpha. Pixels whose disparity would exceed the image width
-    are ignored.
+    Ignored pixels: those that are not solid in a photograph with alpha, and those whose disparity would
+    exceed the image width.
     """
 
     host_defaults = "{start: 66.67%}"
@@ -43,16 +50,37 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
 
         sample = step.sample
         drawn = float(torch.rand((), generator=self.generator))
-        shift = self.settings.max_shift * (2 * drawn - 1)
+        shift = self.settings.max_shift * self._unit(step) * (2 * drawn - 1)
         moves = -sample.camera.fx * shift
-        depth = step.rendering.depth
-        seen = depth.detach() * sample.camera.width > abs(moves)
+        depth, seen = self._depth(step)
+        seen = seen & (depth.detach() * sample.camera.width > abs(moves))
         disparity = moves / depth.where(seen, torch.inf)
         shifted = step.render(sample.camera.shifted_right(shift)).rgb
         warped, inside = moved_back(shifted, disparity)
         difference = (warped - sample.target).abs() * (inside & seen)[:, :, None]
         smoothness = edge_aware_smoothness(disparity, sample.target, seen)
         return difference.mean() + self.settings.smoothness * smoothness
+
+    def _depth(self, step: Step) -> tuple[Tensor, Tensor]:
+        """Depth `[H, W]` of the render, and the pixels `[H, W]` where it may be used."""
+        import torch
+
+        depth, alpha = step.rendering.depth, step.rendering.alpha
+        used = torch.ones(depth.shape, dtype=torch.bool)
+        if step.view.solid is not None:
+            used &= at_size(step.view.solid, *depth.shape)
+        if self.settings.depth == "expected":
+            used &= alpha.detach() > SMALLEST_ALPHA
+            depth = depth / alpha.where(used, 1.0)
+        return depth, used
+
+    def _unit(self, step: Step) -> float:
+        """World units of a shift of 1; with a single training camera a baseline is the scene's extent."""
+        if self.settings.unit == "world":
+            return 1.0
+        here = step.sample.camera.center
+        others = [view.camera.center for view in step.scene.train if view.name != step.view.name]
+        return min((float((there - here).norm()) for there in others), default=step.extent)
 
 
 def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:

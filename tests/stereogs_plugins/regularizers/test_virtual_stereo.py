@@ -62,16 +62,24 @@ def test_smoothness_is_the_slope_and_edges_lessen_it() -> None:
     assert float(edge_aware_smoothness(ramp, flat, ~seen)) == 0
 
 
-def wall(photograph: torch.Tensor) -> tuple[Step, GaussianModel]:
+def wall(photograph: torch.Tensor, opacity: float = 0.9) -> tuple[Step, GaussianModel]:
     """A rough wall at depth 4 that shows what the photograph does, 40x30, in double precision."""
     camera = Camera(torch.eye(4), 40, 40, 20, 15, 40, 30)
     u, v = camera.pixel_centers()
     places = camera.unproject(u, v, 4 + 0.02 * random(30, 40)).reshape(-1, 3).float()
-    sizes, opacities = torch.full((1200,), 0.05), torch.full((1200,), 0.9)
+    sizes, opacities = torch.full((1200,), 0.05), torch.full((1200,), opacity)
     gaussians = Gaussians.from_points(places, photograph.reshape(-1, 3), sizes, opacities, 0)
     model = GaussianModel(gaussians, open_device(), dtype=torch.float64)
-    scene = Scene("wall", (View("wall", camera, photograph),), (), (1.0, 10.0))
-    return step_of(model, scene, rendering=model.render(camera)), model
+    return step_on(model, View("wall", camera, photograph)), model
+
+
+def step_on(model: GaussianModel, *views: View) -> Step:
+    scene = Scene("wall", views, (), (1.0, 16.0))
+    return step_of(model, scene, rendering=model.render(views[0].camera))
+
+
+def loss_of(step: Step, **settings: object) -> float:
+    return float(build(VirtualStereo, seed=1, **settings).loss(step).detach())
 
 
 def patches() -> torch.Tensor:
@@ -93,25 +101,57 @@ def test_the_shift_of_the_paper_moves_near_content_by_ten_pixels() -> None:
     assert int((~inside).sum()) == 11
 
 
-def test_its_gradient_moves_the_gaussians_as_finite_differences_say() -> None:
+def test_a_shift_in_baselines_is_relative_to_the_nearest_other_camera() -> None:
+    photograph = patches().contiguous()
+    step, model = wall(photograph)
+    camera = step.view.camera
+    views = [View(f"{d}", camera.shifted_right(d), photograph) for d in (0.0, -0.8, 2.0)]
+    several = step_on(model, *views)
+    assert loss_of(several, max_shift=0.5, unit="baseline") == loss_of(step, max_shift=0.4)
+    alone = loss_of(step, max_shift=0.5, unit="baseline")
+    assert alone == loss_of(step, max_shift=0.5 * step.extent) != loss_of(step, max_shift=0.5)
+
+
+def test_expected_depth_agrees_where_the_wall_is_transparent() -> None:
+    step, model = wall(patches().contiguous(), opacity=0.25)
+    camera, alpha = step.view.camera, step.rendering.alpha.detach()
+    assert 0.4 < float(alpha.mean()) < 0.9
+    step = step_on(model, View("wall", camera, step.rendering.rgb.detach()))
+    blended, expected = (
+        loss_of(step, max_shift=0.8, smoothness=0.0, depth=d) for d in ("accumulated", "expected")
+    )
+    assert expected < 0.5 * blended
+
+
+def test_pixels_that_are_not_solid_are_ignored() -> None:
+    photograph = patches().contiguous()
+    step, model = wall(photograph)
+    photograph[:, 25:] = 1 - photograph[:, 25:]
+    alpha = torch.ones(30, 40)
+    alpha[:, 25:] = 0.9
+    some, all_of_it = (
+        loss_of(step_on(model, View("wall", step.view.camera, photograph, alpha=a)), smoothness=0.0)
+        for a in (alpha, None)
+    )
+    assert some < 0.02 < all_of_it
+
+
+@pytest.mark.parametrize("settings", [{}, {"depth": "expected"}])
+def test_its_gradient_moves_the_gaussians_as_finite_differences_say(
+    settings: dict[str, object],
+) -> None:
     step, model = wall(patches().contiguous())
     model.zero_gradients()
-    build(VirtualStereo, seed=1).loss(step).backward()
+    build(VirtualStereo, seed=1, **settings).loss(step).backward()
     means = model.read("means").clone()
     direction = random(1200, 3) - 0.5
     along = float((model.gradient("means") * direction).sum())
 
     def loss_at(distance: float) -> float:
         model.write("means", means + distance * direction)
-        again = step_of(model, scene_of(step), rendering=model.render(step.view.camera))
-        return float(build(VirtualStereo, seed=1).loss(again).detach())
+        return loss_of(step_on(model, View("wall", step.view.camera, step.view.image)), **settings)
 
     assert along == pytest.approx((loss_at(1e-7) - loss_at(-1e-7)) / 2e-7, rel=1e-3)
-
-
-def scene_of(step: Step) -> Scene:
-    view = step.view
-    return Scene("wall", (View(view.name, view.camera, view.image),), (), (1.0, 10.0))
 
 
 def test_nothing_to_see_gives_no_loss_of_its_own() -> None:
