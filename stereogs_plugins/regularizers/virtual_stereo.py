@@ -30,7 +30,7 @@ class VirtualStereoSettings(Settings):
     """Unit of `max_shift`: world units, or the distance to the nearest other training camera."""
     depth: Literal["accumulated", "expected"] = "accumulated"
     """Rendered depth: as blended (the paper), which is too small where dropout or decay reduce alpha; or
-    divided by alpha, at pixels with an alpha above 0.3."""
+    divided by alpha, at pixels with an alpha above 0.3 that show no background in a photograph with alpha."""
     smoothness: float = Field(0.05, ge=0, allow_inf_nan=False)
     """Weight of the edge-aware smoothness of the disparity, relative to the colour difference."""
 
@@ -38,8 +38,7 @@ class VirtualStereoSettings(Settings):
 class VirtualStereo(Regularizer[VirtualStereoSettings]):
     """mean |warped - photograph| over all pixels, 0 where the warp is undefined, plus smoothness.
 
-    Ignored pixels: those that are not solid in a photograph with alpha, and those whose disparity would
-    exceed the image width.
+    Pixels whose disparity would exceed the image width are ignored.
     """
 
     host_defaults = "{start: 66.67%}"
@@ -66,13 +65,12 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         import torch
 
         depth, alpha = step.rendering.depth, step.rendering.alpha
-        used = torch.ones(depth.shape, dtype=torch.bool)
+        if self.settings.depth == "accumulated":
+            return depth, torch.ones(depth.shape, dtype=torch.bool)
+        used = alpha.detach() > SMALLEST_ALPHA
         if step.view.solid is not None:
             used &= at_size(step.view.solid, *depth.shape)
-        if self.settings.depth == "expected":
-            used &= alpha.detach() > SMALLEST_ALPHA
-            depth = depth / alpha.where(used, 1.0)
-        return depth, used
+        return depth / alpha.where(used, 1.0), used
 
     def _unit(self, step: Step) -> float:
         """World units of a shift of 1; with a single training camera a baseline is the scene's extent."""

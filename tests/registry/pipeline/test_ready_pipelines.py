@@ -87,7 +87,7 @@ def test_the_short_ones_have_the_same_parts_at_the_same_shares(name: str) -> Non
     ]
 
 
-def test_with_networks_differs_from_weightfree_by_the_networks_alone() -> None:
+def test_with_networks_differs_from_weightfree_by_priors_initializer_and_stereo_term() -> None:
     without, beside = load("weightfree"), load("with_networks")
     assert without.training == beside.training
     differing = {s for s in without.items if without.items[s] != beside.items[s]}
@@ -96,5 +96,5 @@ def test_with_networks_differs_from_weightfree_by_the_networks_alone() -> None:
     assert names == ["plane_sweep", "learned", "patch_match", "multi_view", "stereo"]
     first, second = (p.one("initializer").settings.model_dump() for p in (without, beside))
     assert [name for name in first if first[name] != second[name]] == ["prior"]
-    assert without.items["regularizers"] == ()
-    assert [item.name for item in beside.items["regularizers"]] == ["stereo_depth"]
+    terms = [[item.name for item in p.items["regularizers"]] for p in (without, beside)]
+    assert terms == [["virtual_stereo"], ["stereo_depth"]]

@@ -123,14 +123,17 @@ def test_expected_depth_agrees_where_the_wall_is_transparent() -> None:
     assert expected < 0.5 * blended
 
 
-def test_pixels_that_are_not_solid_are_ignored() -> None:
+def test_with_expected_depth_pixels_that_are_not_solid_are_ignored() -> None:
     photograph = patches().contiguous()
     step, model = wall(photograph)
     photograph[:, 25:] = 1 - photograph[:, 25:]
     alpha = torch.ones(30, 40)
     alpha[:, 25:] = 0.9
     some, all_of_it = (
-        loss_of(step_on(model, View("wall", step.view.camera, photograph, alpha=a)), smoothness=0.0)
+        loss_of(
+            step_on(model, View("wall", step.view.camera, photograph, alpha=a)),
+            **{"smoothness": 0.0, "depth": "expected"},
+        )
         for a in (alpha, None)
     )
     assert some < 0.02 < all_of_it
