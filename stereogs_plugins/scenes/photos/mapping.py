@@ -218,25 +218,26 @@ def _pieces(found: list[Any], folder: Path, fixed_lens: bool) -> list[Piece]:
     return sorted(pieces, key=lambda piece: -len(piece.members))
 
 
-def is_plausible(model: Any, focals: Sequence[float | None]) -> bool:
+def is_plausible(model: Any, focals: Sequence[float | None], factor: float = FOCAL_FACTOR) -> bool:
     """Whether focal lengths and distortions of a model are possible.
 
     Args:
         focals: focal lengths by EXIF in units of the longer side, by index.
+        factor: largest ratio to these.
     """
     images = map(model.image, model.reg_image_ids())
     return all(
-        _is_possible(model.camera(image.camera_id), focals[image_index(image.name)])
+        _is_possible(model.camera(image.camera_id), focals[image_index(image.name)], factor)
         for image in images
     )
 
 
-def _is_possible(camera: Any, by_exif: float | None) -> bool:
+def _is_possible(camera: Any, by_exif: float | None, factor: float) -> bool:
     focal = camera.focal_length / max(camera.width, camera.height)
     bend = float(camera.params[camera.extra_params_idxs()[0]])
     shortest, longest = FOCAL_RANGE
     if by_exif is not None:
-        shortest, longest = by_exif / FOCAL_FACTOR, by_exif * FOCAL_FACTOR
+        shortest, longest = by_exif / factor, by_exif * factor
     return shortest < focal < longest and abs(bend) < MOST_DISTORTION
 
 

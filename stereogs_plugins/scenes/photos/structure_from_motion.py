@@ -23,12 +23,14 @@ from .dense.check import DenseCheck
 from .dense.refinement import contradicts_exif, refine
 from .learned_matches import add_learned_matches, known_files
 from .mapping import (
+    FOCAL_RANGE,
     LEARNED_TRUST,
     MAX_ERROR,
     SEED,
     SIFT_TRUST,
     Piece,
     Trust,
+    is_plausible,
     place_cameras,
     placed,
 )
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
     from .unposed_photos import UnposedPhoto
 
 MATCHES = "matches.db"
+NEAR_EXIF = 1.5
+"""Ratio to the focal length by EXIF, or its inverse, from which one of the two is probably wrong."""
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -104,21 +108,21 @@ def reconstruct(
     for way in _ways(colmap, images, folder, len(photos)):
         found = search.run(way, used)
         tried.append(way.name)
-        if best is None and _may_have_wrong_exif(found, photos):
-            again = _same_matches(colmap, folder / way.name / MATCHES)
-            without = [replace(photo, focal=None) for photo in photos]
-            other = search.run(again, without)
-            tried.append(again.name)
-            if _refutes_exif(colmap, other, found, photos):
-                used, found = without, other
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
             best = found
+        if used is photos and _may_have_wrong_exif(colmap, best, photos):
+            again = _same_matches(colmap, folder, way)
+            without = [replace(photo, focal=None) for photo in photos]
+            other = search.run(again, without)
+            tried.append(again.name)
+            if _refutes_exif(colmap, other, best, photos):
+                used, best = without, other
         if placed(best.pieces) == len(photos):
             break
         _log.info(
             "%s: the cameras of %d of %d photographs fit together",
-            *(tried[-1], placed(found.pieces), len(photos)),
+            *(tried[-1], placed(best.pieces), len(photos)),
         )
     assert best is not None
     pieces = list(best.pieces)
@@ -158,20 +162,37 @@ class _Search:
         return _placed(self.colmap, database, self.images, workplace, focals, way.trust)
 
 
-def _may_have_wrong_exif(found: Reconstruction, photos: Sequence[UnposedPhoto]) -> bool:
-    """Whether EXIF has focal lengths, and no free lens near them places all photographs."""
-    exif = len(photos) >= MIN_PHOTOS and any(photo.focal is not None for photo in photos)
-    return exif and (placed(found.pieces) < len(photos) or found.pieces[0].fixed_lens)
+def _may_have_wrong_exif(
+    colmap: Any, found: Reconstruction, photos: Sequence[UnposedPhoto]
+) -> bool:
+    """Whether EXIF has unusual focal lengths, or no free lens near them places all photographs."""
+    focals = [photo.focal for photo in photos]
+    if len(photos) < MIN_PHOTOS or not any(focals):
+        return False
+    if placed(found.pieces) < len(photos) or found.pieces[0].fixed_lens or _unusual(focals):
+        return True
+    return not is_plausible(colmap.Reconstruction(found.pieces[0].folder), focals, NEAR_EXIF)
 
 
 def _refutes_exif(
     colmap: Any, other: Reconstruction, found: Reconstruction, photos: Sequence[UnposedPhoto]
 ) -> bool:
-    """Whether a reconstruction without EXIF places as many photographs, and contradicts EXIF."""
+    """Whether a reconstruction without EXIF places as many photographs, and EXIF fits worse or is unusual.
+
+    Unusual focal lengths that fit as well are kept if a free lens near them placed the photographs.
+    """
     if placed(other.pieces) < max(MIN_PHOTOS, placed(found.pieces)):
         return False
-    model = colmap.Reconstruction(other.pieces[0].folder)
-    return contradicts_exif(colmap, model, [photo.focal for photo in photos])
+    focals = [photo.focal for photo in photos]
+    near_exif = bool(found.pieces) and not found.pieces[0].fixed_lens
+    if _unusual(focals) and not near_exif and not other.pieces[0].fixed_lens:
+        return True
+    return contradicts_exif(colmap, colmap.Reconstruction(other.pieces[0].folder), focals)
+
+
+def _unusual(focals: Sequence[float | None]) -> bool:
+    shortest, longest = FOCAL_RANGE
+    return any(focal is not None and not shortest < focal < longest for focal in focals)
 
 
 def _ways(colmap: Any, images: Path, folder: Path, count: int) -> list[_Way]:
@@ -199,10 +220,11 @@ def _ways(colmap: Any, images: Path, folder: Path, count: int) -> list[_Way]:
     return ways
 
 
-def _same_matches(colmap: Any, known: Path) -> _Way:
-    """SIFT's keypoints and matches of a database, verified again for other lenses."""
+def _same_matches(colmap: Any, folder: Path, way: _Way) -> _Way:
+    """Keypoints and matches that were found before, verified again for other lenses."""
 
     def fill(database: Path) -> None:
+        known = folder / way.name / MATCHES
         with colmap.Database.open(known) as old, colmap.Database.open(database) as new:
             there = {image.name: image.image_id for image in old.read_all_images()}
             here = {image.name: image.image_id for image in new.read_all_images()}
@@ -213,7 +235,7 @@ def _same_matches(colmap: Any, known: Path) -> _Way:
                 new.write_matches(here[first], here[second], matches)
         colmap.geometric_verification(database, two_view_geometry_options=_geometry(colmap))
 
-    return _Way("SIFT without EXIF", SIFT_TRUST, fill)
+    return _Way(f"{way.name} without EXIF", way.trust, fill)
 
 
 def _placed(

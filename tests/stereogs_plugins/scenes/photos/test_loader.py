@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from PIL import Image, ImageOps
 
 from registry import Scene, SceneError
 from registry.testing import check
+from registry.toolkit.photos import Decoder, longest_side, read_colmap_model
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.photos import (
     PhotosScene,
@@ -113,6 +115,27 @@ def test_wrong_focal_lengths_in_exif_are_ignored(
     assert pose_errors(found, truth)[0].max() < 0.5
     assert f"{room.train[wrong[0]].name}.jpg has 400 mm" in caplog.text
     assert scene.fact("focal_lengths_by_exif") == 0
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    ("scene", "pictures", "wrong", "right"),
+    [("llff_fortress", "images_8", 6.7, 0.84), ("mview_temple", "images", 0.71, 2.38)],
+)
+def test_wrong_focal_lengths_with_few_photographs_are_ignored(
+    scene: str, pictures: str, wrong: float, right: float, tmp_path: Path
+) -> None:
+    """Three neighbours: fixed lenses 8 times as long fit, or a free lens ends half as long."""
+    photos = read_folder(data_folder(scene) / pictures).photos
+    first = len(photos) // 3
+    photos = [replace(photo, focal=wrong) for photo in photos[first : first + 3]]
+    decoder = Decoder(longest_side(1200), "box", upright=True)
+    found = structure_from_motion.reconstruct(photos, decoder, True, tmp_path)
+    assert found.ignores_exif
+    assert found.pieces[0].members == [0, 1, 2]
+    model = read_colmap_model(found.pieces[0].folder, "")
+    lens = model.lens(model.images[0][1])
+    assert 0.9 < lens.fx / max(lens.width, lens.height) / right < 1.7
 
 
 def test_altered_photographs_are_named(
