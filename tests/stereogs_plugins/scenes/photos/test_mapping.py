@@ -19,6 +19,7 @@ from stereogs_plugins.scenes.photos.mapping import (
     drop_unsupported,
     is_contradicted,
     is_plausible,
+    of_one_scale,
 )
 from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
 from stereogs_plugins.scenes.photos.unposed_photos import image_name, read_folder
@@ -108,6 +109,25 @@ def test_a_pair_without_a_third_photograph_needs_more_matches(made: tuple[Any, P
     assert model.num_reg_images() == 2
     assert not drop_unsupported(colmap, path, copies[0], Trust(15, 1000), never)
     assert drop_unsupported(colmap, path, copies[1], Trust(15, 1000), always)
+
+
+def test_parts_without_common_points_have_no_common_scale(made: tuple[Any, Path, Any]) -> None:
+    _, _, model = made
+    images = sorted(model.reg_image_ids())
+    links = np.zeros((4, 4), dtype=bool)
+    for pair in ((0, 1), (0, 2), (1, 2), (2, 3)):
+        links[pair] = links[pair[::-1]] = True
+    assert of_one_scale(model, images, links) == [0, 1, 2, 3]
+    for key in sorted(model.point3D_ids()):
+        removed = images[:2] if key % 2 else images[3:]
+        seen = [(e.image_id, e.point2D_idx) for e in model.point3D(key).track.elements]
+        for image, place in seen:
+            if image in removed:
+                model.delete_observation(image, place)
+    assert model.num_points3D() > 30
+    assert of_one_scale(model, images, links) == [0, 1, 2]
+    links[1, 3] = links[3, 1] = True
+    assert of_one_scale(model, images, links) == [0, 1, 2, 3]
 
 
 def test_connected_groups() -> None:
