@@ -217,7 +217,8 @@ def _warn_of_focal_length(cameras: FoundCameras) -> None:
         lens = model.lens(model.images[0][1])
         _log.warning(
             "the photographs hardly determine the focal length (%.2f times the longer side is used), so the "
-            "scene may be stretched in depth; take some from farther to the side, or correct the one in EXIF",
+            "scene may be stretched in depth; take some from farther to the side, or put their focal length "
+            "into EXIF",
             lens.fx / max(lens.width, lens.height),
         )
 
