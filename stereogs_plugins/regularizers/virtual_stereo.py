@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SMALLEST_ALPHA = 0.3
+"""Alpha above which depth divided by alpha is used; dropout and decay leave less than 1 on surfaces."""
 EDGE = 0.33
 """Decay of the smoothness with the photograph's gradient (the authors' code)."""
 
