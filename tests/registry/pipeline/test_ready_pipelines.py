@@ -97,4 +97,5 @@ def test_with_networks_differs_from_weightfree_by_priors_initializer_and_stereo_
     first, second = (p.one("initializer").settings.model_dump() for p in (without, beside))
     assert [name for name in first if first[name] != second[name]] == ["prior"]
     terms = [[item.name for item in p.items["regularizers"]] for p in (without, beside)]
-    assert terms == [["virtual_stereo"], ["stereo_depth"]]
+    assert terms == [["virtual_stereo"], ["stereo_depth", "virtual_stereo"]]
+    assert without.one("regularizers") in beside.items["regularizers"]
