@@ -33,11 +33,18 @@ def console(*, stderr: bool = False) -> PlainConsole:
 
 
 class LogLines(logging.Handler):
-    """Prints log lines on standard error."""
+    """Prints log lines on standard error, the same line once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print the line."""
-        console(stderr=True).print(f"stereogs: {self.format(record)}")
+        """Print the line, unless it was printed before."""
+        line = f"stereogs: {self.format(record)}"
+        if line not in self._printed:
+            self._printed.add(line)
+            console(stderr=True).print(line)
 
 
 def results_table(results: dict[str, Any]) -> Table:

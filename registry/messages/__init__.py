@@ -10,9 +10,4 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
-__all__ = [
-    "PlainConsole",
-    "counted",
-    "did_you_mean",
-    "listing",
-]
+__all__ = ["PlainConsole", "counted", "did_you_mean", "listing"]

@@ -16,10 +16,7 @@ from ..messages.suggestions import did_you_mean, listing
 
 COMMANDS, TRAIN_OPTIONS = "stereogs.commands", "stereogs.train_options"
 """Entry-point groups. An entry is named after the verb or option that its module registers."""
-_BUILT_IN = {
-    "train": "running:Train",
-    "resume": "running:Resume",
-}
+_BUILT_IN = {"train": "running:Train", "resume": "running:Resume"}
 """The host's own verbs, and their classes in `registry.commands`."""
 
 

@@ -10,7 +10,7 @@ from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ..progress.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size
-from .lens import undistort
+from .lens import import_pycolmap, undistort
 from .reading import find_image
 
 if TYPE_CHECKING:
@@ -95,6 +95,8 @@ class LoadedPhotos:
         Raises:
             SceneError: An image or mask cannot be read, or does not match its camera.
         """
+        if not all(photo.lens.is_pinhole for photo in photos):
+            import_pycolmap()  # here, because threads cannot restore the handler of SIGTERM
         views = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
         return cls(photos, views, decoder, train, test)
 

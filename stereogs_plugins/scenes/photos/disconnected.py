@@ -9,6 +9,7 @@ from registry import SceneError
 from registry.toolkit.views import words_between
 
 from .learned_matches import FOLDER_VARIABLE, known_files
+from .picture_files import listed, reason_lines
 from .unposed_photos import MIN_PHOTOS
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ _REMEDIES: dict[Doubt, str] = {
 }
 PAGE = "docs/photographs_do_not_connect.md"
 _MOST_PAIRS = 6
-_MOST_NAMES = 6
 _CONTRADICTING = "many matches with the others, but they contradict the cameras"
 _POOR = "nearly no details: blurred, too dark, or of a plain surface"
 
@@ -88,21 +88,6 @@ def largest_group(
         lines += reason_lines(left_out, names)
     lines.append(_strongest_pairs(found, left_out if placed else range(len(names)), names))
     raise SceneError("\n".join(lines), where=where, fix=f"{advice}\nmore: {PAGE}")
-
-
-def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:
-    """Return a line for each reason, with the photographs that share it."""
-    by_reason: dict[str, list[int]] = {}
-    for index, reason in left_out.items():
-        by_reason.setdefault(reason, []).append(index)
-    return [f"  {_listed(few, names)}: {reason}" for reason, few in by_reason.items()]
-
-
-def _listed(group: Sequence[int], names: Sequence[str]) -> str:
-    """Return the names; only the first ones if there are many."""
-    shown = group if len(group) <= _MOST_NAMES else group[: _MOST_NAMES - 1]
-    more = len(group) - len(shown)
-    return ", ".join(names[k] for k in shown) + (f" and {more} more" if more else "")
 
 
 def _summary(found: Reconstruction, placed: int, count: int) -> str:
@@ -183,11 +168,11 @@ def _advice(
         lines += [remedy for reason, remedy in doubted.items() if reason in left_out.values()]
         if contradicting:
             lines.append(
-                f"check if something moved in {_listed(contradicting, names)}, or if the picture is cropped "
+                f"check if something moved in {listed(contradicting, names)}, or if the picture is cropped "
                 "or zoomed; otherwise take another one a step to the side"
             )
         if poor:
-            lines.append(f"take {_listed(poor, names)} again, sharp and with enough light")
+            lines.append(f"take {listed(poor, names)} again, sharp and with enough light")
     if too_far and known_files() is None:
         lines.append(
             f"or set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "

@@ -23,7 +23,7 @@ from registry.toolkit.photos import (
     split_rule,
 )
 
-from .picture_files import COMPANION, is_picture_folder
+from .picture_files import COMPANION, is_picture_folder, left_out_lines, reason_lines
 
 if TYPE_CHECKING:
     from .disconnected import LargestGroup
@@ -190,18 +190,15 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
 
 
 def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
-    told = [one for one in files if one.reason != COMPANION]
+    told = sum(one.reason != COMPANION for one in files)
     if told:
-        from .disconnected import reason_lines
-
-        names = [str(path.relative_to(folder)) for path, _ in told]
-        lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
-        _log.warning("%s left out:\n%s", counted(len(told), "file"), "\n".join(lines))
+        lines = left_out_lines(folder, files)
+        _log.warning("%s left out:\n  %s", counted(told, "file"), "\n  ".join(lines))
 
 
 def _warn_of_disconnected(names: list[str], group: LargestGroup) -> None:
     if group.left_out:
-        from .disconnected import PAGE, reason_lines
+        from .disconnected import PAGE
 
         advice = f"{group.advice}\nor stop here: --require-all-photos\nmore: {PAGE}"
         _log.warning(

@@ -7,6 +7,7 @@ notes) are ignored, and so are hidden files and folders.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +34,7 @@ _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr",
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
 COMPANION = "a companion file of pictures"
+_MOST_NAMES = 6
 
 
 class LeftOut(NamedTuple):
@@ -128,3 +130,26 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
         left_out += [LeftOut(path, reason) for path in heif]
         content.pictures[:] = [path for path in content.pictures if path not in heif]
     return content.pictures, left_out
+
+
+def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:
+    """Return a line for each reason, with the photographs that share it."""
+    by_reason: dict[str, list[int]] = {}
+    for index, reason in left_out.items():
+        by_reason.setdefault(reason, []).append(index)
+    return [f"  {listed(few, names)}: {reason}" for reason, few in by_reason.items()]
+
+
+def left_out_lines(folder: Path, files: Sequence[LeftOut]) -> list[str]:
+    """Return a line for each reason, with the files that share it, except files that belong to pictures."""
+    told = [one for one in files if one.reason != COMPANION]
+    names = [path.relative_to(folder).as_posix() for path, _ in told]
+    lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
+    return [line.strip() for line in lines]
+
+
+def listed(group: Sequence[int], names: Sequence[str]) -> str:
+    """Return the names; only the first ones if there are many."""
+    shown = group if len(group) <= _MOST_NAMES else group[: _MOST_NAMES - 1]
+    more = len(group) - len(shown)
+    return ", ".join(names[k] for k in shown) + (f" and {more} more" if more else "")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from registry import SceneError
 from registry.toolkit.photos import Size, in_parallel, open_image, upright_size
 
-from .picture_files import LeftOut, readable_pictures
+from .picture_files import LeftOut, left_out_lines, readable_pictures
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -95,9 +95,12 @@ def read_folder(folder: Path) -> PictureFolder:
             f"EXIF; the folder has {len(photos)}"
         )
         raise SceneError(
-            "\n".join([what, *(f"  left out: {path.name}: {reason}" for path, reason in left_out)]),
+            "\n".join(
+                [what, *(f"  left out: {line}" for line in left_out_lines(folder, left_out))]
+            ),
             where=str(folder),
-            fix="add photographs that overlap, taken from different places",
+            fix="add photographs that overlap, taken from different places"
+            + (", or convert those left out" if left_out else ""),
         )
     return PictureFolder(photos, left_out)
 

@@ -50,6 +50,14 @@ def test_log_lines_are_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     assert written.replace("\n", "").isprintable()
 
 
+def test_a_log_line_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """A scene that is read again, smaller, repeats its warnings."""
+    lines = LogLines()
+    for text in ("one", "two", "one"):
+        lines.emit(logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (text,), None))
+    assert capsys.readouterr().err == "stereogs: one\nstereogs: two\n"
+
+
 def test_control_characters_in_a_name_are_escaped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

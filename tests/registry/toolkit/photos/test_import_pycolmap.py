@@ -47,14 +47,28 @@ assert levels == [2, 3, 3], levels
     assert done.returncode == 0, done.stderr
 
 
+LOAD = """
+import numpy as np
+from PIL import Image
+from registry.toolkit.photos import Decoder, Lens, LoadedPhotos, PosedPhoto, longest_side
+Image.new("RGB", (504, 378)).save("black.png")
+bent = Lens(400, 400, 252, 189, 504, 378, "OPENCV", (-0.1, 0.01, 0.0, 0.0))
+photo = PosedPhoto("black", Path("black.png"), np.eye(4), bent, "here")
+LoadedPhotos.load([photo, photo], Decoder(longest_side(504), "box"), [0, 1], [])
+"""
+
+
 @pytest.mark.skipif(os.name != "posix", reason="Windows ends processes without a signal")
 @pytest.mark.parametrize("handled", [True, False])
-def test_the_handler_of_sigterm_is_kept(*, handled: bool) -> None:
+@pytest.mark.parametrize("use", [IMPORT, LOAD], ids=["the import alone", "photographs in threads"])
+def test_the_handler_of_sigterm_is_kept(use: str, tmp_path: Path, *, handled: bool) -> None:
     handler = "lambda *_: sys.exit(7)" if handled else "signal.SIG_DFL"
     code = f"""
 import os, signal, sys
+from pathlib import Path
+os.chdir({str(tmp_path)!r})
 signal.signal(signal.SIGTERM, {handler})
-{IMPORT}
+{use}
 os.kill(os.getpid(), signal.SIGTERM)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

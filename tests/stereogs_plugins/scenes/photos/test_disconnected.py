@@ -15,6 +15,7 @@ from stereogs_plugins.scenes.photos.disconnected import largest_group
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.mapping import Piece
 from stereogs_plugins.scenes.photos.no_depth import Doubt
+from stereogs_plugins.scenes.photos.picture_files import reason_lines
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 
 from .photographs import MATCHES, load
@@ -57,7 +58,7 @@ class TestExplanation:
         found = Reconstruction([Piece(Path(), [*range(9)])], {(0, 19): 24, (2, 12): 42}, [900] * 20)
         cameras = FoundCameras(found, ColmapModel({}, [], [], Path()))
         group = largest_group(cameras, names, "folder", require_all=False)
-        assert disconnected.reason_lines(group.left_out, names) == [
+        assert reason_lines(group.left_out, names) == [
             "  09.jpg, 10.jpg, 11.jpg, 12.jpg, 13.jpg and 6 more: at most 42 matches with the others, "
             "too few for a camera"
         ]

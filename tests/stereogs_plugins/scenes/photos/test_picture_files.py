@@ -28,6 +28,17 @@ def test_too_few_photographs(count: int, tmp_path: Path) -> None:
         load(tmp_path)
 
 
+def test_raw_files_alone_need_to_be_converted(tmp_path: Path) -> None:
+    for name in range(20):
+        (tmp_path / f"{name:02}.dng").write_bytes(b"II*\0")
+    with pytest.raises(SceneError, match="the folder has 0") as caught:
+        load(tmp_path)
+    assert "convert those left out" in caught.value.fix
+    (line,) = caught.value.what.splitlines()[1:]
+    assert line.startswith("  left out: 00.dng, ")
+    assert line.endswith("more: unsupported format; convert it to JPEG or PNG")
+
+
 def test_a_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="does not exist"):
         load(tmp_path / "none")
