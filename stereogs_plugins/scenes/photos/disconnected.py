@@ -40,7 +40,7 @@ _REMEDIES: dict[Doubt, str] = {
 }
 PAGE = "docs/photographs_do_not_connect.md"
 _MOST_PAIRS = 6
-_CONTRADICTING = "many matches with the others, but they contradict the cameras"
+_CONTRADICTING = "many matches with those that connect, but they contradict the cameras"
 _POOR = "nearly no details: blurred, too dark, or of a plain surface"
 
 
@@ -123,9 +123,9 @@ def _reasons(found: Reconstruction, main: Collection[int], count: int) -> dict[i
     links = {k: found.matches.get(pair, 0) for k, pair in best.items()}
     doubts = {k: found.doubts.get(pair) for k, pair in best.items() if links[k] >= ENOUGH_MATCHES}
     most = max((n for k, n in links.items() if n < MANY_MATCHES and not doubts.get(k)), default=0)
-    too_few = f"at most {most} matches with the others, too few for a camera"
+    too_few = f"at most {most} matches with those that connect, too few for a camera"
     if not most:
-        too_few = "no matches with the others"
+        too_few = "no matches with those that connect"
     reasons = {}
     for k in outside:
         doubt, contradicting = doubts.get(k), links[k] >= MANY_MATCHES
@@ -138,7 +138,7 @@ def _reasons(found: Reconstruction, main: Collection[int], count: int) -> dict[i
 
 
 def _doubted(doubt: Doubt) -> str:
-    return f"matches with the others, but {_DOUBTS[doubt]}"
+    return f"matches with those that connect, but {_DOUBTS[doubt]}"
 
 
 def _best_link(found: Reconstruction, photo: int, main: Collection[int]) -> tuple[int, int]:

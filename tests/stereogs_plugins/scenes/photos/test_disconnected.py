@@ -42,7 +42,7 @@ class TestExplanation:
         error = self.explain([[0, 1, 2], [3, 4]])
         assert error.what.splitlines() == [
             "only 3 of 5 photographs connect, and all are required",
-            "  d.jpg, e.jpg: at most 12 matches with the others, too few for a camera",
+            "  d.jpg, e.jpg: at most 12 matches with those that connect, too few for a camera",
             "  tried SIFT; most matches: d.jpg - e.jpg 80, c.jpg - d.jpg 12, b.jpg - d.jpg 9",
         ]
         assert "if they show the same scene, take pictures between c.jpg and d.jpg" in error.fix
@@ -50,7 +50,7 @@ class TestExplanation:
 
     def test_photographs_without_any_match(self) -> None:
         error = self.explain([[0, 1, 2]], matches={(0, 1): 200, (1, 2): 150})
-        assert "  d.jpg, e.jpg: no matches with the others" in error.what.splitlines()
+        assert "  d.jpg, e.jpg: no matches with those that connect" in error.what.splitlines()
         assert "between c.jpg and d.jpg" in error.fix, "neighbours by name"
 
     def test_many_photographs_have_one_line(self) -> None:
@@ -59,8 +59,8 @@ class TestExplanation:
         cameras = FoundCameras(found, ColmapModel({}, [], [], Path()))
         group = largest_group(cameras, names, "folder", require_all=False)
         assert reason_lines(group.left_out, names) == [
-            "  09.jpg, 10.jpg, 11.jpg, 12.jpg, 13.jpg and 6 more: at most 42 matches with the others, "
-            "too few for a camera"
+            "  09.jpg, 10.jpg, 11.jpg, 12.jpg, 13.jpg and 6 more: at most 42 matches with those "
+            "that connect, too few for a camera"
         ]
         assert "between 02.jpg and 12.jpg" in group.advice
 
@@ -71,7 +71,7 @@ class TestExplanation:
 
     def test_advice_for_many_matches(self) -> None:
         error = self.explain([[0, 1, 2, 3]], matches=MATCHES | {(3, 4): 1660})
-        assert "e.jpg: many matches with the others, but they contradict" in error.what
+        assert "e.jpg: many matches with those that connect, but they contradict" in error.what
         assert "something moved in e.jpg" in error.fix
         assert "between" not in error.fix
 
@@ -85,9 +85,10 @@ class TestExplanation:
             [[0, 1, 2]], matches=MATCHES | {(2, 3): 90}, doubts={(2, 3): "pictures"}
         )
         assert (
-            "  d.jpg: matches with the others, but what surrounds the matches differs" in error.what
+            "  d.jpg: matches with those that connect, but what surrounds the matches differs"
+            in error.what
         )
-        assert "  e.jpg: no matches with the others" in error.what
+        assert "  e.jpg: no matches with those that connect" in error.what
         assert "take pictures between them" in error.fix
 
     def test_pictures_from_one_position(self) -> None:
