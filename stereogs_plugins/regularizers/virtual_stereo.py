@@ -100,7 +100,7 @@ def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
     position = columns.clamp(0, width - 1)
     left = position.detach().floor().clamp(0, max(width - 2, 0))
     part = (position - left)[:, :, None]
-    # The gradient of index_select takes half the time of that of image[rows, columns].
+    # index_select and its gradient take two thirds of the time of image[rows, columns].
     index = (left.long() + width * torch.arange(height)[:, None]).flatten()
     pixels = image.reshape(height * width, -1)
     first, second = (
