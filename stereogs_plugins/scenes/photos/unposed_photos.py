@@ -94,13 +94,12 @@ def read_folder(folder: Path) -> PictureFolder:
             f"camera estimation needs at least {MIN_PHOTOS} photographs, or two with a focal length in "
             f"EXIF; the folder has {len(photos)}"
         )
+        files = left_out_lines(folder, left_out)
         raise SceneError(
-            "\n".join(
-                [what, *(f"  left out: {line}" for line in left_out_lines(folder, left_out))]
-            ),
+            "\n".join([what, *(f"  left out: {line}" for line in files)]),
             where=str(folder),
             fix="add photographs that overlap, taken from different places"
-            + (", or convert those left out" if left_out else ""),
+            + (", or convert those left out" if files else ""),
         )
     return PictureFolder(photos, left_out)
 
