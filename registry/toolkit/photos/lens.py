@@ -54,11 +54,15 @@ class Lens:
 
         Raises:
             SceneError: A number is not finite or not positive, or the aspect ratio differs by more than
-                a pixel.
+                a pixel of the smaller size.
         """
         self._check(where)
         scale_x, scale_y = width / self.width, height / self.height
-        if abs(scale_x * self.height - height) > 1 and abs(scale_y * self.width - width) > 1:
+        pixel = max(1, scale_x, scale_y)
+        if (
+            abs(scale_x * self.height - height) > pixel
+            and abs(scale_y * self.width - width) > pixel
+        ):
             raise SceneError(
                 f"the images are {width}x{height}, but the camera file was made for "
                 f"{self.width:g}x{self.height:g}, which has another shape",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from ...contract.checks.scene import validate
@@ -10,7 +10,7 @@ from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ..progress.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size
-from .lens import import_pycolmap, undistort
+from .lens import Lens, import_pycolmap, undistort
 from .reading import find_image
 
 if TYPE_CHECKING:
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera
 
     from .bounds import Bounds
-    from .lens import Lens
+    from .decoder import Pixels, Size
+
+_FINER = 2
+"""Photographs are undistorted at this multiple of their size, because bilinear resampling blurs them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +54,17 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
     import torch
 
     path = find_image(photo.path)
+    decoder = _decoder_of(photo, decoder)
     pixels, alpha = decoder.read(path), decoder.read_alpha(path)
     height, width = pixels.shape[:2]
     distorted = photo.lens.resized(width, height, photo.where)
-    lens, pixels = undistort(distorted, pixels, photo.where)
+    lens, pixels = _straight(distorted, pixels, photo.where)
     mask = None
     if photo.mask is not None:
-        _, white = undistort(distorted, read_mask(photo.mask, (width, height)), photo.where)
+        _, white = _straight(distorted, read_mask(photo.mask, (width, height)), photo.where)
         mask = torch.from_numpy(white == 255)
     if alpha is not None:
-        _, alpha = undistort(distorted, alpha, photo.where)
+        _, alpha = _straight(distorted, alpha, photo.where)
     return View(
         name=photo.name,
         camera=lens.camera(photo.world_to_camera, photo.where),
@@ -68,6 +72,32 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
         mask=mask,
         alpha=None if alpha is None else torch.from_numpy(alpha.astype(np.float32) / 255),
     )
+
+
+def _decoder_of(photo: PosedPhoto, decoder: Decoder) -> Decoder:
+    """The decoder, for `_FINER` times the size if the photograph must be undistorted."""
+    if photo.lens.is_pinhole:
+        return decoder
+
+    def size(width: int, height: int) -> Size:
+        width, height = decoder.size(width, height)
+        return _FINER * width, _FINER * height
+
+    return replace(decoder, size=size, resize_filter="lanczos")
+
+
+def _straight(lens: Lens, pixels: Pixels, where: str) -> tuple[Lens, Pixels]:
+    """Undistort a photograph read for it, and average blocks of `_FINER` x `_FINER` pixels."""
+    import numpy as np
+    from PIL import Image
+
+    if lens.is_pinhole:
+        return lens, pixels
+    lens, pixels = undistort(lens, pixels, where)
+    height, width = (side // _FINER for side in pixels.shape[:2])
+    covered = Image.fromarray(pixels[: _FINER * height, : _FINER * width])
+    fx, fy, cx, cy = (value / _FINER for value in (lens.fx, lens.fy, lens.cx, lens.cy))
+    return Lens(fx, fy, cx, cy, width, height), np.asarray(covered.reduce(_FINER))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +202,7 @@ class LoadedPhotos:
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:
     """Describe how the decoder and `undistort` change a photograph."""
+    decoder = _decoder_of(photo, decoder)
     stored = stored_size(find_image(photo.path), upright=decoder.upright)
     size = decoder.size(*stored)
     changes = []
@@ -182,6 +213,7 @@ def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:
         )
     if not photo.lens.is_pinhole:
         changes.append(
-            f"undistorted ({photo.lens.model}) and cropped to what was seen, by pycolmap, bilinear"
+            f"undistorted ({photo.lens.model}) and cropped to what was seen, by pycolmap, bilinear, then "
+            f"averaged over blocks of {_FINER}x{_FINER} pixels"
         )
     return changes

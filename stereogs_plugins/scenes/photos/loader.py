@@ -50,7 +50,7 @@ class PhotosSettings(Settings):
     max_size: int = Field(800, ge=16)
     """Longer side of the training photographs after resizing, in pixels."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow filter for resizing."""
+    """Pillow filter for resizing, if the lens has no distortion."""
     share_lens: bool = True
     """Photographs of one size, camera and focal length (by EXIF) share one lens; false estimates one for
     each, which needs many more photographs."""

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from kornia.geometry.calibration import distort_points
+from PIL import Image
 from torch.nn.functional import grid_sample
 
 from registry import SceneError
-from registry.toolkit.photos import Distortion, Lens, Pixels, undistort
+from registry.toolkit.photos import (
+    Decoder,
+    Distortion,
+    Lens,
+    LoadedPhotos,
+    Pixels,
+    PosedPhoto,
+    longest_side,
+    undistort,
+)
 
 WIDTH, HEIGHT = 160, 120
 
@@ -64,3 +76,25 @@ def test_a_lens_that_bends_too_much_is_refused() -> None:
     bent = Lens(130.0, 128.0, 82.0, 58.5, WIDTH, HEIGHT, "OPENCV", (-3.0, 0.0, 0.0, 0.0))
     with pytest.raises(SceneError, match="bends the picture too much"):
         undistort(bent, waves(), "here")
+
+
+@pytest.mark.parametrize("coefficient", [0.02, -0.02])
+def test_undistorted_photographs_stay_sharp(coefficient: float, tmp_path: Path) -> None:
+    path = tmp_path / "noise.png"
+    noise = np.random.default_rng(0).integers(0, 256, (600, 800, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path)
+    contrasts = []
+    for distortion in ((), (coefficient, 0.0, 0.0, 0.0)):
+        lens = Lens(640.0, 640.0, 400.0, 300.0, 800, 600, "OPENCV", distortion)
+        photo = PosedPhoto("noise", path, np.eye(4), lens, "here")
+        views = LoadedPhotos.load([photo], Decoder(longest_side(200)), [0], []).views
+        assert views[0].camera.fx == pytest.approx(160, rel=0.01)
+        contrasts.append(float(views[0].image.std()))
+    assert contrasts[1] == pytest.approx(contrasts[0], rel=0.12)
+
+
+def test_a_camera_file_for_a_smaller_size_fits() -> None:
+    lens = Lens(900.0, 900.0, 600.0, 452.0, 1200, 904)
+    assert lens.resized(3200, 2409, "here").fx == 2400  # 4080x3072, rounded at both sizes
+    with pytest.raises(SceneError, match="another shape"):
+        lens.resized(3200, 2420, "here")
