@@ -1,4 +1,4 @@
-"""Render a run's test views or a camera path."""
+"""Render a run's test views or a camera path; without test views, the training views."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from registry.commands import add_run, console, open_given
 from registry.messages import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from registry import View
     from registry.confidence import Confidence
     from registry.runs import Run
 
@@ -47,7 +49,7 @@ class Render(Command):
             nargs="?",
             const="calibrated",
             metavar="ESTIMATOR",
-            help="fade and hatch what is guessed; also draw the confidence of the test views",
+            help="fade and hatch what is guessed; also draw the confidence of the views",
         )
         add_run(parser)
 
@@ -63,13 +65,15 @@ class Render(Command):
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
         with one_torch_thread():
             if not arguments.path:
-                for view in run.scene.test:
+                scene = run.scene
+                split, views = ("test", scene.test) if scene.test else ("training", scene.train)
+                for view in views:
                     save_view_pictures(run.rendering(view.camera), view, folder)
-                output.print(f"{counted(len(run.scene.test), 'test view')} in {folder}")
+                output.print(f"{counted(len(views), f'{split} view')} in {folder}")
                 if confidence is not None:
-                    place, share = _draw(run, arguments.confidence, confidence, folder)
+                    place, share = _draw(run, views, arguments.confidence, confidence, folder)
                     output.print(
-                        f"sure of {share:.0%} of the test views' pixels; pictures in {place}; "
+                        f"sure of {share:.0%} of the {split} views' pixels; pictures in {place}; "
                         f"`stereogs report {arguments.run_folder}` puts them on the page"
                     )
                 return 0
@@ -82,8 +86,10 @@ class Render(Command):
         return 0
 
 
-def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Path, float]:
-    """Write pictures and numbers of each test view's confidence; return where, and the sure share."""
+def _draw(
+    run: Run, views: Sequence[View], name: str, confidence: Confidence, folder: Path
+) -> tuple[Path, float]:
+    """Write pictures and numbers of each view's confidence; return where, and the sure share."""
     from registry.system import write_text
     from registry.toolkit.drawing import CONFIDENCE, GUESSED, hatched, save_png, with_scale
     from registry.toolkit.views import decibels, predicted_psnr, subject_of, view_angles
@@ -93,7 +99,7 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
     training = [view.camera for view in scene.train]
     points = None if scene.points is None else scene.points.positions
     rows: dict[str, dict[str, float]] = {}
-    for view in scene.test:
+    for view in views:
         its, rgb = confidence.of(view.camera), run.rendering(view.camera).rgb
         save_png(hatched(rgb, its), place / f"{view.name}.png")
         save_png(with_scale(its), place / f"{view.name}-scale.png")
@@ -107,7 +113,7 @@ def _draw(run: Run, name: str, confidence: Confidence, folder: Path) -> tuple[Pa
         }
     content = {"estimator": name, "views": rows}
     write_text(place / f"{CONFIDENCE}.json", f"{json.dumps(content, indent=1)}\n")
-    return place, sum(row["sure"] for row in rows.values()) / max(1, len(rows))
+    return place, sum(row["sure"] for row in rows.values()) / len(rows)
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""What is guessed in the test views, from the files of `stereogs render --confidence`."""
+"""What is guessed in the rendered views, from the files of `stereogs render --confidence`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def confidence(folder: Path) -> str:
         RunError: the file of numbers is damaged.
     """
     known = read_confidence(folder / RENDERS)
-    if not known:
+    if not known.get("views"):
         return ""
     views: Mapping[str, Any] = known["views"]
     sure = sum(row["sure"] for row in views.values()) / len(views)

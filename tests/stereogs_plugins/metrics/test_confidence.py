@@ -15,6 +15,7 @@ from registry.cli import main
 from registry.plugins.discovery import SELECTION
 from registry.runs import Run
 from stereogs_plugins.metrics.confidence import PSNRSeen, ViewAngle
+from stereogs_plugins.reports.html.confidence import confidence
 from tests.stereogs_plugins.building import build
 
 NAMES = ("psnr_seen", "psnr_unseen", "seen", "psnr_predicted", "view_angle")
@@ -67,6 +68,23 @@ def test_render_writes_what_the_report_shows(run: Run) -> None:
     assert "What is guessed" in page.read_text("utf-8")
     (written / "confidence.json").write_text('{"views": 3}', "utf-8")
     assert main(["report", str(folder)]) == 1
+
+
+def test_a_run_without_test_views_shows_its_training_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv(SELECTION, raising=False)
+    section = {"use": "procedural", "width": 32, "height": 24, "test_views": 0}
+    pipeline = stereogs.build_pipeline({**PIPELINE, "metrics": [], "scene": section})
+    folder = tmp_path / "trained"
+    run = stereogs.train(pipeline, out=folder, progress=False)
+    assert main(["render", str(folder), "--confidence", "coverage"]) == 0
+    assert "training views" in capsys.readouterr().out
+    numbers = folder / "renders" / "confidence" / "confidence.json"
+    views = json.loads(numbers.read_text("utf-8"))["views"]
+    assert list(views) == [view.name for view in run.scene.train]
+    numbers.write_text('{"estimator": "coverage", "views": {}}', "utf-8")
+    assert confidence(folder) == ""
 
 
 def test_export_leaves_out_guesses_and_writes_the_values(run: Run, tmp_path: Path) -> None:
