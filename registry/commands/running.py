@@ -173,6 +173,7 @@ def _loader(
     """Return a function that loads a pipeline by name or path, with the changes of the command line.
 
     Raises:
+        RunError: two scenes are given.
         SceneError: no pipeline is named, and no loader or several recognize the folder.
     """
     from ..pipeline.pipeline import load_pipeline
@@ -180,7 +181,10 @@ def _loader(
     from ..plugins.discovery import recognize
 
     overrides = arguments.set
-    if data := arguments.scene or (None if named else arguments.pipeline):
+    if arguments.scene and not named:
+        what = f"two scenes are given: {arguments.pipeline} and {arguments.scene}"
+        raise RunError(what, where="the command line", fix="leave one of them out")
+    if data := arguments.scene if named else arguments.pipeline:
         scene = {"path": escape_variables(str(data))}
         if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
             scene["use"] = recognize(data, plugins).name

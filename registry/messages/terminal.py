@@ -98,13 +98,9 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         lines: list[str] = []
-        for is_prose, block in groupby(text.splitlines(), _is_prose):
+        for is_prose, block in groupby(text.splitlines(), lambda line: line[:1] not in ("", " ")):
             if is_prose:
                 lines += wrapped(" ".join(block), width)
             else:
                 lines += (part for line in block for part in wrapped(line, width) or [""])
         return "\n".join(indent + line for line in lines)
-
-
-def _is_prose(line: str) -> bool:
-    return bool(line.strip()) and not line.startswith(" ")
