@@ -188,7 +188,7 @@ def _loader(
         scene = {"path": escape_variables(str(data))}
         if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
             scene["use"] = recognize(data, plugins).name
-        overrides = [f"scene={json.dumps(scene)}", *overrides]
+        overrides = [f"scene={json.dumps(scene, ensure_ascii=False)}", *overrides]
 
     def load(name: str) -> Pipeline:
         return load_pipeline(Path(name), plugins, overrides=overrides, disabled=arguments.disable)

@@ -54,7 +54,7 @@ class Demo(Command):
 
             plugins = Plugins()
             scene = photographs(plugins)
-            overrides = [] if scene is None else [f"scene={json.dumps(scene)}"]
+            overrides = [] if scene is None else [f"scene={json.dumps(scene, ensure_ascii=False)}"]
             pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
             what = "the built-in room" if scene is None else f"photographs in {scene['path']}"
             output.print(

@@ -73,7 +73,7 @@ def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
     items = run.pipeline.items["reports"]
     if not items:
         names = [offer.name for offer in plugins.all() if offer.point.section == "reports"]
-        change = f"reports={json.dumps(names)}"
+        change = f"reports={json.dumps(names, ensure_ascii=False)}"
         pipeline = load_pipeline(
             run.folder_or_refuse().pipeline, plugins, overrides=[change], needed=()
         )

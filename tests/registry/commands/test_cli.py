@@ -34,6 +34,14 @@ def only_the_pipeline(pipeline: Path) -> bool:
         (["train", "toy.yaml", "--set", "initializer.count=0"], "no points", "toy.yaml:3"),
         (["train", "toy.yaml", "--out", "toy.yaml"], "the path is a file", "toy.yaml"),
         (["train", "toy.yaml", "--out", "toy.yaml/x"], "cannot be written", "toy.yaml/x"),
+        (
+            [
+                *("train", "toy.yaml", "--scene", "\U0001f600"),
+                *("--set", "scene.use=toy_scene", "--set", "scene.mode=missing"),
+            ],
+            "no photographs",
+            "folder/x",
+        ),
         (["train", ".", "--scene", "other"], "two scenes are given: . and other", ""),
         (["eval", "."], "not a run folder: it has no pipeline.yaml", ""),
         (["render", "."], "not a run folder", ""),
