@@ -15,6 +15,7 @@ from . import PORT, import_viser
 if TYPE_CHECKING:
     from registry.commands import TrainRequest
     from registry.runs import Run, RunOptions
+    from registry.training import Iteration
 
     from .live_page import LivePage
 
@@ -51,13 +52,20 @@ class LiveView(TrainOption):
         def begin(run: Run) -> None:
             from .live_page import LivePage
 
+            if options.on_begin is not None:
+                options.on_begin(run)
+            if pages:  # training started again
+                pages[0].run = run
+                return
             pages.append(LivePage(run, PORT))
             output.print(f"{run.scene.name} is at {pages[0].url} during training")
 
+        def iterated(iteration: Iteration) -> bool | None:
+            pages[0].update(iteration)
+            return None if options.callback is None else options.callback(iteration)
+
         try:
-            yield replace(
-                options, on_begin=begin, callback=lambda iteration: pages[0].update(iteration)
-            )
+            yield replace(options, on_begin=begin, callback=iterated)
             for page in pages:
                 if page.run.finished:
                     output.print(

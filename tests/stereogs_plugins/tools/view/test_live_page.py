@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from argparse import Namespace
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,9 +16,13 @@ from websockets.exceptions import ConnectionClosed
 
 import stereogs
 from registry.cli import main
+from registry.contract.command import TrainRequest
+from registry.pipeline.pipeline import Pipeline
+from registry.runs.options import Plan, RunOptions
 from registry.runs.run import Run
 from registry.training.trainer import Iteration
 from stereogs_plugins.tools.view.live_page import LivePage
+from stereogs_plugins.tools.view.option import LiveView
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs_plugins.tools.view.browser import WINDOW, Received, move, visit
 
@@ -114,6 +119,33 @@ def test_a_page_that_fails_does_not_end_the_run(
     visitor.thread.join()
     assert run.finished
     assert "the page is closed, training continues: the browser is gone" in caplog.text
+
+
+def test_view_follows_a_training_that_starts_again_and_calls_other_callbacks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begun: list[Run] = []
+    shown: list[Run] = []
+    update = LivePage.update
+
+    def updated(page: LivePage, done: Iteration) -> None:
+        shown.append(page.run)
+        update(page, done)
+
+    class Again(Plan):
+        def corrected(self, run: Run) -> Pipeline | None:
+            return run.pipeline if len(begun) == 1 else None
+
+    monkeypatch.setattr(LivePage, "update", updated)
+    request = TrainRequest(Namespace(view=True), 0.0)
+    options = RunOptions(
+        progress=False, fit=Again(), on_begin=begun.append, callback=lambda done: done.number < 2
+    )
+    with LiveView().running(request, options) as watched:
+        run = stereogs.train(PIPELINE, watched)
+    assert run.iteration == 2
+    assert shown == [begun[0], run, run]
+    assert capsys.readouterr().out.count("during training") == 1
 
 
 def test_train_with_view_shows_the_finished_run_until_ctrl_c(
