@@ -19,7 +19,7 @@ from registry.messages import counted
 from registry.pipeline import Pipeline
 from registry.runs import Plan
 
-from .table import GROWTH, Quality, by_length, by_quality
+from .table import GROWTH, SHORT, Quality, by_length, by_quality
 
 if TYPE_CHECKING:
     from registry import Scene
@@ -137,7 +137,8 @@ class WithQuality(SizePlan):
     """Trains a folder with the pipeline of a quality.
 
     Args:
-        load: loads the ready pipelines, which initialize in the same way.
+        load: loads the ready pipelines, which initialize in the same way; the given one is SHORT, perhaps
+            with another name.
     """
 
     load: Load = field(kw_only=True)
@@ -161,8 +162,8 @@ class WithinSeconds(SizePlan):
     """Trains as long as a budget allows, and at least 30 iterations.
 
     Args:
-        load: loads the ready pipelines for a choice among them; None: the given pipeline trains, at most
-            its own number of iterations.
+        load: loads the ready pipelines for a choice among them, as in `WithQuality`; None: the given
+            pipeline trains, at most its own number of iterations.
     """
 
     budget: Budget = field(kw_only=True)
@@ -184,14 +185,14 @@ class WithinSeconds(SizePlan):
         from .rehearsal import SharedState
 
         self._shared, reason, longest = SharedState(initial.parts), "", 1.0
-        self._measure(initial)
+        self._measure(initial, None if self.load is None else SHORT)
         if self.load is not None:
             affordable = self._affordable()
             choice = by_length(affordable / initial.pipeline.training.iterations)
             reason, longest = choice.reason, choice.longest
-            if choice.name != initial.pipeline.name:
+            if choice.name != SHORT:
                 initial = initial.of(_ready(choice.name, initial, self.load))
-                self._measure(initial, again=affordable >= LEAST_ITERATIONS)
+                self._measure(initial, choice.name, again=affordable >= LEAST_ITERATIONS)
         most = round(longest * self._whole.training.iterations)
         self._least = min(LEAST_ITERATIONS, most)
         count = max(self._least, min(self._affordable(), most))
@@ -200,12 +201,16 @@ class WithinSeconds(SizePlan):
         self._log_cost(count)
         return chosen
 
-    def _measure(self, initial: InitialState, *, again: bool = True) -> None:
-        """Consider a pipeline, and time it if there is time left and `again` is true."""
+    def _measure(self, initial: InitialState, ready: str | None, *, again: bool = True) -> None:
+        """Consider a pipeline, and time it if there is time left and `again` is true.
+
+        Args:
+            ready: name in the table; None if the pipeline is not one of the table.
+        """
         from .rehearsal import rehearse
 
         self._whole, budget = initial.pipeline, self.budget
-        self._growth = _growth(initial, known=self.load is not None)
+        self._growth = _growth(initial, ready)
         if again and self._seconds_left() > 0:
             seconds = REHEARSED * budget.seconds
             self._measured = rehearse(initial, self._growth.mean, budget.clock, seconds)
@@ -291,7 +296,7 @@ class WithinSeconds(SizePlan):
 
 def _ready(name: str, initial: InitialState, load: Load) -> Pipeline:
     """Load a pipeline of the table for the number of training views, with the scene as it was read."""
-    if name == initial.pipeline.name:
+    if name == SHORT:
         return initial.pipeline
     loaded = load(name).for_views(len(initial.scene.train))
     return replace(loaded, items={**loaded.items, "scene": initial.pipeline.items["scene"]})
@@ -304,15 +309,15 @@ class _Growth(NamedTuple):
     most: int
 
 
-def _growth(initial: InitialState, *, known: bool) -> _Growth:
+def _growth(initial: InitialState, ready: str | None) -> _Growth:
     """Return the expected growth, within the pipeline's own limit.
 
     Args:
-        known: whether the pipeline is one of the table.
+        ready: name in the table; None if the pipeline is not one of the table.
     """
     pipeline, first = initial.pipeline, len(initial.gaussians)
-    if known:
-        mean, most = (factor * first for factor in GROWTH[pipeline.name])
+    if ready is not None:
+        mean, most = (factor * first for factor in GROWTH[ready])
     else:
         most = max(first, GROWN) if pipeline.items["densification"] else first
         mean = (first + most) / 2

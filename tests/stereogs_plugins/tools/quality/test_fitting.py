@@ -182,6 +182,7 @@ def chosen(
     wanted: Budget | Quality,
     said: Callable[[str], None] = print,
     *,
+    name: str = SHORT,
     own: int | str = 400,
     quick: int | str = 160,
 ) -> Pipeline:
@@ -207,7 +208,7 @@ def chosen(
             raise Chosen
 
     with pytest.raises(Chosen):
-        trained(pipeline(toys, iterations=own), device, Path("nowhere"), Choosing())
+        trained(pipeline(toys, name, own), device, Path("nowhere"), Choosing())
     return found[0]
 
 
@@ -241,6 +242,14 @@ def test_seconds_choose_among_the_three_pipelines(
     most = {QUICK: QUICK_TIMES * 160, SHORT: SHORT_TIMES * 400, LONG: 2000}[name]
     assert LEAST_ITERATIONS <= found.training.iterations <= most
     assert found.training.max_gaussians is not None
+
+
+def test_the_name_of_a_pipeline_may_be_changed(
+    toys: Plugins, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    budget = Machine(monkeypatch).budget(30)
+    assert chosen(toys, device, budget, name="other").name == "other"
+    assert chosen(toys, device, "good", name="other").name == "other"
 
 
 def test_the_length_depends_on_the_number_of_views(
