@@ -108,7 +108,8 @@ def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:
     output = console(stderr=True)
     for failure in failures:
         output.print(f"stereogs: {failure['component']}: {failure['what']}")
-        output.print(f"  where  {failure['where']}")
+        for name in filter(failure.get, ("where", "fix")):
+            output.print(f"  {name:<5}  {failure[name]}")
     if failures:
         output.print(
             "All other results are saved. After fixing it, score, export and report again:\n"

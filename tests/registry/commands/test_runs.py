@@ -10,6 +10,7 @@ from torch import Tensor
 
 from registry import Step
 from registry.cli import main
+from registry.commands.output import print_failures
 from registry.plugins.discovery import SELECTION
 
 from ..conftest import TOY_ENTRIES
@@ -60,6 +61,13 @@ def test_a_report_needs_no_plugin_that_only_trained(
     monkeypatch.setenv(SELECTION, ",".join(name for name in TOY_ENTRIES if name != "toy_term"))
     assert main(["report", "runs/toy-tiny"]) == 0
     assert "page  runs/toy-tiny/report.txt" in capsys.readouterr().out
+
+
+def test_what_failed_is_printed_with_its_remedy(capsys: Capture) -> None:
+    failure = {"component": "exporters.sog", "what": "no program", "where": "", "fix": "install it"}
+    assert print_failures([failure], Path("runs/x")) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["stereogs: exporters.sog: no program", "  fix    install it"]
 
 
 def test_resume_of_a_finished_run(pipeline: Path, capsys: Capture) -> None:
