@@ -73,9 +73,10 @@ class Init(Command):
         from registry.plugins import Plugins
 
         path = Path(arguments.name.removesuffix(".yaml") + ".yaml")
+        content = text(path, Plugins())
         try:
             with path.open("x", encoding="utf-8") as file:
-                file.write(text(path, Plugins()))
+                file.write(content)
         except FileExistsError as error:
             raise PluginError(
                 "the file exists", where=str(path), fix="choose another name, or move the file away"

@@ -54,6 +54,13 @@ def test_it_trains_as_written_and_on_another_scene(written: Path, capsys: Captur
     assert "garden: 3 training views" in capsys.readouterr().out
 
 
+def test_an_error_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SELECTION, "typo")
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "mine"]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_file_is_replaced(written: Path, capsys: Capture) -> None:
     written.write_text("precious")
     assert main(["init", "mine.yaml"]) == 2
