@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from registry import Command, Register, hookimpl
+from registry import Command, Register, RunError, hookimpl
 from registry.commands import add_run, console, open_given
 from registry.messages import counted
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from registry.confidence import Confidence
     from registry.runs import Run
 
+FRAMES = 120
+"""Number of frames of the path by default."""
 _EPILOG = """\
 examples:
   stereogs render runs/3dgs-fern          images of the test views
@@ -40,9 +42,8 @@ class Render(Command):
         parser.add_argument(
             "--frames",
             type=int,
-            default=120,
             metavar="N",
-            help="number of frames of the path (default 120)",
+            help=f"number of frames of the path (default {FRAMES})",
         )
         parser.add_argument(
             "--confidence",
@@ -55,17 +56,19 @@ class Render(Command):
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Render and print where the files are."""
+        if arguments.frames is not None and not arguments.path:
+            fix = "add --path, or remove --frames"
+            raise RunError("only a path has frames", where="--frames", fix=fix)
         output = console()
         run = open_given(arguments)
         from registry.runs import RENDERS
         from registry.toolkit.drawing import hatched, save_view_pictures, smooth_path, write_video
         from registry.training import one_torch_thread
 
-        folder = run.folder_or_refuse().folder(RENDERS)
+        folder, scene = run.folder_or_refuse().folder(RENDERS), run.scene
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
         with one_torch_thread():
             if not arguments.path:
-                scene = run.scene
                 split, views = ("test", scene.test) if scene.test else ("training", scene.train)
                 for view in views:
                     save_view_pictures(run.rendering(view.camera), view, folder)
@@ -77,7 +80,8 @@ class Render(Command):
                         f"`stereogs report {arguments.run_folder}` puts them on the page"
                     )
                 return 0
-            cameras = smooth_path([view.camera for view in run.scene.train], arguments.frames)
+            count = FRAMES if arguments.frames is None else arguments.frames
+            cameras = smooth_path([view.camera for view in scene.train], count)
             frames = (run.rendering(camera).rgb for camera in cameras)
             if confidence is not None:
                 frames = (hatched(run.rendering(one).rgb, confidence.of(one)) for one in cameras)

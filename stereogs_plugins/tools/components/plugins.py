@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from registry import Command, Register, hookimpl
+from registry import Command, Register, RunError, hookimpl
 from registry.commands import console
 
 if TYPE_CHECKING:
@@ -37,6 +37,12 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
         """List components, or describe one."""
         if arguments.name is None:
             return _list_components(arguments)
+        if arguments.json or arguments.check:
+            raise RunError(
+                "--json and --check are about all components",
+                where="the command line",
+                fix=f"remove the option, or {arguments.name!r}",
+            )
         from registry.plugins import Plugins
 
         from .summaries import component_help

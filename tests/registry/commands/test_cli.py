@@ -45,6 +45,8 @@ def only_the_pipeline(pipeline: Path) -> bool:
         (["train", ".", "--scene", "other"], "two scenes are given: . and other", ""),
         (["eval", "."], "not a run folder: it has no pipeline.yaml", ""),
         (["render", "."], "not a run folder", ""),
+        (["render", ".", "--frames", "9"], "only a path has frames", "--frames"),
+        (["plugins", "toy_scene", "--json"], "are about all components", ""),
     ],
 )
 def test_an_error_prints_one_message_and_leaves_no_folder(
