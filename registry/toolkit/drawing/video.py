@@ -18,7 +18,7 @@ FRAMES_PER_SECOND = 30
 
 
 def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
-    """Write `target`.mp4, or images into the folder `target` if no encoder is installed.
+    """Write `target`.mp4, or images into the folder `target`, in place of earlier ones, without an encoder.
 
     Args:
         frames: At least one frame `[H, W, 3]` in [0, 1].
@@ -30,6 +30,8 @@ def write_video(frames: Iterable[Tensor], target: Path) -> tuple[Path, str]:
         import imageio_ffmpeg  # type: ignore[import-untyped]
     except ImportError:
         target.mkdir(parents=True, exist_ok=True)
+        for earlier in target.glob("*.png"):
+            earlier.unlink()
         for number, frame in enumerate(frames):
             save_png(frame, target / f"{number:04d}.png")
         return target, "pictures (no video: pip install 'stereogs-plugins[video]')"

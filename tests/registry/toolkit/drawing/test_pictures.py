@@ -104,6 +104,7 @@ def test_without_an_encoder_images_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    write_video([torch.rand(5, 7, 3)] * 4, tmp_path / "path")
     written, note = write_video([torch.rand(5, 7, 3)] * 3, tmp_path / "path")
     assert sorted(file.name for file in written.iterdir()) == ["0000.png", "0001.png", "0002.png"]
     assert "pip install" in note
