@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterable
 from functools import cached_property
-from pathlib import Path
 
 from pydantic import Field
 
@@ -21,14 +20,13 @@ from registry.pipeline import iterations_of_a_run, parse_pipeline
 from registry.plugins import Plugins
 from registry.runners import Runner, RunningTask, TrainingTask
 from registry.runs import METRICS, RunFolder
-from registry.system import write_text
+from registry.system import available_bytes, write_text
 from registry.training import CHECKPOINT, load_checkpoint
 
 CORES_PER_RUN = 4
 """A training uses about so many cores; more trainings on fewer cores save no time."""
 MEMORY_PER_RUN_MB = 2000.0
 """Assumed memory of a training until one has been measured."""
-_MEMINFO = Path("/proc/meminfo")
 _TAIL_BYTES = 8192
 
 
@@ -61,7 +59,7 @@ class LocalProcesses(Runner[LocalProcessesSettings]):
 
 
 def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
-    """Return how many trainings cores and free memory allow; 1 on a GPU.
+    """Return how many trainings cores and free memory allow; 1 on a GPU or if the memory is unknown.
 
     Args:
         peaks_mb: peak memory of finished trainings.
@@ -69,17 +67,11 @@ def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
     if device.kind != "cpu":
         return 1
     by_cores = _cores() // CORES_PER_RUN
-    free = free_memory_mb()
-    by_memory = 1 if free is None else int(free // max(peaks_mb, default=MEMORY_PER_RUN_MB))
+    free = available_bytes()
+    if math.isinf(free):  # unknown
+        return 1
+    by_memory = int(free / 1e6 // max(peaks_mb, default=MEMORY_PER_RUN_MB))
     return max(1, min(by_cores, by_memory))
-
-
-def free_memory_mb() -> float | None:
-    """Return the memory available to new processes in 10^6 bytes; None if unknown."""
-    if not _MEMINFO.exists():
-        return None
-    found = re.search(r"^MemAvailable:\s+(\d+) kB$", _MEMINFO.read_text("utf-8"), re.MULTILINE)
-    return int(found[1]) * 1024 / 1e6 if found else None
 
 
 def _cores() -> int:

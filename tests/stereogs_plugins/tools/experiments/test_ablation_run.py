@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import shutil
 import signal
 import sys
@@ -269,7 +270,7 @@ def test_trainings_without_results_have_failed_and_do_not_stop_others(
         ("cpu", 16, 5_000.0, [], 2),
         ("cpu", 16, 5_000.0, [700.0, 1_500.0], 3),
         ("cpu", 16, 100.0, [], 1),
-        ("cpu", 16, None, [], 1),
+        ("cpu", 16, math.inf, [], 1),
         ("gpu", 16, 64_000.0, [], 1),
     ],
 )
@@ -278,19 +279,14 @@ def test_the_number_of_simultaneous_trainings(
     monkeypatch: pytest.MonkeyPatch,
     kind: str,
     cores: int,
-    free: float | None,
+    free: float,
     peaks: list[float],
     expected: int,
 ) -> None:
     monkeypatch.setattr(device, "kind", kind)
     monkeypatch.setattr(local_processes, "_cores", lambda: cores)
-    monkeypatch.setattr(local_processes, "free_memory_mb", lambda: free)
+    monkeypatch.setattr(local_processes, "available_bytes", lambda: 1e6 * free)
     assert local_processes.default_jobs(device, peaks) == expected
-
-
-def test_free_memory_is_known_or_none() -> None:
-    free = local_processes.free_memory_mb()
-    assert free is None or 1 < free < 1e8
 
 
 @pytest.mark.parametrize(
