@@ -106,7 +106,7 @@ class HtmlReport(Report[HtmlReportSettings]):
 def _too_large(folder: Path, megabytes: float, largest: float) -> str:
     return (
         f"The Gaussians take {megabytes:.0f} MB; at most {largest:g} MB are embedded. "
-        f"`stereogs report {folder.name} --beside` writes them to files next to the page."
+        f"`stereogs report {shlex.quote(str(folder))} --beside` writes them to files next to the page."
     )
 
 

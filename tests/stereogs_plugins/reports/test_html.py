@@ -275,7 +275,7 @@ def test_the_gaussians_lie_in_the_page_or_beside_it_or_are_too_large(run: RunFol
     own.unlink()
     assert not written(run).count("report_files")
     assert not data.parent.exists()
-    assert "stereogs report run --beside" in small
+    assert f"stereogs report {run.path} --beside" in small
     assert "scene-data" not in small
 
 
