@@ -115,7 +115,7 @@ def _draw(
             "measured": decibels((rgb - view.image).square()[counted].mean()),
             "angle": view_angles(view.camera, training, subject).nearest,
         }
-    content = {"estimator": name, "views": rows}
+    content = {"estimator": name, "iteration": run.iteration, "views": rows}
     write_text(place / f"{CONFIDENCE}.json", f"{json.dumps(content, indent=1)}\n")
     return place, sum(row["sure"] for row in rows.values()) / len(rows)
 

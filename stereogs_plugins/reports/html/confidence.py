@@ -23,14 +23,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def confidence(folder: Path) -> str:
+def confidence(folder: Path, iterations: int | None) -> str:
     """Return a sentence, a part per view and a table; empty if confidence was not drawn.
+
+    Args:
+        folder: of the run.
+        iterations: of the run, None if unknown; what was drawn after another one is left out.
 
     Raises:
         RunError: the file of numbers is damaged.
     """
     known = read_confidence(folder / RENDERS)
-    if not known.get("views"):
+    if not known.get("views") or known.get("iteration", iterations) != iterations:
         return ""
     views: Mapping[str, Any] = known["views"]
     sure = sum(row["sure"] for row in views.values()) / len(views)

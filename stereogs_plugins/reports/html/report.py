@@ -73,7 +73,7 @@ class HtmlReport(Report[HtmlReportSettings]):
             view.content,
             note(lead(run.results, scene)),
             section(f"{scored} and renders", renders(run.results, scene, folder)),
-            section("What is guessed", confidence(folder)),
+            section("What is guessed", confidence(folder, run.results.get("iterations"))),
             section("Numbers", note(kind_of_scores(scene)) + summary(run.results)),
             folded("scores of each photograph", views(run.results)),
             section("Training", training_plots(run.metrics, run.results)),
@@ -93,7 +93,7 @@ class HtmlReport(Report[HtmlReportSettings]):
             return SceneView("")
         dilation = run.training.get("dilation", 0.3)
         compensate = run.training.get("compensate_dilation", False)
-        suggested = suggested_cameras(folder)
+        suggested = suggested_cameras(folder, run.results.get("iterations"))
         packed = pack(trained_gaussians(folder), scene, dilation, compensate, suggested)
         if self.settings.beside:
             return view_beside(packed, folder)

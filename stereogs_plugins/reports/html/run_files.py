@@ -73,8 +73,12 @@ def read_run(folder: Path) -> RunFiles:
     )
 
 
-def suggested_cameras(folder: Path) -> dict[str, Camera]:
+def suggested_cameras(folder: Path, iterations: int | None) -> dict[str, Camera]:
     """Return the cameras that `stereogs next` suggested for a run, best first, by where to stand.
+
+    Args:
+        folder: of the run.
+        iterations: of the run, None if unknown; what was suggested after another one is left out.
 
     Raises:
         RunError: its file is damaged.
@@ -83,13 +87,16 @@ def suggested_cameras(folder: Path) -> dict[str, Camera]:
     from registry.toolkit.photos import pose_from_opengl
 
     file = folder / "next" / "next.json"
+    content = _json_file(file)
+    if content.get("iteration", iterations) != iterations:
+        return {}
     try:
         return {
             f"{number}: {str(one['words']).partition(';')[0]}": Camera(
                 pose_from_opengl(one["transform_matrix"], str(file)),
                 *(one[name] for name in ("fl_x", "fl_y", "cx", "cy", "w", "h")),
             )
-            for number, one in enumerate(_json_file(file).get("frames", ()), start=1)
+            for number, one in enumerate(content.get("frames", ()), start=1)
         }
     except (KeyError, TypeError) as error:
         fix = f"write it again: stereogs next {folder}"

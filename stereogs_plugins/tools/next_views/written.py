@@ -46,7 +46,8 @@ def write(run: Run, found: Sequence[NextView], names: Sequence[str] | None, fold
                 **_camera(one.camera),
             }
         )
-    write_text(folder / FILE, json.dumps({"frames": listed}, indent=1) + "\n")
+    content = {"iteration": run.iteration, "frames": listed}
+    write_text(folder / FILE, json.dumps(content, indent=1) + "\n")
 
 
 def _camera(camera: Camera) -> dict[str, object]:

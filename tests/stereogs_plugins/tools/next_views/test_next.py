@@ -14,6 +14,7 @@ from registry import RunError, SceneError
 from registry.cli import main
 from registry.plugins.discovery import SELECTION
 from registry.runs import Run
+from stereogs_plugins.reports.html.run_files import suggested_cameras
 from stereogs_plugins.tools.next_views import next_views
 from stereogs_plugins.tools.next_views.given import other_pictures, read_poses
 
@@ -81,6 +82,8 @@ def test_the_command_writes_pictures_poses_and_the_page(
     assert f"1: {first.split(';')[0]}" in page
     setup = json.loads(page.split('id="scene-setup">')[1].split("</script>")[0])
     assert len(setup["views"]) == 3 + 4 + 2
+    assert len(suggested_cameras(folder, run.iteration)) == 2
+    assert suggested_cameras(folder, run.iteration + 1) == {}, "it is about another state"
 
     _, cameras = read_poses(folder / "next" / "next.json", run.scene.train[0].camera)
     for camera, one in zip(cameras, next_views(run, count=2), strict=True):
