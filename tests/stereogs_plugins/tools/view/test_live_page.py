@@ -137,6 +137,7 @@ def test_view_follows_a_training_that_starts_again_and_calls_other_callbacks(
             return run.pipeline if len(begun) == 1 else None
 
     monkeypatch.setattr(LivePage, "update", updated)
+    monkeypatch.setattr(LivePage, "serve_finished_run", lambda page: None)
     request = TrainRequest(Namespace(view=True), 0.0)
     options = RunOptions(
         progress=False, fit=Again(), on_begin=begun.append, callback=lambda done: done.number < 2
