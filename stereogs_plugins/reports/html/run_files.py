@@ -42,11 +42,10 @@ class RunFiles:
     @property
     def training(self) -> dict[str, Any]:
         """The pipeline's training settings, or an empty mapping."""
-        import yaml
+        from registry.pipeline import parse
 
-        content = yaml.safe_load(self.pipeline)
-        settings = content.get("training", {}) if isinstance(content, dict) else {}
-        return dict(settings)
+        content = parse(self.pipeline, "pipeline.yaml").as_written()
+        return dict(content.get("training") or {}) if isinstance(content, dict) else {}
 
 
 def read_run(folder: Path) -> RunFiles:
