@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from registry.toolkit.drawing import RAMP, ViewPictures, depth_ends, ramp_picture
+from registry.toolkit.drawing import RAMP, ViewPictures, depth_ends, ramp_picture, to_bytes
 from registry.toolkit.photos import in_parallel
 from registry.toolkit.web_page import choice, color_scale, figure, grid, image, note, wipe
 
@@ -88,4 +88,4 @@ def _depth(files: ViewPictures) -> str:
 
 
 def _picture(values: Tensor) -> Image.Image:
-    return Image.fromarray((values.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    return Image.fromarray(to_bytes(values))
