@@ -50,39 +50,50 @@ def next_views(
     Raises:
         RunError: there are no candidates.
     """
-    from registry import RunError
     from registry.training import one_torch_thread
+
+    with one_torch_thread():
+        return suggestions(run, photographs_of(run), candidates, count)
+
+
+def suggestions(
+    run: Run, photographs: Photographs, candidates: Sequence[Camera] | None, count: int
+) -> list[NextView]:
+    """Return what `next_views` does, for the run's photographs.
+
+    Raises:
+        RunError: there are no candidates.
+    """
+    from registry import RunError
 
     from .candidates import around, free_view, reaches
     from .gain import ExpectedGain, small
 
-    with one_torch_thread():
-        photographs = photographs_of(run)
-        if candidates is None:
-            candidates = around(photographs)
-            seen = [(c, run.rendering(small(c))) for c in candidates]
-            free = [c for c, rendering in seen if free_view(rendering, median(photographs.reach))]
-            candidates = free or candidates
-        if not candidates:
-            raise RunError(
-                "there is no camera to choose from",
-                where=run.scene.name,
-                fix="give candidates: poses, or pictures that the run did not train on",
-            )
-        gain = ExpectedGain(run.rendering, photographs.cameras, candidates)
-        unknown = max(gain.unknown, 1e-12)
-        left = list(range(len(candidates)))
-        found: list[NextView] = []
-        while left and len(found) < count:
-            gains = gain.gains()
-            best = max(left, key=lambda k: (float(gains[k]), -k))
-            left.remove(best)
-            camera = candidates[best]
-            (reach,) = reaches(run.rendering, [camera])
-            words = photographs.words(camera, reach)
-            numbers = float(gains[best]) / unknown, float(gain.overlap[best])
-            found.append(NextView(best, camera, *numbers, words, reach))
-            gain.take(best)
+    if candidates is None:
+        candidates = around(photographs)
+        seen = [(c, run.rendering(small(c))) for c in candidates]
+        free = [c for c, rendering in seen if free_view(rendering, median(photographs.reach))]
+        candidates = free or candidates
+    if not candidates:
+        raise RunError(
+            "there is no camera to choose from",
+            where=run.scene.name,
+            fix="give candidates: poses, or pictures that the run did not train on",
+        )
+    gain = ExpectedGain(run.rendering, photographs.cameras, candidates)
+    unknown = max(gain.unknown, 1e-12)
+    left = list(range(len(candidates)))
+    found: list[NextView] = []
+    while left and len(found) < count:
+        gains = gain.gains()
+        best = max(left, key=lambda k: (float(gains[k]), -k))
+        left.remove(best)
+        camera = candidates[best]
+        (reach,) = reaches(run.rendering, [camera])
+        words = photographs.words(camera, reach)
+        numbers = float(gains[best]) / unknown, float(gain.overlap[best])
+        found.append(NextView(best, camera, *numbers, words, reach))
+        gain.take(best)
     return found
 
 

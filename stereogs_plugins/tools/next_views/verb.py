@@ -59,7 +59,7 @@ class Next(Command):
         run = open_given(arguments)
         from registry.training import one_torch_thread
 
-        from . import next_views, photographs_of
+        from . import photographs_of, suggestions
         from .given import other_pictures, read_poses
         from .written import write
 
@@ -70,14 +70,15 @@ class Next(Command):
                 names, cameras = read_poses(arguments.poses, run.scene.train[0].camera)
             elif arguments.pictures is not None:
                 names, cameras = other_pictures(run, arguments.pictures)
-            found = next_views(run, cameras, count=arguments.count)
+            photographs = photographs_of(run)
+            found = suggestions(run, photographs, cameras, arguments.count)
             folder = run.folder_or_refuse().folder("next")
             write(run, found, names, folder)
         for number, one in enumerate(found, start=1):
             name = f"{names[one.index]}: " if names is not None else ""
             output.print(f"{number}  {name}{one.words}")
             output.print(f"   confirms {one.gain:.0%} of what is unknown now{_doubt(one.overlap)}")
-        output.print(photographs_of(run).step_words)
+        output.print(photographs.step_words)
         output.print(f"{counted(len(found), 'picture')} and next.json in {folder}")
         if not run.finished or not run.folder_or_refuse().results():
             return 0
