@@ -1,4 +1,4 @@
-"""The picture of the README: `python -m benchmarks.curve`, after `stereogs bench benchmarks/curve.yaml`.
+"""Draw error against seconds: `python -m benchmarks.curve`, after `stereogs bench benchmarks/curve.yaml`.
 
 `make curve` runs both. A panel for each scene: PSNR of the test views against seconds since the start of the
 run, from scores during the run and at its end.
