@@ -40,7 +40,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device",
         metavar="NAME",
-        help="part of the OpenCL device's or platform's name; `stereogs doctor` lists them",
+        help="part of a device's or platform's name or driver version; see `stereogs doctor`",
     )
 
 

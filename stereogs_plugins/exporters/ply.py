@@ -1,4 +1,4 @@
-"""`ply` and `cameras`: the 3D Gaussian Splatting PLY and cameras.json, for viewers of the 3DGS code."""
+"""`ply` and `cameras`: the 3D Gaussian Splatting PLY with cameras.json, or only that file, for viewers."""
 
 from __future__ import annotations
 

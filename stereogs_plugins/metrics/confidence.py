@@ -1,4 +1,4 @@
-"""`psnr_seen`, `psnr_unseen`, `seen`, `psnr_predicted` and `view_angle`: scores split by confidence.
+"""`psnr_seen`, `psnr_unseen`, `seen`, `psnr_predicted` and `view_angle`: scores by confidence and by angle.
 
 Methods differ most in parts that no photograph shows. These scores compare the other parts separately.
 """

@@ -39,7 +39,9 @@ class Check(Command):
     epilog = _EPILOG
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("data", type=Path, metavar="DATA", help="a folder or a pipeline file")
+        parser.add_argument(
+            "data", type=Path, metavar="DATA", help="a folder, a video or a pipeline"
+        )
         parser.add_argument(
             "--format", metavar="NAME", help="the scene loader (default: by the folder's content)"
         )

@@ -24,8 +24,8 @@ _UNKNOWN_COUNT = 100_000
 class Explain(Command):
     epilog = """\
 examples:
-  stereogs explain pipelines/3dgs.yaml
-  stereogs explain pipelines/3dgs.yaml --set training.iterations=5000
+  stereogs explain 3dgs
+  stereogs explain 3dgs --set training.iterations=5000
 
 Lists the components of each stage: package, iterations, inputs, files and priors; then the memory of the
 Gaussians, and the pipeline with every default. Nothing is loaded or trained. The exit status is 1 if a file
@@ -33,7 +33,9 @@ or a prior is missing, or if a component is never due or called far too often.
 """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("pipeline", type=Path, metavar="PIPELINE", help="a YAML file")
+        parser.add_argument(
+            "pipeline", type=Path, metavar="PIPELINE", help="a YAML file or a pipeline's name"
+        )
         add_changes(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
