@@ -42,8 +42,9 @@ class BlenderSettings(Settings):
     """Path of the scene's folder with transforms_train.json and transforms_test.json."""
     train_ids: tuple[int, ...] | None = STANDARD_VIEWS
     """Numbers of the training photographs; null takes all of transforms_train.json."""
-    test_every: int = Field(8, ge=1)
-    """Test views are the photographs of transforms_test.json with a number divisible by this."""
+    test_every: int = Field(8, ge=0)
+    """Test views are the photographs of transforms_test.json with a number divisible by this; 0 gives no
+    test views."""
     background: Literal["white", "black"] = "white"
     """Colour behind transparent pixels, and the scene's background; part of the protocol."""
     width: int = Field(400, ge=1)
@@ -77,7 +78,8 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         train = _read_split(folder, "train")
         test = _read_split(folder, "test")
         train_ids = list(train if settings.train_ids is None else settings.train_ids)
-        test_ids = [number for number in test if number % settings.test_every == 0]
+        every = settings.test_every
+        test_ids = [number for number in test if every and number % every == 0]
         missing = [number for number in train_ids if number not in train]
         if missing:
             raise SceneError(
@@ -94,7 +96,8 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         facts = (
             Fact("transparent_pixels", f"laid on {settings.background}"),
             *loaded.split_facts(
-                f"given numbers train, every {settings.test_every}th tests", len(train) + len(test)
+                f"given numbers train, {f'every {every}th' if every else 'none'} tests",
+                len(train) + len(test),
             ),
         )
         return loaded.scene("blender", folder, (settings.near, settings.far), None, facts)

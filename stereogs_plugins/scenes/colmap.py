@@ -18,8 +18,6 @@ from registry.toolkit.photos import (
     has_colmap_model,
     inside,
     read_colmap_model,
-    split,
-    split_rule,
     view_names,
 )
 
@@ -60,9 +58,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         settings = self.settings
         folder = settings.path.expanduser()
         model = read_colmap_model(inside(folder, settings.model, "the setting `model`"), _FIX)
-        train, test = split(
-            len(model.images), settings.test_every, settings.train_views, str(folder)
-        )
+        train, test, rule = settings.split(len(model.images), str(folder))
         all_photos = _photos(model, settings.image_folder(folder))
         photos = [all_photos[index] for index in train + test]
         loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
@@ -72,7 +68,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             tracks.check(len(model.images), str(model.folder))
             points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        facts = loaded.split_facts(split_rule(settings.test_every), len(model.images))
+        facts = loaded.split_facts(rule, len(model.images))
         return loaded.scene("colmap", folder, bounds, points, facts)
 
 

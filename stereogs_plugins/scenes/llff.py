@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import pydantic
+from pydantic import Field
 
 from registry import PointCloud, Register, Scene, SceneError, SceneLoader, hookimpl
 from registry.toolkit.photos import (
@@ -36,8 +37,6 @@ from registry.toolkit.photos import (
     read_arrays,
     read_colmap_model,
     read_document,
-    split,
-    split_rule,
 )
 
 if TYPE_CHECKING:
@@ -53,6 +52,11 @@ _ARRAYS = ("xyz", "rgb", "track_len", "track_image_ids")
 class LLFFSettings(SplitSettings, ImageSourceSettings):
     path: Path
     """Path of the scene's folder with poses_bounds.npy and the photographs."""
+    train_views: int | None = Field(3, ge=0)
+    """Number of training views; null or 0 takes all photographs that are not test views."""
+    test_every: int | None = Field(8, ge=0)
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views. null means 8, and 0 for fewer than eight photographs."""
     bounds: Literal["file", "estimate"] = "file"
     """Source of the depth bounds: the file, or an estimate from points and cameras. Mip-NeRF 360 needs
     `estimate`, because its files have the same two numbers for every scene."""
@@ -92,7 +96,7 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             )
         rows = read_poses(folder / "poses_bounds.npy")
         images = _image_of_each_row(folder, settings.image_folder(folder), len(rows))
-        train, test = split(len(rows), settings.test_every, settings.train_views, str(folder))
+        train, test, rule = settings.split(len(rows), str(folder))
         photos = [
             PosedPhoto(path.stem, path, row.world_to_camera, row.lens, row.where)
             for path, row in ((images[index], rows[index]) for index in train + test)
@@ -104,7 +108,7 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
         else:
             bounds = min(rows[k].near for k in train), max(rows[k].far for k in train)
-        facts = loaded.split_facts(split_rule(settings.test_every), len(rows))
+        facts = loaded.split_facts(rule, len(rows))
         return loaded.scene("llff", folder, bounds, points, facts)
 
 

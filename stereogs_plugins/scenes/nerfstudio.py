@@ -31,8 +31,6 @@ from registry.toolkit.photos import (
     inside,
     pose_from_opengl,
     read_document,
-    split,
-    split_rule,
     view_names,
 )
 
@@ -65,7 +63,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         return (folder / "transforms.json").is_file()
 
     def load(self) -> Scene:
-        """Return the scene, with the split of the file if it has one, otherwise that of LLFF.
+        """Return the scene, with the split of the file if it has one and `test_every` is not 0.
 
         Raises:
             SceneError: a missing or damaged file, a field that is missing or not finite, or a photograph
@@ -94,13 +92,13 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         """Indices into the frames, sorted by file name, and the rule behind them."""
         settings = self.settings
         names = sorted(frame.file_path for frame in transforms.frames)
-        if transforms.train_filenames is None or transforms.test_filenames is None:
-            train, test = split(len(names), settings.test_every, settings.train_views, where)
-            return train, test, split_rule(settings.test_every)
+        train_names, test_names = transforms.train_filenames, transforms.test_filenames
+        if train_names is None or test_names is None or settings.test_every == 0:
+            return settings.split(len(names), where)
         index = {name: k for k, name in enumerate(names)}
-        listed = [*transforms.train_filenames, *transforms.test_filenames]
+        listed = [*train_names, *test_names]
         unknown = [name for name in listed if name not in index]
-        pool = [index[name] for name in transforms.train_filenames if name in index]
+        pool = [index[name] for name in train_names if name in index]
         if unknown or (settings.train_views or 1) > len(pool):
             raise SceneError(
                 f"the split lists {unknown[0]!r}, which is not a frame"
@@ -110,11 +108,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
                 fix="correct train_filenames and test_filenames, or lower `train_views`",
             )
         train = evenly_spaced(sorted(pool), settings.train_views)
-        return (
-            train,
-            [index[name] for name in transforms.test_filenames],
-            "the file's, evenly spaced",
-        )
+        return train, [index[name] for name in test_names], "the file's, evenly spaced"
 
 
 class _LensFields(pydantic.BaseModel):

@@ -53,11 +53,11 @@ class TurntableScene(registry.SceneLoader[TurntableSettings]):
         settings, path = self.settings, self.settings.path / "turntable.json"
         table = photos.read_document(path, Turntable, "write turntable.json again")
         shots = [self._photo(table, index, str(path)) for index in range(len(table.shots))]
-        train, test = photos.split(len(shots), settings.test_every, settings.train_views, str(path))
+        train, test, rule = settings.split(len(shots), str(path))
         decoder = photos.Decoder(photos.longest_side(settings.max_size))
         loaded = photos.LoadedPhotos.load([shots[k] for k in train + test], decoder, train, test)
         bounds = photos.estimate_bounds(loaded.training_cameras, None, str(path))
-        facts = loaded.split_facts(photos.split_rule(settings.test_every))
+        facts = loaded.split_facts(rule)
         return loaded.scene("turntable", settings.path, bounds, None, facts)
 
     def _photo(self, table: Turntable, index: int, path: str) -> photos.PosedPhoto:

@@ -6,7 +6,7 @@
     photos.read_arrays(path, names, fix)        .npz and .npy, limited to the size of the file
     photos.Decoder(photos.at_most(800))         images: decode, resize, composite on a background
     photos.Lens(...), photos.pose_from_opengl   cameras: lenses with distortion, poses
-    photos.split(...), photos.estimate_bounds   values that the files do not contain
+    photos.SplitSettings, photos.estimate_bounds values that the files do not contain
     photos.read_colmap_model(folder, fix)       COLMAP models: cameras, poses, points and tracks
     photos.PosedPhoto, photos.LoadedPhotos      the steps to a `Scene` that all built-in loaders use
 
@@ -59,8 +59,6 @@ if TYPE_CHECKING:
         ImageSourceSettings,
         SplitSettings,
         evenly_spaced,
-        split,
-        split_rule,
     )
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
@@ -109,8 +107,6 @@ __all__ = [
     "read_document",
     "read_heif",
     "read_mask",
-    "split",
-    "split_rule",
     "stored_size",
     "undistort",
     "upright_size",

@@ -155,7 +155,7 @@ class LoadedPhotos:
         """Return facts about the split.
 
         Args:
-            rule: Description of the rule, see `split_rule`.
+            rule: Description of the rule, see `SplitSettings.split`.
             available: Number of photographs with cameras, used or not; None if the format does not tell.
         """
         train, test = tuple(self.train), tuple(self.test)

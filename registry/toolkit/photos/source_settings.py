@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -13,6 +14,11 @@ from .reading import list_images
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+HELD_OUT_EVERY = 8
+"""Every eighth photograph is a test view, where there are at least as many."""
+
+_log = logging.getLogger("stereogs.photos")
 
 
 class ImageSourceSettings(Settings):
@@ -55,43 +61,61 @@ class ImageSourceSettings(Settings):
 
 
 class SplitSettings(Settings):
-    """Settings of loaders that use the sparse-view split."""
+    """Settings of loaders that choose training and test views by number."""
 
-    train_views: int | None = Field(3, ge=0)
-    """Number of training views; null or 0 uses all views that are not test views."""
-    test_every: int = Field(8, ge=2)
-    """Every n-th photograph of the sorted list is a test view, starting with the first."""
+    train_views: int | None = Field(None, ge=0)
+    """Number of training views; null or 0 takes all photographs that are not test views."""
+    test_every: int | None = Field(None, ge=0)
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views. null means 8, and 0 for fewer than eight photographs."""
+
+    def split(self, count: int, where: str) -> tuple[list[int], list[int], str]:
+        """Return the indices of training and test views among `count` sorted photographs, and the rule.
+
+        With 8 as `test_every`, this is the split of RegNeRF and later sparse-view papers: every 8th
+        photograph is a test view; of the other photographs T, the training views are `T[round(x)]` for x
+        in `linspace(0, len(T) - 1, n)`.
+
+        Raises:
+            SceneError: Fewer than `train_views` photographs are not test views.
+        """
+        test_every = _default_test_every(count) if self.test_every is None else self.test_every
+        test = list(range(0, count, test_every)) if test_every else []
+        pool = sorted({*range(count)} - {*test})
+        if not pool or (self.train_views or 0) > len(pool):
+            fewer = f"set `train_views` to at most {len(pool)}, or " if pool else ""
+            raise SceneError(
+                f"{self.train_views or 1} training views are wanted, but of {count} photographs only "
+                f"{len(pool)} are not test views",
+                where=where,
+                fix=f"{fewer}raise `test_every`",
+            )
+        train = evenly_spaced(pool, self.train_views)
+        if unused := len(pool) - len(train):
+            _log.info(
+                "%d photographs: %d train, %d are held out, %d are not used; --set scene.train_views=0 "
+                "trains on all that are not held out",
+                *(count, len(train), len(test), unused),
+            )
+        if not test_every:
+            return train, test, "evenly spaced train, none tests"
+        return train, test, f"every {test_every}th tests, the others evenly spaced train"
 
 
-def split(
-    count: int, test_every: int, train_views: int | None, where: str
-) -> tuple[list[int], list[int]]:
-    """Return the indices of training and test views among `count` sorted photographs.
-
-    The split of RegNeRF and later sparse-view papers: every 8th photograph is a test view; of the
-    other photographs T, the training views are `T[round(x)]` for x in `linspace(0, len(T) - 1, n)`. A
-    `test_every` of 0 selects no test views.
-
-    Raises:
-        SceneError: Fewer than `train_views` photographs are not test views.
-    """
-    test = list(range(0, count, test_every)) if test_every else []
-    pool = sorted({*range(count)} - {*test})
-    if not pool or (train_views or 0) > len(pool):
-        raise SceneError(
-            f"{train_views or 1} training views are wanted, but of {count} photographs only "
-            f"{len(pool)} are not test views",
-            where=where,
-            fix=f"set `train_views` to at most {len(pool)}, or raise `test_every`",
+def _default_test_every(count: int) -> int:
+    """Return the spacing of test views among `count` photographs; 0 gives no test views."""
+    if count < HELD_OUT_EVERY:
+        _log.info(
+            "%d photographs, fewer than %d: all train, and scores are those of training photographs; "
+            "--test-every 3 holds out every third",
+            *(count, HELD_OUT_EVERY),
         )
-    return evenly_spaced(pool, train_views), test
-
-
-def split_rule(test_every: int) -> str:
-    """Return a description of `split` for the scene's facts."""
-    if not test_every:
-        return "evenly spaced train, none tests"
-    return f"every {test_every}th tests, the others evenly spaced train"
+        return 0
+    _log.info(
+        "%d photographs: every %dth is held out to score new views; --test-every 0 trains on all",
+        *(count, HELD_OUT_EVERY),
+    )
+    return HELD_OUT_EVERY
 
 
 def evenly_spaced(pool: list[int], wanted: int | None) -> list[int]:

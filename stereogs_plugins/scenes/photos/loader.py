@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Scene, SceneLoader, Settings
+from registry import Fact, Scene, SceneLoader
 from registry.messages import counted
 from registry.toolkit.photos import (
     ColmapModel,
@@ -17,10 +17,9 @@ from registry.toolkit.photos import (
     LoadedPhotos,
     PosedPhoto,
     ResizeFilter,
+    SplitSettings,
     estimate_bounds,
     longest_side,
-    split,
-    split_rule,
 )
 
 from .picture_files import COMPANION, is_picture_folder, left_out_lines, reason_lines
@@ -31,20 +30,12 @@ if TYPE_CHECKING:
     from .picture_files import LeftOut
     from .unposed_photos import UnposedPhoto
 
-HELD_OUT_EVERY = 8
-"""Every eighth photograph is a test view, where there are at least as many."""
-
 _log = logging.getLogger("stereogs.photos")
 
 
-class PhotosSettings(Settings):
+class PhotosSettings(SplitSettings):
     path: Path
     """Path of the folder of photographs."""
-    train_views: int | None = Field(None, ge=0)
-    """Number of training views; null or 0 takes all photographs that are not test views."""
-    test_every: int | None = Field(None, ge=0)
-    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
-    views. null means 8, and 0 for fewer than eight photographs."""
     require_all_photos: bool = False
     """Raise an error if a photograph does not connect to the others; false leaves it out with a warning."""
     max_size: int = Field(800, ge=16)
@@ -96,10 +87,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         _warn_of_altered(cameras, names)
         model = group.model
         placed = _posed(model, found)
-        test_every = settings.test_every
-        if test_every is None:
-            test_every = default_test_every(len(placed))
-        train, test = split(len(placed), test_every, settings.train_views, str(folder))
+        train, test, rule = settings.split(len(placed), str(folder))
         photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
         _warn_of_transparency(found, decoder)
@@ -119,7 +107,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("turned_upright", sum(photo.turned for photo in found)),
             Fact("focal_lengths_by_exif", by_exif),
             *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
-            *loaded.split_facts(split_rule(test_every), len(placed)),
+            *loaded.split_facts(rule, len(placed)),
         )
         return loaded.scene("photos", folder, bounds, points, facts)
 
@@ -135,22 +123,6 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             f"{settings.matching_size} {settings.share_lens} {known_files() is not None}",
             lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
         )
-
-
-def default_test_every(count: int) -> int:
-    """Return the spacing of test views among `count` photographs; 0 gives no test views."""
-    if count < HELD_OUT_EVERY:
-        _log.info(
-            "%d photographs, fewer than %d: all train, and scores are those of training photographs; "
-            "--test-every 3 holds out every third",
-            *(count, HELD_OUT_EVERY),
-        )
-        return 0
-    _log.info(
-        "%d photographs: every %dth is held out to score new views; --test-every 0 trains on all",
-        *(count, HELD_OUT_EVERY),
-    )
-    return HELD_OUT_EVERY
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:

@@ -30,6 +30,7 @@ def test_numbers_of_file_names_choose_the_views(tmp_path: Path) -> None:
     assert [view.name for view in scene.train] == ["train_r_5", "train_r_2"]
     assert [view.name for view in scene.test] == ["test_r_0", "test_r_4", "test_r_8"]
     assert len(load(write_blender(tmp_path / "all", World()), train_ids=None).train) == 9
+    assert not load(tmp_path, train_ids=(5, 2), test_every=0).test
 
 
 @pytest.mark.parametrize(("background", "level"), [("white", 1.0), ("black", 0.0)])

@@ -30,11 +30,20 @@ def test_registers_as_colmap() -> None:
     assert offered(stereogs_register_scenes) == {"colmap": ColmapScene}
 
 
+def test_all_photographs_are_used(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    scene = load(folder)
+    assert (len(scene.train), len(scene.test)) == (7, 2)
+    scene = load(folder, test_every=0)
+    assert (len(scene.train), len(scene.test)) == (9, 0)
+
+
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
 @pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "PINHOLE"])
 def test_poses_lens_and_points(model: str, text: bool, tmp_path: Path) -> None:
     world = World(shift=(4.0, -3.0))
-    scene = load(write_colmap(tmp_path, world, text=text, model=model))
+    folder = write_colmap(tmp_path, world, text=text, model=model)
+    scene = load(folder, train_views=3)
     assert [view.name for view in scene.train] == ["IMG_01", "IMG_04", "IMG_07"]
     assert [view.name for view in scene.test] == ["IMG_00", "IMG_08"]
     for view in (*scene.train, *scene.test):

@@ -14,7 +14,7 @@ from torch.nn.functional import grid_sample
 
 from core_rasterizer import Camera
 from registry import Scene, SceneError, View
-from registry.toolkit.photos import split
+from registry.toolkit.photos import SplitSettings
 from stereogs_plugins.scenes.llff import LLFFScene, stereogs_register_scenes
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
@@ -69,7 +69,25 @@ def test_registers_as_llff() -> None:
 def test_split_is_the_published_one(
     count: int, views: int | None, train: list[int], test: list[int]
 ) -> None:
-    assert split(count, 8, views, "") == (train, test)
+    settings = SplitSettings(train_views=views, test_every=8)
+    assert settings.split(count, "")[:2] == (train, test)
+
+
+@pytest.mark.parametrize(("count", "test"), [(7, []), (8, [0]), (17, [0, 8, 16])])
+def test_from_eight_photographs_on_every_eighth_tests(count: int, test: list[int]) -> None:
+    assert SplitSettings().split(count, "")[1] == test
+
+
+def test_unused_photographs_are_counted(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    SplitSettings(train_views=3, test_every=8).split(20, "")
+    assert "20 photographs: 3 train, 3 are held out, 14 are not used" in caplog.text
+
+
+def test_a_split_without_training_views() -> None:
+    with pytest.raises(SceneError) as caught:
+        SplitSettings(test_every=1).split(9, "")
+    assert caught.value.fix == "raise `test_every`"
 
 
 def test_camera_conventions(tmp_path: Path) -> None:

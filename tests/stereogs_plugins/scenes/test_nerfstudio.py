@@ -40,9 +40,11 @@ def test_registers_as_nerfstudio() -> None:
 
 
 def test_frames_are_split_by_sorted_names(tmp_path: Path) -> None:
-    scene = load(write_nerfstudio(tmp_path, World()))
+    folder = write_nerfstudio(tmp_path, World())
+    scene = load(folder, train_views=3)
     assert [view.name for view in scene.train] == ["frame_00001", "frame_00004", "frame_00007"]
     assert [view.name for view in scene.test] == ["frame_00000", "frame_00008"]
+    assert len(load(folder).train) == 7
 
 
 def test_the_split_of_the_file_takes_precedence(tmp_path: Path) -> None:
@@ -52,9 +54,11 @@ def test_the_split_of_the_file_takes_precedence(tmp_path: Path) -> None:
         content["train_filenames"], content["test_filenames"] = names[:5], names[7:]
 
     folder = edit(write_nerfstudio(tmp_path, World()), change)
-    scene = load(folder)
+    scene = load(folder, train_views=3)
     assert [view.name[-1] for view in scene.train] == ["0", "2", "4"]
     assert [view.name[-1] for view in scene.test] == ["7", "8"]
+    assert len(load(folder).train) == 5
+    assert len(load(folder, test_every=0).train) == 9
     with pytest.raises(SceneError, match="`train_views` is 6, but the file lists 5"):
         load(folder, train_views=6)
     edit(folder, lambda content: content["test_filenames"].append("images/other.png"))

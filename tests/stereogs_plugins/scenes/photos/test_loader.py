@@ -22,7 +22,6 @@ from stereogs_plugins.scenes.photos import (
     stereogs_register_scenes,
     structure_from_motion,
 )
-from stereogs_plugins.scenes.photos.loader import default_test_every
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
@@ -155,11 +154,6 @@ def test_altered_photographs_are_named(
 def test_few_photographs_all_train(folder: Path, cached: Path) -> None:
     scene = load(folder)
     assert (len(scene.train), len(scene.test)) == (5, 0)
-
-
-@pytest.mark.parametrize(("count", "expected"), [(7, 0), (8, 8), (100, 8)])
-def test_from_eight_photographs_on_every_eighth_tests(count: int, expected: int) -> None:
-    assert default_test_every(count) == expected
 
 
 def test_photographs_are_reduced(folder: Path, cached: Path) -> None:
