@@ -182,12 +182,12 @@ class Decoder:
         Raises:
             SceneError: See `open_image`; also for more than 8 bits per channel.
         """
-        with _open_8_bit(path) as file:
+        with open_8_bit(path) as file:
             return self._decoded(file, path, self._opaque, str(self.background))
 
     def read_alpha(self, path: Path) -> Pixels | None:
         """Return the opacity, `[H, W]` uint8; None for an opaque photograph. Raises as `read`."""
-        with _open_8_bit(path) as file:
+        with open_8_bit(path) as file:
             if not file.has_transparency_data:
                 return None
             return self._decoded(file, path, _alpha, "alpha")
@@ -251,11 +251,12 @@ def _cached(path: Path, treatment: str, compute: Callable[[], Image.Image]) -> I
 
 
 @contextmanager
-def _open_8_bit(path: Path, what: str = "the image") -> Iterator[Image.Image]:
+def open_8_bit(path: Path, what: str = "the image") -> Iterator[Image.Image]:
+    """Open an image file as `open_image` does; also refuse more than 8 bits per channel."""
     with open_image(path, what) as file:
         if file.mode not in _MODES:
             raise SceneError(
-                f"the image has pixels of mode {file.mode!r}, not 8 bits per channel",
+                f"{what} has pixels of mode {file.mode!r}, not 8 bits per channel",
                 where=str(path),
                 fix=IMAGE_FIX,
             )
@@ -271,7 +272,7 @@ def read_mask(path: Path, size: Size) -> Pixels:
     import numpy as np
     from PIL import Image
 
-    with _open_8_bit(path, "the mask") as file:
+    with open_8_bit(path, "the mask") as file:
         grey = file.convert("L")
         resized = grey if grey.size == size else grey.resize(size, Image.Resampling.BICUBIC)
         return np.asarray(resized)

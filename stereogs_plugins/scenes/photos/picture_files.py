@@ -6,6 +6,7 @@ notes) are ignored, and so are hidden files and folders.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, read_heif
 
 UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 """Suffixes of unsupported picture formats, which are left out."""
+_PICTURES = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES)
 _COMPANION_NAMES = ("thumbs.db", "ehthumbs.db", "desktop.ini", "picasa.ini", "icon\r")
 _COMPANION_SUFFIXES = (
     ".aae",
@@ -68,21 +70,30 @@ def list_content(folder: Path) -> FolderContent:
             f for f in folders if not f.startswith(".") and f.lower() not in _COMPANION_FOLDERS
         ]
         content.others.extend(Path(place, f) for f in folders if Path(place, f).is_symlink())
+        pictures = {name for name in files if _suffix(name) in _PICTURES}
         for name in files:
             if not name.startswith("."):
-                _kind(content, name).append(Path(place, name))
+                _kind(content, name, pictures).append(Path(place, name))
     for paths in content:
         paths.sort()
     return content
 
 
-def _kind(content: FolderContent, name: str) -> list[Path]:
-    suffix = Path(name).suffix.lower()
-    if suffix in IMAGE_SUFFIXES or suffix in HEIF_SUFFIXES:
+def _suffix(name: str) -> str:
+    return Path(name).suffix.lower()
+
+
+def _kind(content: FolderContent, name: str, pictures: set[str]) -> list[Path]:
+    """The list for a file of a folder with these pictures; IMG_1.jpg.json is a companion of IMG_1.jpg."""
+    suffix = _suffix(name)
+    if suffix in _PICTURES:
         return content.pictures
     if suffix in UNREADABLE:
         return content.unreadable
     if suffix in _COMPANION_SUFFIXES or name.lower() in _COMPANION_NAMES:
+        return content.companions
+    starts = itertools.accumulate(name.split("."), "{}.{}".format)
+    if suffix == ".json" and not pictures.isdisjoint(starts):
         return content.companions
     return content.others
 

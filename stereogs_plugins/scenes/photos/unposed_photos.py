@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry import SceneError
-from registry.toolkit.photos import Size, in_parallel, open_image, upright_size
+from registry.toolkit.photos import Size, in_parallel, open_8_bit, upright_size
 
 from .picture_files import LeftOut, left_out_lines, readable_pictures
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 MIN_PHOTOS = 3
 """Least photographs, except for two with known focal lengths: two do not determine it."""
-_FIX = "remove it from the folder, or save it again as an 8-bit PNG or JPEG"
 _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
@@ -106,7 +105,7 @@ def read_folder(folder: Path) -> PictureFolder:
 
 def _read(path: Path, name: str) -> UnposedPhoto | LeftOut:
     try:
-        with open_image(path, "the photograph", _FIX) as file:
+        with open_8_bit(path, "the photograph") as file:
             size = upright_size(file)
             turned = size != file.size
             exif = file.getexif()

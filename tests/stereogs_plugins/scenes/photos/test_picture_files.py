@@ -150,3 +150,17 @@ def test_focal_length_by_exif(
     Image.new("RGB", (300, 400)).save(tmp_path / "z.jpg", exif=exif)
     focal = read_folder(tmp_path).photos[-1].focal
     assert focal == (None if expected is None else pytest.approx(expected, rel=1e-3))
+
+
+def test_a_picture_with_16_bits_is_left_out(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    Image.fromarray(np.full((30, 40), 1000, dtype=np.uint16)).save(tmp_path / "3.png")
+    assert reasons(tmp_path)["3.png"].endswith("not 8 bits per channel")
+
+
+def test_descriptions_of_pictures_are_companions(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    (tmp_path / "0.jpg.supplemental-metadata.json").write_text("{}")
+    assert PhotosScene.recognizes(tmp_path)
+    (tmp_path / "transforms.json").write_text("{}")
+    assert not PhotosScene.recognizes(tmp_path)
