@@ -89,6 +89,12 @@ def from_colmap(folder: Path, training: list[int], view_ids: list[int]) -> DtuCa
             where=str(folder),
             fix="run COLMAP on all 49 photographs, or use `cameras: calibrated`",
         )
+    if len({*numbers}) < len(numbers):
+        raise SceneError(
+            "two images of the COLMAP model are of the same view",
+            where=str(folder),
+            fix="run COLMAP on one photograph of each view, or use `cameras: calibrated`",
+        )
     tracks = model.tracks()
     tracks.check(len(numbers), str(folder))
     return DtuCameras(

@@ -7,6 +7,7 @@ grey do not count, as in the published evaluations.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 TRAIN_VIEWS = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 """Training views: the first three, six or nine (PixelNeRF, RegNeRF and later work)."""
+_STANDARD_LIGHT = re.compile(r"rect_\d{3}_3_", re.ASCII)
 TEST_VIEWS = (
     *(1, 2, 9, 10, 11, 12, 14, 15, 23, 24, 26, 27),
     *(29, 30, 31, 32, 33, 34, 35, 41, 42, 43, 45, 46, 47),
@@ -139,7 +141,16 @@ def _by_view(
     found: dict[int, Path] = {}
     for name in names:
         files = list_images(folder / name)
-        found = {view_number(path.stem, str(path)): path for path in files}
+        # Scans as published by DTU have a photograph for each of seven lights, and one of their maximum.
+        for path in [path for path in files if _STANDARD_LIGHT.match(path.stem)] or files:
+            number = view_number(path.stem, str(path))
+            if number in found:
+                raise SceneError(
+                    f"{found[number].name} and {path.name} are of the same view",
+                    where=str(folder / name),
+                    fix="keep one image of each view",
+                )
+            found[number] = path
         if found:
             break
     missing = [number for number in numbers if number not in found]

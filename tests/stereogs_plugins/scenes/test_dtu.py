@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -235,3 +236,19 @@ def test_real_masks_and_cameras_agree(name: str) -> None:
         x, y = camera.world_to_camera[:2, 3] / depth
         column, row = int(camera.fx * x + camera.cx), int(camera.fy * y + camera.cy)
         assert view.mask[row, column]  # the sphere's centre lies on the object
+
+
+def test_the_standard_light_is_used(folder: Path) -> None:
+    images = folder / "image"
+    for number in range(DTU_VIEWS):
+        published = f"rect_{number + 1:03d}"
+        (images / f"{number:06d}.png").rename(images / f"{published}_3_r5000.png")
+        for other in ("0_r5000", "max"):
+            (images / f"{published}_{other}.png").write_bytes(b"")
+    assert all(view.name.endswith("_3_r5000") for view in load(folder).train)
+
+
+def test_two_images_of_a_view_are_refused(folder: Path) -> None:
+    shutil.copy(folder / "image" / "000003.png", folder / "image" / "3.png")
+    with pytest.raises(SceneError, match="of the same view"):
+        load(folder)
