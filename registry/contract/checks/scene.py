@@ -152,19 +152,18 @@ def _camera_faults(camera: Camera) -> Faults:
 
 
 def _map_faults(view: View) -> Faults:
-    """Faults of the mask, the alpha and the depth."""
+    """Faults of the mask, the alpha and the depth, and of the types of all."""
     import torch
 
     mask, alpha, depth = view.mask, view.alpha, view.depth
     size = tuple(view.image.shape[:2])
-    for name, array in (("mask", mask), ("alpha", alpha), ("depth", depth)):
-        if array is not None and array.shape != size:
-            yield (
-                f"the {name} has shape {tuple(array.shape)}, not {size}",
-                "resize it to the size of its photograph",
-            )
-    if mask is not None and mask.dtype != torch.bool:
-        yield f"the mask is {mask.dtype}, not bool", "compare it with a threshold"
+    dtypes = {"mask": torch.bool} | dict.fromkeys(("image", "alpha", "depth"), torch.float32)
+    for name, dtype in dtypes.items():
+        array: Tensor | None = getattr(view, name)
+        if array is not None and name != "image" and array.shape != size:
+            yield f"the {name} has shape {tuple(array.shape)}, not {size}", "resize it to its image"
+        if array is not None and array.dtype != dtype:
+            yield f"the {name} is {array.dtype}, not {dtype}", f"convert it with .to({dtype})"
     if mask is not None and not mask.any():
         yield "the mask leaves no pixel to measure", "remove the mask or the view"
     if alpha is not None and not _in_unit_range(alpha):
