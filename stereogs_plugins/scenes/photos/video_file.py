@@ -73,7 +73,13 @@ class VideoScene(SceneLoader[VideoSettings]):
             folder.mkdir()
             _extract(video, settings.frames, folder)
             photos = settings.model_dump(exclude={"frames"}) | {"path": folder}
-            scene = PhotosScene(PhotosSettings.model_validate(photos), self.context).load()
+            try:
+                scene = PhotosScene(PhotosSettings.model_validate(photos), self.context).load()
+            except SceneError as error:
+                fix = (
+                    f"take more than {settings.frames} frames, --set scene.frames=N; or {error.fix}"
+                )
+                raise SceneError(error.what, where=str(video), fix=fix) from error
             names = ", ".join(sorted(path.stem.removeprefix("frame_") for path in folder.iterdir()))
         return replace(scene, facts=(*scene.facts, Fact("frames_of_the_video", names)))
 

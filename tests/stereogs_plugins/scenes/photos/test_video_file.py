@@ -10,7 +10,7 @@ import pytest
 from registry import SceneError
 from registry.cli import main
 from registry.testing import check
-from stereogs_plugins.scenes.photos import VideoScene
+from stereogs_plugins.scenes.photos import VideoScene, video_file
 from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build
@@ -48,6 +48,14 @@ def test_a_video_is_a_scene_of_its_sharp_frames(
     assert len({number // COPIES for number in numbers}) == 4, "four different photographs"
     assert all(number % COPIES != 1 for number in numbers), "no blurred one"
     assert [*(tmp_path / "cache" / "frames").iterdir()] != []
+
+
+def test_an_error_names_the_video(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_file, "_extract", lambda *_: None)
+    with pytest.raises(SceneError, match="the folder has 0") as caught:
+        build(VideoScene, path=clip).load()
+    assert caught.value.where == str(clip)
+    assert "scene.frames=" in caught.value.fix
 
 
 def test_files_that_are_no_videos(tmp_path: Path) -> None:
