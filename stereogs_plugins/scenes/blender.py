@@ -87,6 +87,12 @@ class BlenderScene(SceneLoader[BlenderSettings]):
                 where=str(folder / "transforms_train.json"),
                 fix="set `train_ids` to numbers of existing photographs, or to null for all",
             )
+        if len({*train_ids}) < len(train_ids):
+            raise SceneError(
+                "a number in `train_ids` is repeated",
+                where=str(folder),
+                fix="list each number once",
+            )
         photos = [train[k] for k in train_ids] + [test[k] for k in test_ids]
         decoder = Decoder(
             at_most(settings.width), settings.resize_filter, BACKGROUNDS[settings.background]

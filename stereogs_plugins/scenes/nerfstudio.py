@@ -97,12 +97,13 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
             return settings.split(len(names), where)
         index = {name: k for k, name in enumerate(names)}
         listed = [*train_names, *test_names]
-        unknown = [name for name in listed if name not in index]
+        wrong = [f"{name!r}, which is not a frame" for name in listed if name not in index]
+        wrong += [f"{name!r} twice" for name in listed if listed.count(name) > 1]
         pool = [index[name] for name in train_names if name in index]
-        if unknown or (settings.train_views or 1) > len(pool):
+        if wrong or (settings.train_views or 1) > len(pool):
             raise SceneError(
-                f"the split lists {unknown[0]!r}, which is not a frame"
-                if unknown
+                f"the split lists {wrong[0]}"
+                if wrong
                 else f"`train_views` is {settings.train_views or 1}, but the file lists {len(pool)}",
                 where=where,
                 fix="correct train_filenames and test_filenames, or lower `train_views`",

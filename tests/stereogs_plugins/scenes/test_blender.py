@@ -133,3 +133,8 @@ def test_lego_is_the_published_scene() -> None:
         # The object is dark against white, and stands at the origin.
         assert float(view.image[195:205, 195:205].mean()) < 0.95
         assert view.image[0, 0].tolist() == [1, 1, 1]
+
+
+def test_a_repeated_number(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="is repeated"):
+        load(write_blender(tmp_path, World()), train_ids=(2, 5, 2))

@@ -61,6 +61,9 @@ def test_the_split_of_the_file_takes_precedence(tmp_path: Path) -> None:
     assert len(load(folder, test_every=0).train) == 9
     with pytest.raises(SceneError, match="`train_views` is 6, but the file lists 5"):
         load(folder, train_views=6)
+    edit(folder, lambda content: content["test_filenames"].append(names[0]))
+    with pytest.raises(SceneError, match=r"lists 'images/frame_00000.png' twice"):
+        load(folder)
     edit(folder, lambda content: content["test_filenames"].append("images/other.png"))
     with pytest.raises(SceneError, match=r"'images/other.png', which is not a frame"):
         load(folder)
