@@ -191,10 +191,11 @@ def _existing_image(path: Path) -> Path | None:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Return the image files of a folder, sorted by name; an empty list if the folder is missing."""
+    """Return the visible image files of a folder, sorted by name; none if the folder is missing."""
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    visible = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES)
 
 
 def inside(folder: Path, name: str, where: str) -> Path:

@@ -8,7 +8,7 @@ import pydantic
 import pytest
 
 from registry import SceneError
-from registry.toolkit.photos import inside, read_document, view_names
+from registry.toolkit.photos import inside, list_images, read_document, view_names
 
 
 @pytest.mark.parametrize(
@@ -70,3 +70,9 @@ def test_a_field_that_occurs_twice_is_refused(tmp_path: Path, text: str) -> None
     path.write_text(text)
     with pytest.raises(SceneError, match=r"a\.json has the field '(number|a)' twice"):
         read_document(path, Document, "")
+
+
+def test_hidden_images_are_not_listed(tmp_path: Path) -> None:
+    for name in ("a.jpg", "._a.jpg"):
+        (tmp_path / name).touch()
+    assert [path.name for path in list_images(tmp_path)] == ["a.jpg"]
