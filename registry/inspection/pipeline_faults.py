@@ -20,7 +20,8 @@ def faults(pipeline: Pipeline) -> list[str]:
     """Return the problems that are known before anything is loaded, each in a sentence."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
-        missing = [path for path in leaves(dict(item.settings), Path) if not path.exists()]
+        paths = leaves(dict(item.settings), Path)
+        missing = [path for path in paths if not path.expanduser().exists()]
         found += [(item, f"{path} does not exist") for path in missing]
         if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
             found.append((item, f"{fault} ({item.place})"))

@@ -129,6 +129,7 @@ def _when(item: Item, iterations: int) -> str:
 
 
 def _size(path: Path) -> str:
+    path = path.expanduser()
     if path.is_dir():
         return "a folder"
     return f"{path.stat().st_size / 1e6:.1f} MB" if path.exists() else "which does not exist"

@@ -20,7 +20,8 @@ from registry.priors import (
     StereoPrior,
 )
 from registry.testing.scenes import pipeline_item
-from stereogs_plugins.tools.components.explain import explained, memory
+from stereogs import build_pipeline
+from stereogs_plugins.tools.components.explain import _size, explained, memory
 from stereogs_plugins.tools.components.summaries import summary
 from tests.registry.toy_plugin import ToyGrowth
 
@@ -171,3 +172,13 @@ def test_a_docstring_that_only_names_the_component_is_no_summary(
     kind = importlib.import_module("named_only").Named
     item = pipeline_item(kind, kind.Settings(), "named_only")
     assert summary(item.offer) == "How far."
+
+
+def test_paths_in_the_home_folder_exist(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "fern").mkdir()
+    scene = {"use": "llff", "path": "~/fern"}
+    pipeline = build_pipeline({"name": "home", "scene": scene, "initializer": "sfm"})
+    assert not any("does not exist" in fault for fault in faults(pipeline))
+    assert _size(Path("~/fern")) == "a folder"
