@@ -77,7 +77,7 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         """World units of a shift of 1; with a single training camera a baseline is the scene's extent."""
         if self.settings.unit == "world":
             return 1.0
-        here = step.sample.camera.center
+        here = step.view.camera.center
         others = [view.camera.center for view in step.scene.train if view.name != step.view.name]
         return min((float((there - here).norm()) for there in others), default=step.extent)
 

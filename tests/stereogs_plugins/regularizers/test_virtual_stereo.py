@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -110,6 +111,15 @@ def test_a_shift_in_baselines_is_relative_to_the_nearest_other_camera() -> None:
     assert loss_of(several, max_shift=0.5, unit="baseline") == loss_of(step, max_shift=0.4)
     alone = loss_of(step, max_shift=0.5, unit="baseline")
     assert alone == loss_of(step, max_shift=0.5 * step.extent) != loss_of(step, max_shift=0.5)
+
+
+def test_a_refined_camera_does_not_change_the_baseline() -> None:
+    step, model = wall(patches().contiguous())
+    views = [View(f"{d}", step.view.camera.shifted_right(d), step.view.image) for d in (0.0, 2.0)]
+    several = step_on(model, *views)
+    refined = replace(several.sample, camera=several.sample.camera.shifted_right(0.5))
+    unit = build(VirtualStereo, seed=1, unit="baseline")._unit(replace(several, sample=refined))
+    assert unit == pytest.approx(2.0)
 
 
 def test_expected_depth_agrees_where_the_wall_is_transparent() -> None:
