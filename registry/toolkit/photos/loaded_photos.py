@@ -201,19 +201,18 @@ class LoadedPhotos:
 
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:
-    """Describe how the decoder and `undistort` change a photograph."""
-    decoder = _decoder_of(photo, decoder)
+    """Describe how the decoder and `_straight` change a photograph."""
     stored = stored_size(find_image(photo.path), upright=decoder.upright)
     size = decoder.size(*stored)
     changes = []
     if size != stored:
         changes.append(
             f"resized from {stored[0]}x{stored[1]} to {size[0]}x{size[1]} "
-            f"with the {decoder.resize_filter} filter"
+            f"with the {_decoder_of(photo, decoder).resize_filter} filter"
         )
     if not photo.lens.is_pinhole:
         changes.append(
-            f"undistorted ({photo.lens.model}) and cropped to what was seen, by pycolmap, bilinear, then "
-            f"averaged over blocks of {_FINER}x{_FINER} pixels"
+            f"undistorted ({photo.lens.model}) at {_FINER} times this size and cropped to what was seen, "
+            "by pycolmap, bilinear"
         )
     return changes

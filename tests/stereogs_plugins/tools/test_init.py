@@ -51,7 +51,7 @@ def test_it_trains_as_written_and_on_another_scene(written: Path, capsys: Captur
     capsys.readouterr()
     other = ["--scene", "garden", "--set", "initializer=random"]
     assert main(["train", "mine.yaml", *short, *other, "--out", "other"]) == 0
-    assert "garden: 3 training views" in capsys.readouterr().out
+    assert "garden: 7 training views" in capsys.readouterr().out
 
 
 def test_an_error_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
