@@ -1,7 +1,7 @@
 """PSNR of a scene trained with estimated cameras, and of the same with published ones.
 
 The middle one of the placed photographs is held out; the others train `weightfree_quick` at a small size.
-Both trainings use the same photographs, undistorted with the estimated lens. Points give only their depths.
+Both trainings use the same photographs, undistorted with the estimated lens. Points only set the depth range.
 """
 
 from __future__ import annotations

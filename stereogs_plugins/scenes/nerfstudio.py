@@ -43,7 +43,7 @@ class NerfstudioSettings(SplitSettings):
     downsample: int = Field(1, ge=1)
     """Factor by which each side of the photographs is reduced."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow filter for resizing, if the lens has no distortion."""
+    """Pillow filter for resizing. Distorted photographs use `lanczos`."""
     max_size: int | None = Field(1600, ge=16)
     """Longer side of the photographs, at most, in pixels; larger ones are resized. 1600 as in 3DGS;
     null: no limit."""

@@ -32,7 +32,7 @@ class ImageSourceSettings(Settings):
     image_source: Literal["folder", "resize"] = "folder"
     """`folder` uses photographs at their stored size; `resize` downsamples full-size ones on loading."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow's filter for `image_source: resize` and `max_size`, if the lens has no distortion."""
+    """Pillow's filter for `image_source: resize` and `max_size`. Distorted photographs use `lanczos`."""
     max_size: int | None = Field(None, ge=16)
     """Longer side of the photographs, at most, in pixels; larger ones are resized. null: no limit."""
 

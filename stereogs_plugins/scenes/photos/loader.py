@@ -41,7 +41,7 @@ class PhotosSettings(SplitSettings):
     max_size: int = Field(800, ge=16)
     """Longer side of the training photographs after resizing, in pixels."""
     resize_filter: ResizeFilter = "bicubic"
-    """Pillow filter for resizing, if the lens has no distortion."""
+    """Pillow filter for resizing. Distorted photographs use `lanczos`."""
     share_lens: bool = True
     """Photographs of one size, camera and focal length (by EXIF) share one lens; false estimates one for
     each, which needs many more photographs."""

@@ -39,7 +39,7 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
             return _list_components(arguments)
         if arguments.json or arguments.check:
             raise RunError(
-                "--json and --check are about all components",
+                "--json and --check are about all components, not one",
                 where="the command line",
                 fix=f"remove the option, or {arguments.name!r}",
             )
