@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import monotonic, process_time
 
 from core_rasterizer import Gaussians
@@ -128,13 +129,13 @@ def _branch(pipeline: Pipeline, trunk: Run, moment: _Moment) -> Trained:
     kept, device = moment.checkpoint, trunk.model.engine.device
     parts = Parts(pipeline, device)
     model = new_model(Gaussians(**kept.part("model")), pipeline.training, device)
-    trainer = Trainer(
-        pipeline.training, parts, trunk.scene, model, maps_of(kept.part("maps")), kept.part("kinds")
-    )
+    begin_with = partial(Trainer, pipeline.training, scene=trunk.scene, model=model)
+    maps, kinds = maps_of(kept.part("maps")), kept.part("kinds")
+    first = begin_with(parts.for_field(0), maps=maps, kinds=kinds)
     apart = _differences(pipeline, trunk.pipeline)
     new = tuple(f"components/{item.qualified_name}/" for item in apart)
-    fresh = {name: value for name, value in trainer.state().items() if name.startswith(new)}
-    trainer.restore(kept.iteration, replace(kept, tensors=kept.tensors | fresh).part)
+    fresh = {name: value for name, value in first.state().items() if name.startswith(new)}
+    trainer = begin_with(parts, checkpoint=replace(kept, tensors=kept.tensors | fresh))
     logged = dict(moment.logged)
     for done in trainer.run():
         _add(logged, done)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,8 @@ def results_table(results: dict[str, Any]) -> Table:
     """Return the scores of a results.json as a table: one row per test view, then the means."""
     from rich.table import Table
 
+    from ..runs.results import score_of
+
     metrics = list(results["train"] | results["test"])
     missing: dict[str, str] = results["unavailable"]
     table = Table(
@@ -61,18 +63,20 @@ def results_table(results: dict[str, Any]) -> Table:
     for name in metrics:
         table.add_column(name, justify="right")
 
-    def cell(row: dict[str, float | None], name: str) -> str:
-        score = row.get(name)
-        if score is None:  # infinite, as JSON has no infinity
-            return ABSENT if name not in row or name in missing else "inf"
-        return f"{score:.4f}" if abs(score) < 1 else f"{score:.2f}"
+    def cells(split: str, view: str | None = None) -> Iterator[str]:
+        for name in metrics:
+            score = score_of(results, split, name, view)
+            if score is None:
+                yield ABSENT
+            else:
+                yield f"{score:.4f}" if abs(score) < 1 else f"{score:.2f}"
 
-    for view, row in results["views"]["test"].items():
-        table.add_row(view, *(cell(row, name) for name in metrics))
+    for view in results["views"]["test"]:
+        table.add_row(view, *cells("test", view))
     table.add_section()
     for split in ("test", "train"):
         if results[split]:
-            table.add_row(f"{split} mean", *(cell(results[split], name) for name in metrics))
+            table.add_row(f"{split} mean", *cells(split))
     return table
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .opening import FAILURES
     from .options import InitialState, Plan, RunOptions
     from .origin import compare_inputs
-    from .results import EXPORTS, RENDERS, existing_files, read_results
+    from .results import EXPORTS, RENDERS, existing_files, read_results, score_of
     from .run import Run
     from .training_run import in_runs
 else:
@@ -40,6 +40,7 @@ __all__ = [
     "locked",
     "quick",
     "read_results",
+    "score_of",
     "stop_on_interrupt",
     "trained_gaussians",
 ]

@@ -34,7 +34,7 @@ from ..training.checkpoint import (
     write_checkpoint,
 )
 from ..training.initial_model import new_model
-from ..training.trainer import resumed
+from ..training.trainer import Trainer
 from .folder import RunFolder
 from .origin import compare_inputs, input_digests, with_packages
 from .run import SUMS, Run, Stages
@@ -207,7 +207,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
     engine = run.model.engine
     model = new_model(Gaussians(**newest.part("model")), run.pipeline.training, engine)
     parts = Parts(run.pipeline, engine)
-    trainer = resumed(newest, run.pipeline.training, parts, run.scene, model)
+    trainer = Trainer(run.pipeline.training, parts, run.scene, model, checkpoint=newest)
     try:
         for done in trainer.run():
             if done.number == last:

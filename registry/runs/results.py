@@ -242,6 +242,16 @@ def read_results(path: Path) -> dict[str, Any]:
     return dict(content)
 
 
+def score_of(
+    results: Mapping[str, Any], split: str, metric: str, view: str | None = None
+) -> float | None:
+    """Return a view's score, or by default the mean; infinity, or None if not available, for null."""
+    row = results[split] if view is None else results["views"][split].get(view, {})
+    infinite = results.get("infinite", {}).get(split, {}).get(metric, [])
+    found: float | None = row.get(metric)
+    return math.inf if (infinite if view is None else view in infinite) else found
+
+
 def problem_of(error: Exception) -> str:
     """Return what is wrong with a JSON file: the first wrong field, or the syntax."""
     if isinstance(error, ValidationError):
@@ -269,25 +279,24 @@ def _problems(results: Results, content: Any) -> Iterator[str]:
         if named and "views" in results.model_fields_set and list(rows) != named:
             yield f"views.{split} are not the scene's {split} views"
         if rows:
-            yield from _wrong_means(split, getattr(results, split), rows, results.unavailable)
+            infinite = results.infinite.get(split, {})
+            yield from _wrong_means(split, getattr(results, split), rows, infinite)
 
 
 def _wrong_means(
     split: str,
     means: ScoresByMetric,
     rows: Mapping[str, ScoresByMetric],
-    unavailable: Mapping[str, str],
+    infinite: Mapping[str, Sequence[str]],
 ) -> Iterator[str]:
     names = dict.fromkeys(name for row in rows.values() for name in row)
     if names.keys() != means.keys():
         yield f"{split} has other metrics than its views"
         return
     for name in names:
-        values = [row[name] for row in rows.values() if name in row]
-        known = [value for value in values if value is not None]
-        expected = sum(known) / len(known) if known else None
-        infinite = len(known) < len(values) and name not in unavailable
-        if infinite or (expected is not None and not math.isfinite(expected)):
+        known = [s for row in rows.values() if (s := row.get(name)) is not None]
+        expected = sum(known) / len(known) if known and not infinite.get(name) else None
+        if expected is not None and not math.isfinite(expected):
             expected = None
         if not _equal(means[name], expected):
             yield f"{split}.{name} is {means[name]}, the mean of its views is {expected}"

@@ -206,10 +206,8 @@ class Run:
             )
         self.keep_in(Path(folder).expanduser())
         kept_in = self.folder_or_refuse()
-        with kept_in.locked():
-            for line in self.metrics:
-                kept_in.append_metrics(line)
-            if self.finished:
+        if self.finished:
+            with kept_in.locked():
                 self.finish()
         return kept_in.path
 
@@ -226,6 +224,8 @@ class Run:
         def fill(folder: RunFolder) -> None:
             folder.write_initialization(self.initialization, self.pictures)
             save_checkpoint(self.checkpoint(), folder.folder(CHECKPOINT))
+            for line in self.metrics:
+                folder.append_metrics(line)
 
         folder = RunFolder(path)
         digests = input_digests(self.scene, self.pipeline)
@@ -257,8 +257,8 @@ class Run:
 
     def add_metrics(self, line: dict[str, Any]) -> None:
         """Add a line of metrics, also to the folder."""
-        self.check_folder()
         self.metrics.append(line)
+        self.check_folder()
         if self.folder is not None:
             self.folder.append_metrics(line)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import math
 import re
@@ -34,7 +35,7 @@ from ..toolkit.progress.stages import STAGES, progress
 from ..toolkit.views.scene_facts import summary, warnings
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians, new_model
-from ..training.trainer import Iteration, Trainer, one_torch_thread, resumed
+from ..training.trainer import Iteration, Trainer, one_torch_thread
 from .evaluation import evaluate, quick
 from .folder import RunFolder
 from .opening import keep_failure, open_run
@@ -50,6 +51,9 @@ AUTOSAVE_SHARE = 0.005
 
 QUICK = 0.1
 """Longest initialization that is repeated if plugins are not checked, in seconds."""
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""Errors of a disk that may have no file name."""
 
 _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 """Sections whose packages may change before a run is resumed; digests of the inputs cover the scene."""
@@ -128,7 +132,8 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            trainer = resumed(checkpoint, run.pipeline.training, run.parts, run.scene, run.model)
+            settings = run.pipeline.training
+            trainer = Trainer(settings, run.parts, run.scene, run.model, checkpoint=checkpoint)
         run.record_changes()
         run.checkpoint = lambda: _checkpoint(run, trainer)
         folder.forget_metrics_after(checkpoint.iteration)
@@ -277,10 +282,13 @@ def _explaining_how_to_continue(run: Run) -> Iterator[None]:
         rest = "scores it and writes its page" if run.finished else "continues from it"
         stop.add_note(f"\n  The {kept} is kept. `stereogs resume {path}` {rest}")
         raise
-    except (OSError, RunError) as error:
+    except RunError:
         run.check_folder()
-        if isinstance(error, RunError):
-            raise
+        raise
+    except OSError as error:
+        run.check_folder()
+        if error.errno not in _FULL and path not in Path(str(error.filename)).parents:
+            raise  # a callback's own
         raise RunError(
             f"a file of the run cannot be written: {error.strerror or error}",
             where=str(path),

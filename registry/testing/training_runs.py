@@ -112,13 +112,10 @@ def _trainer(
     ]
     training = _TRAINING.model_copy(update={"fields": component.needs_fields})
     parts = Parts(pipeline_of(items, training), bench.device)
-    model = bench.model()
-    if saved is not None:
-        model = new_model(Gaussians(**saved.part("model")), training, bench.device)
-    trainer = Trainer(training, parts, bench.scene, model, bench.maps(), bench.kinds())
-    if saved is not None:
-        trainer.restore(saved.iteration, saved.part)
-    return trainer
+    if saved is None:
+        return Trainer(training, parts, bench.scene, bench.model(), bench.maps(), bench.kinds())
+    model = new_model(Gaussians(**saved.part("model")), training, bench.device)
+    return Trainer(training, parts, bench.scene, model, checkpoint=saved)
 
 
 def _check_carry(component: Component[Any], count: int) -> None:

@@ -7,10 +7,9 @@ progress, observers, evaluation and checkpoints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -54,6 +53,7 @@ class Trainer:
         model: the Gaussians, changed in place.
         maps: depth maps of the training views from the initializer (`PointCloud.maps`).
         kinds: kinds of the initial points (`PointCloud.kinds`).
+        checkpoint: to continue after; the model must hold its Gaussians. Then `maps` and `kinds` are its.
 
     Attributes:
         iteration: the last complete iteration; 0 before the first.
@@ -68,17 +68,27 @@ class Trainer:
         model: Model,
         maps: Mapping[str, DepthMap] | None = None,
         kinds: Mapping[str, Tensor] | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         self.settings, self.parts, self.scene, self.model = settings, parts, scene, model
         self.iteration = 0
         self._maps, known = maps or {}, scene.for_training()
-        self._new_field = partial(Field, settings, known, self._maps)
-        self.fields = [self._new_field(parts, model, 0, kinds)]
+        if checkpoint is not None:
+            self._maps = maps_of(checkpoint.part("maps"))
+        self.fields = [Field(settings, known, self._maps, parts, model, 0, kinds)]
         for index in range(1, settings.fields):
-            twin = new_model(model.gaussians(), settings, model.engine)
-            self.fields.append(self._new_field(parts.for_field(index), twin, index, kinds))
+            gaussians = model.gaussians()
+            if checkpoint is not None:
+                gaussians = Gaussians(**checkpoint.part(f"field{index}/model"))
+            twin, its = new_model(gaussians, settings, model.engine), parts.for_field(index)
+            self.fields.append(Field(settings, known, self._maps, its, twin, index, kinds))
         self._train = known.train
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
+        if checkpoint is not None:
+            self.iteration = checkpoint.iteration
+            self._views.restore(checkpoint.part("views"))
+            for one in self.fields:
+                one.restore(checkpoint.part)
 
     def run(self) -> Iterator[Iteration]:
         """Train to the last iteration, and yield after each; the caller may stop iterating.
@@ -145,21 +155,6 @@ class Trainer:
             state |= {f"maps/{view}/{name}": value for name, value in vars(known).items()}
         return state
 
-    def restore(self, iteration: int, part: Callable[[str], Mapping[str, Tensor]]) -> None:
-        """Continue after `iteration`; the model must already hold the Gaussians of the checkpoint.
-
-        Args:
-            part: returns the tensors of `state` below a prefix (`Checkpoint.part`).
-        """
-        self.iteration = iteration
-        self._views.restore(part("views"))
-        for index, one in enumerate(self.fields):
-            if index:
-                gaussians = Gaussians(**part(f"{one.prefix}model"))
-                model = new_model(gaussians, self.settings, self.model.engine)
-                one = self.fields[index] = self._new_field(one.parts, model, index)
-            one.restore(part)
-
 
 class ViewOrder:
     """Shuffled order of `count` training views; draws every view once before any is repeated (3DGS)."""
@@ -188,23 +183,6 @@ class ViewOrder:
             raise RunError(f"the remaining views, {numbers}, are not among the {self._count} views")
         self._generator.set_state(state["generator"])
         self._left = left
-
-
-def resumed(
-    checkpoint: Checkpoint,
-    settings: TrainingSettings,
-    parts: Parts,
-    scene: Scene,
-    model: Model,
-) -> Trainer:
-    """Return a trainer that continues after a checkpoint, whose Gaussians the model holds.
-
-    Raises:
-        ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
-    """
-    trainer = Trainer(settings, parts, scene, model, maps_of(checkpoint.part("maps")))
-    trainer.restore(checkpoint.iteration, checkpoint.part)
-    return trainer
 
 
 def maps_of(state: Mapping[str, Tensor]) -> dict[str, DepthMap]:

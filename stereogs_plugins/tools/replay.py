@@ -87,7 +87,7 @@ def repeat_failure(
     from registry.inspection import load
     from registry.pipeline import Parts, load_pipeline
     from registry.runs import FAILURES, compare_inputs
-    from registry.training import explain_misfit, new_model, read_checkpoint, resumed
+    from registry.training import Trainer, explain_misfit, new_model, read_checkpoint
 
     place = place.parent if place.is_file() else place
     fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
@@ -110,7 +110,7 @@ def repeat_failure(
     compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
     with explain_misfit(place):
         model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
-        trainer = resumed(checkpoint, pipeline.training, parts, scene, model)
+        trainer = Trainer(pipeline.training, parts, scene, model, checkpoint=checkpoint)
     next(done for done in trainer.run() if done.number == iteration)
     return Failure(iteration, str(notes.get("what")))
 

@@ -38,9 +38,7 @@ def renders(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
     split, views = ("test", scene.test) if scene.test else ("train", scene.train)
     files = {view: ViewPictures.of(view.name, folder / RENDERS) for view in _some(views)}
     shown = [view for view, its in files.items() if its.render.is_file() and its.depth.is_file()]
-    rows = results["views"][split]
-    missing = results.get("unavailable", {})
-    made = in_parallel(lambda view: _part(view, files[view], rows, missing), shown)
+    made = in_parallel(lambda view: _part(view, files[view], results, split), shown)
     parts = {view.name: part for view, part in zip(shown, made, strict=True)}
     text = f"{len(parts)} of {len(views)} photographs; the others are in the folder {RENDERS}."
     remark = note(text) if 0 < len(parts) < len(views) else ""
@@ -53,11 +51,10 @@ def _some(views: tuple[View, ...]) -> list[View]:
     return [views[index * len(views) // count] for index in range(count)]
 
 
-def _part(
-    view: View, files: ViewPictures, rows: Mapping[str, Any], missing: Mapping[str, str]
-) -> str:
-    row = rows.get(view.name, {})
-    caption = ", ".join([view.name, *(f"{name} {score(row, name, missing)}" for name in row)])
+def _part(view: View, files: ViewPictures, results: Mapping[str, Any], split: str) -> str:
+    names = results["views"][split].get(view.name, {})
+    scores = (f"{name} {score(results, split, name, view.name)}" for name in names)
+    caption = ", ".join([view.name, *scores])
     photograph = image(_picture(view.image), "photograph", _LONGEST_SIDE)
     render = image(files.render, "render", _LONGEST_SIDE)
     compared = wipe(photograph, render, ("photograph", "render"))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
+from registry.runs import score_of
 from registry.toolkit.web_page import Cell, facts_table, note, score_table
 
 if TYPE_CHECKING:
@@ -29,12 +31,13 @@ def with_unit(metric: str) -> str:
 def summary(results: Mapping[str, Any]) -> str:
     """Return tables of mean scores and of known costs, and why metrics are missing."""
     missing: Mapping[str, str] = results.get("unavailable", {})
-    metrics = [name for name in _metrics(results) if name not in missing]
+    metrics = [
+        name
+        for name in _metrics(results)
+        if any(score_of(results, split, name) is not None for split in _KINDS)
+    ]
     rows = [
-        [
-            Cell(f"{kind} ({len(results['views'][split])})"),
-            *_cells(results[split], metrics, missing),
-        ]
+        [Cell(f"{kind} ({len(results['views'][split])})"), *_cells(results, split, metrics)]
         for split, kind in _KINDS.items()
         if results[split]
     ]
@@ -46,12 +49,11 @@ def summary(results: Mapping[str, Any]) -> str:
 
 def views(results: Mapping[str, Any]) -> str:
     """Return a table of the scores of all photographs."""
-    missing: Mapping[str, str] = results.get("unavailable", {})
     metrics = _metrics(results)
     rows = [
-        [Cell(view), Cell(kind), *_cells(row, metrics, missing)]
+        [Cell(view), Cell(kind), *_cells(results, split, metrics, view)]
         for split, kind in _KINDS.items()
-        for view, row in results["views"][split].items()
+        for view in results["views"][split]
     ]
     return score_table(["view", "kind", *map(with_unit, metrics)], rows, names=2) if rows else ""
 
@@ -61,14 +63,14 @@ def _metrics(results: Mapping[str, Any]) -> list[str]:
 
 
 def _cells(
-    row: Mapping[str, float | None], metrics: Sequence[str], missing: Mapping[str, str]
+    results: Mapping[str, Any], split: str, metrics: Sequence[str], view: str | None = None
 ) -> list[Cell]:
-    return [Cell(score(row, metric, missing)) for metric in metrics]
+    return [Cell(score(results, split, metric, view)) for metric in metrics]
 
 
-def score(row: Mapping[str, float | None], metric: str, missing: Mapping[str, str]) -> str:
-    """Format a score. JSON has no infinity: None for an available metric means infinite."""
-    value = row.get(metric)
-    if value is None:
-        return _INFINITE if metric in row and metric not in missing else _ABSENT
+def score(results: Mapping[str, Any], split: str, metric: str, view: str | None = None) -> str:
+    """Format a view's score, or by default the mean."""
+    value = score_of(results, split, metric, view)
+    if value is None or math.isinf(value):
+        return _ABSENT if value is None else _INFINITE
     return f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"

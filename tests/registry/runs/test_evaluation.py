@@ -197,6 +197,7 @@ def test_the_table_distinguishes_missing_and_infinite_scores() -> None:
         "train": {"psnr": 20.0, "lpips": None, "avge": 0.5},
         "views": {"test": {"v": row}, "train": {}},
         "unavailable": {"lpips": "no network is named"},
+        "infinite": {"test": {"psnr": ["v"]}},
     }
     stream = io.StringIO()
     Console(file=stream, width=100).print(results_table(results))

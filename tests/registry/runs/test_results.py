@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,14 @@ import torch
 from rich.console import Console
 
 from core_rasterizer import Device
-from registry import RunError, SceneError
+from registry import RunError, SceneError, Unavailable
 from registry.commands.output import FAILED, conclude
 from registry.pipeline.pipeline import parse_pipeline
 from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
+from registry.runs.results import score_of
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
@@ -124,6 +126,24 @@ def test_an_infinite_score_is_null_and_its_views_are_listed(
         "train": {"psnr": ["view0", "view2"]},
     }
     assert results["failures"] == []
+
+
+def test_a_score_may_be_missing_in_one_view_and_infinite_in_another(
+    train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = {"view0": Unavailable("no depth"), "view1": float("inf"), "view2": 2.0}
+    monkeypatch.setattr(ToyPsnr, "measure_view", lambda self, _, view, scene: answers[view.name])
+    run = train()
+    results = run.folder_or_refuse().results()
+    assert (results["test"], results["train"]) == ({"psnr": None}, {"psnr": 2.0})
+    assert results["views"]["train"] == {"view0": {"psnr": None}, "view2": {"psnr": 2.0}}
+    assert (
+        score_of(results, "test", "psnr") == score_of(results, "test", "psnr", "view1") == math.inf
+    )
+    assert score_of(results, "train", "psnr", "view0") is None
+    assert score_of(results, "train", "psnr", "view2") == score_of(results, "train", "psnr") == 2
+    conclude(run, Console(file=(shown := io.StringIO()), width=80))
+    assert any("view1" in line and "inf" in line for line in shown.getvalue().splitlines())
 
 
 def other_gaussians(folder: RunFolder) -> None:

@@ -15,7 +15,7 @@ from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, SceneError
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.plugins.discovery import Plugins
-from registry.runs.folder import RunFolder
+from registry.runs.folder import METRICS, RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
@@ -236,7 +236,11 @@ def test_a_folder_that_disappears_stops_the_run_which_is_kept(
     assert not out.exists()
     again = resumed(kept, toys, device)
     assert again.finished
-    assert again.hash == start(text, RunOptions(device=device, progress=False)).hash
+    whole = start(text, RunOptions(device=device, progress=False))
+    assert again.hash == whole.hash
+    lines = (kept / METRICS).read_text().splitlines()
+    numbers = [json.loads(line)["iteration"] for line in lines]
+    assert numbers == [line["iteration"] for line in whole.metrics]
 
 
 @pytest.mark.parametrize("removed", [True, False])
@@ -279,3 +283,13 @@ def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(
     assert f"`stereogs resume {out}`" in caught.value.fix
     (out / RENDERS).unlink()
     assert resumed(out, toys, device).finished
+
+
+def test_errors_of_a_callback_are_its_own(toys: Plugins, device: Device, tmp_path: Path) -> None:
+    def report(done: Iteration) -> None:
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    options = RunOptions(device=device, progress=False, callback=report)
+    with pytest.raises(ConnectionRefusedError):
+        start(pipeline(toys), options, tmp_path / "run")
+    assert resumed(tmp_path / "run", toys, device).finished

@@ -17,7 +17,7 @@ from registry.testing import tiny_scene
 from registry.training.checkpoint import Checkpoint
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Iteration, Trainer
-from registry.training.trainer import resumed as go_on
+from tests.registry.toy_extension_points import ToyTwin
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_guided\n"
 Make = Callable[..., Trainer]
@@ -53,7 +53,8 @@ def resumed(make: Make, text: str, *overrides: str, stop: int = 3) -> tuple[Trai
     for name, values in held.part("model").items():
         assert values.shape[0] == first.model.count, name
     model = new_model(first.model.gaussians(), second.settings, second.model.device)
-    second = go_on(held, second.settings, second.parts, second.scene, model)
+    parts = second.parts.for_field(0)
+    second = Trainer(second.settings, parts, second.scene, model, checkpoint=held)
     train(second)
     return whole, second
 
@@ -302,6 +303,16 @@ def test_several_fields_are_resumed_to_the_same_bits(make: Make) -> None:
     whole, second = resumed(make, TWINS, "training.fields=2")
     digests = [[field.model.digest() for field in t.fields] for t in (whole, second)]
     assert digests[0] == digests[1]
+
+
+def test_components_of_every_field_begin_once_when_resumed(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[ToyTwin] = []
+    monkeypatch.setattr(ToyTwin, "begin_training", lambda self, scene: begun.append(self))
+    _, second = resumed(make, TWINS, "training.fields=2")
+    assert len(begun) == len(set(begun)) == 8
+    assert [one.parts.one("regularizers").component for one in second.fields] == begun[-2:]
 
 
 # What the initializer knows, and what nobody may know.

@@ -38,6 +38,7 @@ RESULTS: dict[str, Any] = {
         "test": {"view1": {"psnr": 20.0, "lpips": None}},
         "train": {"view0": {"psnr": None, "lpips": None}},
     },
+    "infinite": {"train": {"psnr": ["view0"]}},
     "unavailable": {"lpips": "there is no model & no file"},
 }
 COUNT = 50
@@ -166,7 +167,8 @@ def test_without_held_out_photographs_the_page_shows_and_says_what_it_scores(
     scores = {"train": {"psnr": 30.0}, "test": {}}
     rows = {"train": {"view1": {"psnr": 30.0}}, "test": {}}
     names = {"scene": {"name": "tiny", "train": ["view1"]}}
-    write_json(run.path / "results.json", RESULTS | scores | names | {"views": rows})
+    rest = {"views": rows, "infinite": {}}
+    write_json(run.path / "results.json", RESULTS | scores | names | rest)
     page = build(HtmlReport).write(run.path, everything)[0].read_text("utf-8")
     assert texts(page, "h2")[:2] == ["Training photographs and renders", "Numbers"]
     assert "view1, psnr 30.00" in page

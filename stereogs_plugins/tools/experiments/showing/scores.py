@@ -8,6 +8,8 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from registry.runs import score_of
+
 from ..planning.plan import Combination, Plan, PlannedRun
 
 Results = Mapping[PlannedRun, Mapping[str, Any]]
@@ -101,11 +103,8 @@ def value(results: Mapping[str, Any], column: Column) -> float | None:
     if column.key in COUNTS:
         number = results.get(column.key)
         return None if number is None else float(number)
-    scores = results.get("test", {})
-    if column.key not in scores or column.key in results.get("unavailable", {}):
-        return None
-    score = scores[column.key]
-    return math.inf if score is None else float(score)  # JSON has no infinity
+    score = score_of(results, "test", column.key) if "test" in results else None
+    return None if score is None else float(score)
 
 
 def runs_of(

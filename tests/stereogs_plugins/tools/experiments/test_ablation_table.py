@@ -116,6 +116,7 @@ def test_infinite_and_unavailable_scores(made: Plan) -> None:
         found["test"] |= {"lpips": None}
         found["unavailable"] = {"lpips": "there is no model file"}
     results[made.runs[0]]["test"]["psnr"] = None
+    results[made.runs[0]]["infinite"] = {"test": {"psnr": ["view1"]}}
     assert [column.key for column in scores.columns(made, results)][:3] == [
         "psnr",
         "ssim",
