@@ -7,6 +7,7 @@ points of `ply_file_path` have it applied too.
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -98,7 +99,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         index = {name: k for k, name in enumerate(names)}
         listed = [*train_names, *test_names]
         wrong = [f"{name!r}, which is not a frame" for name in listed if name not in index]
-        wrong += [f"{name!r} twice" for name in listed if listed.count(name) > 1]
+        wrong += [f"{name!r} twice" for name, count in Counter(listed).items() if count > 1]
         pool = [index[name] for name in train_names if name in index]
         if wrong or (settings.train_views or 1) > len(pool):
             raise SceneError(
