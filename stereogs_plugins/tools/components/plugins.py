@@ -22,6 +22,7 @@ class ListPlugins(Command):
 examples:
   stereogs plugins                 name and purpose of each component
   stereogs plugins dropout         purpose and settings of one
+  stereogs plugins training        settings of the section `training`
   stereogs plugins --json          everything as JSON, with schemas of settings
   stereogs plugins --check         exit status 1 if a plugin cannot be loaded or two names clash
 
@@ -29,7 +30,9 @@ STEREOGS_PLUGINS chooses what is loaded: unset = all, empty = none, or entry nam
 """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("name", nargs="?", metavar="NAME", help="show this component only")
+        parser.add_argument(
+            "name", nargs="?", metavar="NAME", help="show this component, or `training`, only"
+        )
         parser.add_argument("--json", action="store_true", help="print JSON")
         parser.add_argument("--check", action="store_true", help="fail if a plugin has a fault")
 

@@ -7,22 +7,33 @@ import json
 import sys
 from collections.abc import Iterator
 
+from pydantic import BaseModel
+
 from registry import PluginError
 from registry.messages import did_you_mean
+from registry.pipeline import TrainingSettings
 from registry.plugins import Offer, Plugins
+
+TRAINING = "training"
+"""The section of a pipeline whose settings are the host's."""
 
 
 def component_help(name: str, plugins: Plugins) -> str:
-    """Return the help of every component of that name; lines are broken as in the docstrings.
+    """Return the help of every component of that name, or of the section `training`.
+
+    Lines are broken as in the docstrings.
 
     Raises:
         PluginError: there is no such component.
     """
+    if name == TRAINING:
+        lines = (f"settings of the section `{TRAINING}`:", *_settings(TrainingSettings), "")
+        return "\n".join(lines)
     offers = plugins.all()
     found = [offer for offer in offers if offer.name == name]
     if not found:
         raise PluginError(
-            f"no plugin offers {name!r}{did_you_mean(name, [offer.name for offer in offers])}",
+            f"no plugin offers {name!r}{did_you_mean(name, [TRAINING, *(offer.name for offer in offers)])}",
             where="the command line",
             fix="`stereogs plugins` lists all components",
         )
@@ -49,17 +60,22 @@ def _help_lines(offer: Offer) -> Iterator[str]:
     yield from own.splitlines()
     yield ""
     yield f"settings, in the pipeline's section `{offer.point.section}`:"
-    fields = offer.settings_type.model_fields
-    if not fields:
-        yield "  none of its own"
-    for name, field in fields.items():
-        if field.is_required():
-            yield f"  {name} (required)"
-        else:
-            default = field.get_default(call_default_factory=True)
-            yield f"  {name} = {json.dumps(default, default=str)}"
-        for line in inspect.cleandoc(field.description or "").splitlines():
-            yield f"      {line}"
+    yield from list(_settings(offer.settings_type)) or ["  none of its own"]
     yield f"settings that the host reads: {', '.join(offer.point.host_settings)}"
     if (defaults := offer.component.host_defaults) != "{}":
         yield f"their defaults: {defaults.strip('{}')}"
+
+
+def _settings(settings: type[BaseModel], within: str = "") -> Iterator[str]:
+    for name, field in settings.model_fields.items():
+        default = None if field.is_required() else field.get_default(call_default_factory=True)
+        if field.is_required():
+            yield f"  {within}{name} (required)"
+        elif isinstance(default, BaseModel):
+            yield f"  {within}{name}:"
+        else:
+            yield f"  {within}{name} = {json.dumps(default, default=str)}"
+        for line in inspect.cleandoc(field.description or "").splitlines():
+            yield f"      {line}"
+        if isinstance(default, BaseModel):
+            yield from _settings(type(default), f"{within}{name}.")

@@ -71,6 +71,14 @@ def test_one_component_is_shown(pipeline: Path, capsys: Capture) -> None:
     assert "did you mean 'toy_term'" in capsys.readouterr().err
 
 
+def test_the_settings_of_training_are_shown(capsys: Capture) -> None:
+    assert main(["plugins", "training"]) == 0
+    output = capsys.readouterr().out
+    assert "  iterations = 30000\n      Each renders one training view." in output
+    assert "  learning_rates:\n" in output
+    assert "  learning_rates.opacity = 0.05\n      Of the opacity logits.\n" in output
+
+
 def test_a_broken_plugin_is_reported_and_fails_the_check(
     pipeline: Path, install: Install, capsys: Capture
 ) -> None:
