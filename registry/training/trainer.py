@@ -58,6 +58,9 @@ class Trainer:
     Attributes:
         iteration: the last complete iteration; 0 before the first.
         fields: fields of Gaussians trained in lock-step; the first holds `model` and is scored.
+
+    Raises:
+        ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
     """
 
     def __init__(
