@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 MATRIX = HERE / "curve.yaml"
 OUT = HERE / "out" / "curve"
-PICTURE = HERE.parent / "docs" / "images" / "error_against_seconds.png"
+PICTURE = OUT / "error_against_seconds.png"
 METRIC = "psnr"
 _TICKS = (5, 10, 20, 50, 100, 200)
 
@@ -74,6 +74,7 @@ def main() -> None:
                 fix=f"stereogs bench {MATRIX} --out {OUT}",
             )
         draw(plan, read_curves(results, folder), PICTURE)
+        print(PICTURE)
     except ExplainedError as error:
         sys.exit(f"curve: {error}")
 
