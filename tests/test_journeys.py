@@ -63,6 +63,7 @@ def tag(picture: Path, exif: bytes) -> None:
     copy.save(picture, quality=92, exif=exif)
 
 
+@pytest.mark.proof
 def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     """A text, a raw file, a broken picture, a copy and a stray picture beside four with absurd EXIF data."""
     folder = tmp_path / "my photos"

@@ -93,7 +93,8 @@ def test_two_photographs_need_a_known_focal_length(
         load(tmp_path)
 
 
-@pytest.mark.parametrize("wrong", [range(5), pytest.param([2], marks=pytest.mark.proof)])
+@pytest.mark.proof
+@pytest.mark.parametrize("wrong", [range(5), [2]])
 def test_wrong_focal_lengths_in_exif_are_ignored(
     folder: Path,
     room: Scene,

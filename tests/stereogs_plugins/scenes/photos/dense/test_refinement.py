@@ -127,6 +127,7 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
     assert not refine(colmap, three, images, [None] * 3).focal_is_known
 
 
+@pytest.mark.proof
 def test_zoomed_and_cropped_photographs_get_their_own_lens(model: Any) -> None:
     assert with_zoomed_lenses(colmap, model) is model
     assert with_cropped_lenses(colmap, model) is model
