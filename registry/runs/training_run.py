@@ -53,7 +53,7 @@ QUICK = 0.1
 """Longest initialization that is repeated if plugins are not checked, in seconds."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-"""Errors of a disk that may have no file name."""
+"""Disk errors; writing raises them without a file name."""
 
 _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 """Sections whose packages may change before a run is resumed; digests of the inputs cover the scene."""
@@ -287,8 +287,9 @@ def _explaining_how_to_continue(run: Run) -> Iterator[None]:
         raise
     except OSError as error:
         run.check_folder()
-        if error.errno not in _FULL and path not in Path(str(error.filename)).parents:
-            raise  # a callback's own
+        file = Path(str(error.filename)).resolve()
+        if error.errno not in _FULL and path.resolve() not in file.parents:
+            raise  # not about a file of the run: raised by a callback
         raise RunError(
             f"a file of the run cannot be written: {error.strerror or error}",
             where=str(path),
