@@ -60,7 +60,7 @@ races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, whi
 	$(BIN)/python -m tests.runtimes.races
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
-	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs_plugins/tools/test_new_plugin.py
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs/verbs/test_new_plugin.py
 
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'

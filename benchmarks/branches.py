@@ -13,13 +13,14 @@ from time import monotonic, process_time
 
 from core_rasterizer import Gaussians
 from registry import RunError
-from registry.pipeline import Item, Parts, Pipeline
-from registry.runs import Run
-from registry.session import train
-from registry.system import peak_memory_mb
-from registry.training import Iteration, Trainer, new_model, one_torch_thread
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import Item, Pipeline
+from registry.runs.run import Run
+from registry.system.memory import peak_memory_mb
 from registry.training.checkpoint import Checkpoint
-from registry.training.trainer import maps_of
+from registry.training.initial_model import new_model
+from registry.training.trainer import Iteration, Trainer, maps_of, one_torch_thread
+from stereogs.session import train
 
 SECONDS = "_seconds"
 """Suffix of the times that components log."""

@@ -25,8 +25,8 @@ from benchmarks.training_records import Record
 from benchmarks.trainings import train
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.plugins import Plugins
-from registry.runs import locked
+from registry.discovery import Plugins
+from registry.system.lock import locked
 
 OUT = Path(__file__).parent / "out"
 INTERRUPTED = 130

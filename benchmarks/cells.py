@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from benchmarks.training_records import Record, processor
-from stereogs_plugins.tools.experiments.showing.scores import difference
+from stereogs.experiments.showing.scores import difference
 
 Records = Sequence[Record[Any]]
 

@@ -30,9 +30,9 @@ from benchmarks.left_out_scenes import OVERRIDES
 from benchmarks.results_plan import PIPELINES
 from benchmarks.training_records import RECORDS
 from registry import Scene, View
-from registry.runs import Run
+from registry.runs.run import Run
 from registry.toolkit.views import predicted_psnr
-from registry.training import one_torch_thread
+from registry.training.trainer import one_torch_thread
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 
 FILE = RECORDS / "confidence.jsonl"

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.plugins import Plugins
-from registry.system import replacing
-from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
-from stereogs_plugins.tools.experiments.planning.plan import Plan
-from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.showing.against_time import Curves, curve, read_curves
+from registry.discovery import Plugins
+from registry.system.files import replacing
+from stereogs.experiments.planning.matrix import plan_of, read_matrix
+from stereogs.experiments.planning.plan import Plan
+from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.showing.against_time import Curves, curve, read_curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

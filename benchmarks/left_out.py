@@ -27,12 +27,13 @@ from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
 from benchmarks.results_plan import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
-from registry.pipeline import Parts, Pipeline
-from registry.runs import evaluate
-from registry.session import build_pipeline, load_scene
-from registry.training import Trainer, new_model, one_torch_thread
-from registry.training.initial_model import initial_gaussians
-from stereogs_plugins.tools.experiments.planning.plan import pipeline_digest
+from registry.pipeline.parts import Parts
+from registry.pipeline.pipeline import Pipeline
+from registry.runs.evaluation import evaluate
+from registry.training.initial_model import initial_gaussians, new_model
+from registry.training.trainer import Trainer, one_torch_thread
+from stereogs.experiments.planning.plan import pipeline_digest
+from stereogs.session import build_pipeline, load_scene
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
 DEFAULT_CASES = "llff_fern-6,llff_flower-6,dtu_scan24-6,dtu_scan65-6"

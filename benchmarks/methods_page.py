@@ -21,7 +21,7 @@ from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, Me
 from benchmarks.results_plan import Case
 from benchmarks.training_records import Record as AnyRecord
 from benchmarks.training_records import processor
-from stereogs_plugins.tools.experiments.comparing.paper_tables import PaperTables, paper_tables
+from stereogs.experiments.comparing.paper_tables import PaperTables, paper_tables
 
 Record = AnyRecord[MethodRun]
 Records = Sequence[Record]

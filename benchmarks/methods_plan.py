@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 from benchmarks.planned_training import written_digest
 from benchmarks.results_plan import PIPELINES, Case, cases
-from registry.pipeline import Node, Pipeline, Place, apply_override, read, set_value
-from registry.pipeline import checked_pipeline as build_pipeline
-from registry.plugins import Plugins
+from registry.discovery import Plugins
+from registry.pipeline.edits import apply_override, set_value
+from registry.pipeline.pipeline import Pipeline, build_pipeline
+from registry.pipeline.yaml_source import Node, Place, read
 
 Points = Literal["own", "same"]
 """First points: those of the method, or the same for all methods."""

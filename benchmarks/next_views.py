@@ -21,11 +21,12 @@ from benchmarks.next_views_rules import RULES, Chosen, suggested
 from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
 from benchmarks.results_plan import check_data
 from registry import RunError
-from registry.runs import Run, evaluate
-from registry.session import train
+from registry.runs.evaluation import evaluate
+from registry.runs.run import Run
 from registry.toolkit.cache import source_digest
-from registry.training import one_torch_thread
-from stereogs_plugins.tools.next_views.gain import ExpectedGain
+from registry.training.trainer import one_torch_thread
+from stereogs.session import train
+from stereogs.verbs.next_views.gain import ExpectedGain
 
 RECORDS = Path(__file__).parent / "records" / "next_views.jsonl"
 LAST = 6

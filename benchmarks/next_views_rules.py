@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 
 from benchmarks.next_views_scenes import PoolScene
-from registry.runs import Run
-from stereogs_plugins.tools.next_views import next_views
+from registry.runs.run import Run
+from stereogs.verbs.next_views import next_views
 
 Chosen = tuple[int, ...]
 """Indices of photographs in the pool, in the order in which they were chosen."""

@@ -10,8 +10,8 @@ from benchmarks.left_out_scenes import half
 from benchmarks.results_plan import DATA
 from core_rasterizer import Camera
 from registry import Scene, View
-from registry.session import build_pipeline, load_scene
 from registry.toolkit.photos import evenly_spaced
+from stereogs.session import build_pipeline, load_scene
 
 PIPELINE = "weightfree_quick"
 START = 3

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from registry import RunError
-from registry.system import write_text
+from registry.system.files import write_text
 
 DOCS = Path(__file__).parent.parent / "docs"
 TABLES = Path(__file__).parent / "tables"

@@ -19,7 +19,7 @@ from benchmarks.parts_plan import (
     Table,
 )
 from benchmarks.training_records import Record as AnyRecord
-from stereogs_plugins.tools.experiments.comparing.paper_tables import Ablation, paper_tables
+from stereogs.experiments.comparing.paper_tables import Ablation, paper_tables
 
 Record = AnyRecord[PartsRun]
 Records = Sequence[Record]

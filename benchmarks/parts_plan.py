@@ -14,11 +14,12 @@ from pydantic import BaseModel
 
 from benchmarks.methods_plan import STEREOGS, Method, as_authors_set_it
 from benchmarks.results_plan import DATA, PIPELINES, SEEDS, Case, cases
-from registry.pipeline import Pipeline, apply_override
-from registry.plugins import Plugins
-from stereogs_plugins.tools.experiments.planning.description import read_description
-from stereogs_plugins.tools.experiments.planning.making import make_plan
-from stereogs_plugins.tools.experiments.planning.plan import Combination, Plan
+from registry.discovery import Plugins
+from registry.pipeline.edits import apply_override
+from registry.pipeline.pipeline import Pipeline
+from stereogs.experiments.planning.description import read_description
+from stereogs.experiments.planning.making import make_plan
+from stereogs.experiments.planning.plan import Combination, Plan
 
 MODELS = "STEREOGS_MODELS"
 TERM = "regularizers.stereo_depth"

@@ -6,7 +6,8 @@ import hashlib
 import json
 from typing import Any, Protocol, TypeVar
 
-from registry.pipeline import Node, Pipeline
+from registry.pipeline.pipeline import Pipeline
+from registry.pipeline.yaml_source import Node
 
 
 class PlannedTraining(Protocol):

@@ -28,9 +28,9 @@ from benchmarks.results_plan import CASES, DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, Scene, View
 from registry.priors import MultiViewDepthPrior
-from registry.session import build_pipeline, load_scene
 from registry.toolkit.drawing import grey
 from registry.toolkit.views.triangulation import triangulate
+from stereogs.session import build_pipeline, load_scene
 from stereogs_plugins.initializers.consistency_dense.geometric_consistency import (
     Limits,
     consistent_depths,

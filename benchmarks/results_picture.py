@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.results_page import Record, Records, by_case
 from benchmarks.results_plan import Method
 from benchmarks.training_process import RENDERS
-from registry.system import replacing
+from registry.system.files import replacing
 from registry.toolkit.drawing import ViewPictures
 
 PICTURE = "results.jpg"

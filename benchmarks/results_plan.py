@@ -11,10 +11,11 @@ from typing import Any
 
 from benchmarks.planned_training import written_digest
 from registry import RunError
-from registry.messages import listing
-from registry.pipeline import Pipeline, apply_override, read
-from registry.pipeline import checked_pipeline as build_pipeline
-from registry.plugins import Plugins
+from registry.discovery import Plugins
+from registry.messages.suggestions import listing
+from registry.pipeline.edits import apply_override
+from registry.pipeline.pipeline import Pipeline, build_pipeline
+from registry.pipeline.yaml_source import read
 
 DATA = "STEREOGS_DATA"
 PIPELINES = Path(__file__).parent.parent / "pipelines"

@@ -27,17 +27,17 @@ from benchmarks.skips_table import Measured, rows, summary, table
 from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.pipeline import Node, load_pipeline, parse
-from registry.plugins import Plugins
-from registry.system import write_text
-from registry.system.files import write_json
+from registry.discovery import Plugins
+from registry.pipeline.pipeline import load_pipeline
+from registry.pipeline.yaml_source import Node, parse
+from registry.system.files import write_json, write_text
 from registry.toolkit.cache import FOLDER_VARIABLE
-from stereogs_plugins.tools.experiments.planning.matrix import Matrix, plan_of
-from stereogs_plugins.tools.experiments.planning.plan import Plan, PlannedRun
-from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.running.runner import choose_runner, train_all
-from stereogs_plugins.tools.experiments.showing.page import as_page
-from stereogs_plugins.tools.quality.table import SHORT
+from stereogs.experiments.planning.matrix import Matrix, plan_of
+from stereogs.experiments.planning.plan import Plan, PlannedRun
+from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.runner import choose_runner, train_all
+from stereogs.experiments.showing.page import as_page
+from stereogs.quality.table import SHORT
 
 OUT = Path(__file__).parent / "out" / "skips"
 TARGET = "bench-skips"

@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from benchmarks.skips_table import Measured
-from stereogs_plugins.tools.experiments.showing.against_time import Sample, front
+from stereogs.experiments.showing.against_time import Sample, front
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -98,7 +98,8 @@ def wrap_stages(clock: StageClock) -> None:
     """Count the stages of a training run."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
-    from registry.runs import Run, run, training_run
+    from registry.runs import run, training_run
+    from registry.runs.run import Run
     from registry.training.field import Field
     from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
 
@@ -127,7 +128,7 @@ def wrap_stages(clock: StageClock) -> None:
 def main() -> int:
     clock = StageClock(float(os.environ[BORN]))
     clock.wrap_imports()
-    from registry.cli import main as stereogs
+    from stereogs.cli import main as stereogs
 
     wrap_stages(clock)
     status = stereogs(sys.argv[2:])

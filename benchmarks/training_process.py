@@ -18,12 +18,12 @@ from benchmarks.branches import Trained, train_branches
 from benchmarks.cells import ALEXNET, VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.pipeline import Pipeline
-from registry.runs import evaluate
+from registry.pipeline.pipeline import Pipeline
+from registry.runs.evaluation import evaluate
 from registry.runs.origin import circumstances
-from registry.session import build_pipeline
 from registry.system.files import write_json
-from registry.training import one_torch_thread
+from registry.training.trainer import one_torch_thread
+from stereogs.session import build_pipeline
 
 PIPELINE, RENDERS, ANSWER = "pipeline.yaml", "renders", "answer.json"
 """Names in the folder of a training."""

@@ -15,7 +15,7 @@ from typing import Any, Generic
 
 from benchmarks.planned_training import Planned
 from registry import RunError
-from registry.system import write_text
+from registry.system.files import write_text
 
 RECORDS = Path(__file__).parent / "records"
 

@@ -16,8 +16,8 @@ from rich.console import Console
 from benchmarks import training_records as records
 from benchmarks.planned_training import PlannedTraining
 from benchmarks.training_process import ANSWER, FAILED, PIPELINE
-from registry.runs import stop_on_interrupt
-from registry.system import write_text
+from registry.system.files import write_text
+from registry.system.interrupt import stop_on_interrupt
 from registry.toolkit.cache import FOLDER_VARIABLE
 
 THREADS = "POCL_MAX_PTHREAD_COUNT"

@@ -10,10 +10,10 @@ import json
 
 from benchmarks.results_plan import CASES, METHODS, Case, check_data, make_measurements
 from benchmarks.training_records import RECORDS
-from registry.plugins import Plugins
-from registry.session import load_scene
-from registry.system import write_text
+from registry.discovery import Plugins
+from registry.system.files import write_text
 from registry.toolkit.views import ViewAngles, subject_of, view_angles
+from stereogs.session import load_scene
 
 FILE = RECORDS / "view_angles.json"
 

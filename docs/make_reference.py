@@ -10,9 +10,9 @@ from pydantic.fields import FieldInfo
 
 from registry import Settings
 from registry.contract.hook_points import HOOK_POINTS
+from registry.discovery import Offer, Plugins
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import LearningRates, TrainingSettings
-from registry.plugins.discovery import Offer, Plugins
 
 PACKAGE = "stereogs-plugins"
 

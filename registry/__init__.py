@@ -14,16 +14,16 @@ Importing this package is cheap: each name is imported on first use. Prior model
 `import stereogs` runs trainings from Python.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .contract.checks.scene import validate
-    from .contract.command import Command, TrainOption
     from .contract.component import Component, Context, ParameterGroup, Settings
     from .contract.components import (
         Appearance,
+        AverageErrorRole,
         Densification,
         Exporter,
         Initializer,
@@ -46,38 +46,12 @@ if TYPE_CHECKING:
     from .contract.step import OtherField, Render, Sample, Step
     from .errors import PluginError, RunError, SceneError
 else:
-    _get, __dir__ = names_on_first_use(__name__)
-
-    def __getattr__(name: str) -> Any:
-        """Return a name of the contract, or, with a warning, one that moved since version 0.1.0."""
-        home = next((module for module, moved in _MOVED.items() if name in moved.split()), None)
-        if home is None:
-            return _get(name)
-        import pkgutil
-        import warnings
-
-        warnings.warn(
-            f"registry.{name} has moved: import it from {home}", DeprecationWarning, stacklevel=2
-        )
-        return pkgutil.resolve_name(f"{home}.{name}")
-
-
-_MOVED = {
-    "registry.events": "RunEnded RunStarted",
-    "registry.priors": "MonocularDepthPrior MultiViewDepthPrior",
-    "registry.runs": "read_results trained_gaussians",
-    "registry.system": "write_text",
-    "registry.toolkit": "cache optional_module web_page",
-    "registry.toolkit.drawing": "LoggerSettings ViewPictures depth_ends",
-    "registry.toolkit.networks": "OnnxModelSettings image_fitting",
-    "registry.toolkit.views": "ViewParameters epipolar_distances triangulation virtual_views",
-}
-"""Names that example packages or the documentation of version 0.1.0 used, by their modules now."""
+    __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
     "API_VERSION",
     "Appearance",
-    "Command",
+    "AverageErrorRole",
     "Component",
     "Context",
     "Densification",
@@ -107,7 +81,6 @@ __all__ = [
     "SceneLoader",
     "Settings",
     "Step",
-    "TrainOption",
     "TrainingScene",
     "TrainingView",
     "Unavailable",

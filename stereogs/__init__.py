@@ -16,10 +16,14 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from core_rasterizer import Camera, ExplainedError, list_devices, open_device
     from registry import PointCloud, Scene, View
-    from registry.pipeline import Pipeline
-    from registry.runs import Run, RunOptions
+    from registry.pipeline.pipeline import Pipeline
     from registry.runs.evaluation import Picture
-    from registry.session import (
+    from registry.runs.options import RunOptions
+    from registry.runs.run import Run
+    from registry.training.trainer import Iteration
+
+    from .quality import within
+    from .session import (
         build_pipeline,
         load_scene,
         open_run,
@@ -29,10 +33,8 @@ if TYPE_CHECKING:
         scene_from_arrays,
         train,
     )
-    from registry.training import Iteration
-    from stereogs_plugins.tools.export import export
-    from stereogs_plugins.tools.next_views import NextView, next_views
-    from stereogs_plugins.tools.quality import within
+    from .verbs.export import export
+    from .verbs.next_views import NextView, next_views
 else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.cli import parse
+from registry.discovery import SELECTION, Plugins
 from registry.pipeline.training_settings import TrainingSettings
-from registry.plugins.discovery import SELECTION, Plugins
+from stereogs.cli import parse
 from tests.packages import install, run_python
 
 ROOT = Path(__file__).parent.parent

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from registry.cli import main
-from registry.plugins.commands import verbs
+from stereogs.cli import main
+from stereogs.command_line.installed import verbs
 
 WIDTH = 80
 PIPELINE = """\

@@ -29,7 +29,7 @@ Version 3 moved names from `registry` to `registry.priors`, `registry.events`, `
 PROJECT = "stereogs"
 hookimpl = pluggy.HookimplMarker(PROJECT)
 OTHER_HOOKS = ("stereogs_register_commands", "stereogs_register_train_options")
-"""Hooks for verbs and for options of `train`; see `registry.contract.command`."""
+"""Hooks for verbs and for options of `train`; see `stereogs.command_line.command`."""
 
 Registered = TypeVar("Registered", contravariant=True)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ..contract.components import SceneLoader
 from ..contract.hook_points import PIPELINE_POINTS
+from ..discovery import Plugins, recognize, recognizing
 from ..messages.suggestions import did_you_mean, listing
-from ..plugins.discovery import Plugins, recognize, recognizing
 from .settings_check import plain
 from .yaml_source import Node, Place, parse
 

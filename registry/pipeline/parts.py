@@ -16,10 +16,13 @@ from core_rasterizer import Device, Engine
 
 from ..calls.read_only_guard import NOTHING, ReadOnlyGuard, are_checked
 from ..contract.checks.answers import check_carried, check_state
+from ..contract.checks.scene import validate
 from ..contract.component import Component, Context
 from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
+from ..contract.scene import Scene
 from ..errors import RunError
+from ..toolkit.progress.stages import progress
 from .blame import at_work
 from .pipeline import Item, Pipeline
 from .repeats import answer_of
@@ -216,6 +219,13 @@ def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0
     with context.at_work():
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)
+
+
+def load_scene(loader: Part) -> Scene:
+    """Load a scene and validate it; raises an ExplainedError if the loader fails or it is not valid."""
+    progress("reading")
+    with loader.at_work():
+        return validate(loader.component.load())
 
 
 def derived_seed(seed: int, name: str) -> int:

@@ -12,10 +12,10 @@ from core_rasterizer.errors import ExplainedError
 
 from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
+from ..discovery import Offer, Plugins
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..messages.visible_text import is_plain_name
-from ..plugins.discovery import Offer, Plugins
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
 from .ready import find_pipeline

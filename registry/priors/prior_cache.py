@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..contract.prior import Prior
 from ..contract.scene import TrainingView
-from ..plugins.discovery import GROUP
+from ..discovery import GROUP
 from ..system.files import write_json
 from ..toolkit.cache import Cache, content_key, package_digest
 from ..toolkit.drawing.pictures import save_png

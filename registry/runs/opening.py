@@ -19,13 +19,12 @@ from core_rasterizer import Device, Engine, ExplainedError, Gaussians
 from ..contract.checks.scene import validate
 from ..contract.hook_points import HOOK_POINTS
 from ..contract.scene import Scene
+from ..discovery import Plugins
 from ..errors import RunError
-from ..inspection.scene_source import load
-from ..pipeline.parts import Parts
+from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import load_pipeline
 from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import parse
-from ..plugins.discovery import Plugins
 from ..training.checkpoint import (
     CHECKPOINT,
     Checkpoint,
@@ -92,7 +91,7 @@ def open_run(
         )
     parts = Parts(pipeline, device)
     begin = monotonic()
-    scene = load(parts.one("scene")) if scene is None else validate(scene)
+    scene = load_scene(parts.one("scene")) if scene is None else validate(scene)
     loading = monotonic() - begin
     changed: tuple[str, ...] = ()
     before, _ = folder.inputs()

@@ -24,9 +24,9 @@ from torch import Tensor
 from core_rasterizer import Device, Engine, ExplainedError
 
 from ..contract.scene import Scene
+from ..discovery import GROUP, Offer
 from ..errors import RunError
 from ..pipeline.pipeline import Item, Pipeline
-from ..plugins.discovery import GROUP, Offer
 from ..toolkit.cache import code_digest
 
 _HASH_SETTING = "sha256"

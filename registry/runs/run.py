@@ -21,11 +21,11 @@ from ..calls.copies import copied
 from ..confidence import Confidence, Trained
 from ..contract.components import ViewMetric
 from ..contract.scene import Scene
+from ..discovery import CONFIDENCE, Plugins
 from ..errors import RunError
-from ..inspection.scene_source import single_item
 from ..pipeline.parts import Part, Parts, build_part
 from ..pipeline.pipeline import Pipeline
-from ..plugins.discovery import CONFIDENCE, Plugins
+from ..pipeline.single_item import single_item
 from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
 from ..toolkit.progress import progress, tracked

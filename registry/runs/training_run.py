@@ -21,14 +21,13 @@ from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import check_maps, validate
 from ..contract.scene import Scene
+from ..discovery import Plugins
 from ..errors import RunError
-from ..inspection.pipeline_faults import faults, refuse_missing_priors
-from ..inspection.scene_source import load
-from ..pipeline.parts import Parts
+from ..pipeline.faults import faults, refuse_missing_priors
+from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import Pipeline
 from ..pipeline.repeats import answer_of
 from ..pipeline.training_settings import TrainingSettings
-from ..plugins.discovery import Plugins
 from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
@@ -168,11 +167,11 @@ def _initialized(
     begin = monotonic()
     parts = Parts(pipeline, device)
     list(parts)  # constructs every component: find mistakes before the scene is loaded
-    scene = load(parts.one("scene")) if options.scene is None else validate(options.scene)
+    scene = load_scene(parts.one("scene")) if options.scene is None else validate(options.scene)
     resized = options.fit.resized(pipeline, scene)
     if resized is not pipeline:
         pipeline, parts = resized, parts.following(resized)
-        scene = load(parts.one("scene"))
+        scene = load_scene(parts.one("scene"))
     pipeline = pipeline.for_views(len(scene.train))
     parts = parts.following(pipeline)
     STAGES.begin(None)

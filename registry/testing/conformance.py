@@ -1,13 +1,8 @@
-"""Check one component class, or one command class."""
+"""Check one component class."""
 
 from __future__ import annotations
 
-import argparse
-import inspect
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,16 +12,13 @@ from typing import Any
 from core_rasterizer import Device, open_device
 
 from ..contract.checks.answers import check_state
-from ..contract.command import Command
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
-from ..messages.terminal import CommandParser, HelpFormatter
+from ..discovery import GROUP, Plugins, check_offer
 from ..pipeline.parts import TRAINING_SECTIONS
 from ..pipeline.repeats import digests, first_difference
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import parse, to_yaml
-from ..plugins.commands import COMMANDS, Verb
-from ..plugins.discovery import GROUP, Plugins, check_offer
 from ..training.gradients import check_groups
 from .assertions import require
 from .bench import Bench, Refused
@@ -34,11 +26,6 @@ from .component_calls import CALLS
 from .processes import in_other_processes
 from .scenes import EMPTY, PIXEL, REAL, SMALL, UNDER_TEST, hook_point
 from .training_runs import observe_and_resume, train_and_resume
-
-_RESERVED = ("command", "verb")
-_IMPORTS_TORCH = (
-    "import sys, importlib; importlib.import_module(sys.argv[1]); sys.exit('torch' in sys.modules)"
-)
 
 
 @dataclass(frozen=True)
@@ -186,51 +173,3 @@ def _check_settings(settings: Settings) -> None:
     written = parse(to_yaml(escape_variables(plain)), "settings")
     from_yaml = validate_settings(type(settings), written, "settings")
     require(from_yaml == settings, "the settings do not survive being written to a pipeline file")
-
-
-def check_command(command: type[Command]) -> None:
-    """Check a command class: its arguments, help, module and entry point.
-
-    Raises:
-        AssertionError: the class does not derive from `registry.Command` or lacks `run`; its arguments
-            clash with each other or with the host's; its help cannot be printed; its module has no
-            docstring for `stereogs --help`, or importing it imports torch.
-        PluginError: an entry point of its module does not match the registered name.
-    """
-    require(
-        issubclass(command, Command), f"{command.__name__} does not derive from registry.Command"
-    )
-    require(not inspect.isabstract(command), f"{command.__name__} does not define run(arguments)")
-    built = command()
-    parser = CommandParser(prog="stereogs", epilog=built.epilog, formatter_class=HelpFormatter)
-    try:
-        built.add_arguments(parser)
-    except argparse.ArgumentError as error:
-        raise AssertionError(f"the arguments clash: {error}") from error
-    for action in parser._actions:
-        require(
-            action.dest not in _RESERVED,
-            f"the argument {action.dest!r} has a name that the host uses; set another `dest`",
-        )
-    try:
-        parser.format_help()
-    except (ValueError, TypeError, KeyError) as error:
-        raise AssertionError(f"the help cannot be printed: {error}; write % as %%") from error
-    name = command.__module__
-    summary = (sys.modules[name].__doc__ or "").strip()
-    require(
-        bool(summary),
-        f"the module {name} has no docstring: its first line is the command's summary",
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", _IMPORTS_TORCH, name],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    require(not done.stderr, f"the module {name} cannot be imported: {done.stderr[-500:]}")
-    require(not done.returncode, f"importing {name} imports torch; import it within `run`")
-    for entry in entry_points(group=COMMANDS):
-        if entry.module == name:
-            Verb(entry).load()

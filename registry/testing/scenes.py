@@ -24,11 +24,11 @@ from ..contract.hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
 from ..contract.prior import Prior
 from ..contract.scene import DepthMap, PointCloud, Scene, TrainingScene, View
 from ..contract.step import Sample, Step
+from ..discovery import Offer
 from ..pipeline.pipeline import Item, Pipeline
 from ..pipeline.schedule import HostSettings
 from ..pipeline.training_settings import TrainingSettings
 from ..pipeline.yaml_source import Place
-from ..plugins.discovery import Offer
 from ..training.step import learning_rates, step_renderer
 from .assertions import require
 

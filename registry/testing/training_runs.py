@@ -14,11 +14,11 @@ from torch import Tensor
 from core_rasterizer import Gaussians
 
 from ..contract.component import Component, Settings
+from ..discovery import Plugins
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
 from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
-from ..plugins.discovery import Plugins
 from ..runs.options import RunOptions
 from ..runs.training_run import resume, start
 from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint

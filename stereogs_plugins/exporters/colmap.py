@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
-from registry.system import write_text
-from registry.toolkit import photos
+from registry.toolkit import photos, write_text
 from registry.toolkit.drawing import save_png
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
-from registry.system import write_text
+from registry.toolkit import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path

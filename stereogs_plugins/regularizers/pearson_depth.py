@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from registry import Context, PluginError, Register, Regularizer, Settings, Step, hookimpl
-from registry.contract import SOLID
 from registry.priors import MonocularDepthPrior
 from registry.toolkit.networks.image_fitting import at_size
-from registry.toolkit.views import virtual_views
+from registry.toolkit.views import SOLID, virtual_views
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -16,7 +16,7 @@ from benchmarks.results_plan import Case
 from benchmarks.training_process import ANSWER, RENDERS
 from registry import RunError
 from registry.pipeline.pipeline import Pipeline
-from registry.session import build_pipeline, train
+from stereogs.session import build_pipeline, train
 
 ROOM = Case("room", 3, "", ())
 TEXT = """\

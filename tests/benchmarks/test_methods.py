@@ -29,9 +29,9 @@ from benchmarks.methods_plan import (
 from benchmarks.results_plan import Case
 from benchmarks.training_records import Record
 from registry import RunError
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import Pipeline
-from registry.plugins.discovery import Plugins
-from registry.session import build_pipeline
+from stereogs.session import build_pipeline
 
 PLUGINS = Plugins()
 FACING, OBJECTS = GROUPS

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.skips import DEFAULT, SWITCHES, variant
 from benchmarks.skips_table import Measured, rows, summary, table
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import build_pipeline
-from registry.plugins.discovery import Plugins
 
 
 def test_a_switch_is_compared_with_the_default_of_its_own_scene_and_seed() -> None:

@@ -16,9 +16,8 @@ import pytest
 from PIL import Image
 
 import stereogs
-from registry.cli import main
-
-from .conftest import MOST_SECONDS, WIDTHS, keep, opened, overflow
+from stereogs.cli import main
+from tests.browser.conftest import MOST_SECONDS, WIDTHS, keep, opened, overflow
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,8 +19,8 @@ import viser
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry.testing import tiny_scene
-from stereogs_plugins.tools.view.subject import Subject, viewpoints_of
-from stereogs_plugins.tools.view.viewer import Viewer
+from stereogs.verbs.view.subject import Subject, viewpoints_of
+from stereogs.verbs.view.viewer import Viewer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core_rasterizer import Camera
-
-from .plane_sweep_oracle import Floats, interpolate
+from tests.core_rasterizer.plane_sweep_oracle import Floats, interpolate
 
 COLOR_SPREAD = 0.2
 """Standard deviation of grey values in [0, 1] of one surface."""

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Device
 from core_rasterizer.matching import PatchMatch
-
-from .test_plane_sweep import pose
+from tests.core_rasterizer.test_plane_sweep import pose
 
 BOUNDS = (2.0, 8.0)
 OTHERS = [[1, 2], [0, 2], [0, 1]]

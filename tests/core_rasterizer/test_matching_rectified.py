@@ -16,8 +16,7 @@ from core_rasterizer.matching import (
     right_costs,
     zncc_costs,
 )
-
-from . import matching_oracle as oracle
+from tests.core_rasterizer import matching_oracle as oracle
 
 SIZES = [(9, 31, 12), (1, 1, 1), (1, 40, 17), (70, 1, 5), (5, 8, 40), (131, 12, 16)]
 

@@ -12,8 +12,7 @@ from core_rasterizer import Device, MemoryBudgetError, open_device
 from core_rasterizer.device import DeviceArray
 from core_rasterizer.matching import LARGEST_PENALTY, Penalties, aggregate, pick
 from core_rasterizer.matching.semi_global import empty_volume, padded_planes
-
-from . import matching_oracle as oracle
+from tests.core_rasterizer import matching_oracle as oracle
 
 SHAPES = [(7, 11, 16), (11, 7, 32), (1, 5, 16), (9, 1, 16), (1, 1, 48), (12, 21, 48)]
 PENALTIES = [Penalties(10, 250), Penalties(0, 0), Penalties(80, LARGEST_PENALTY)]

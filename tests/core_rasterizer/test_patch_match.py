@@ -9,10 +9,9 @@ from torch import Tensor
 from core_rasterizer import Camera, Device
 from core_rasterizer.matching import MOST_PATCH_SOURCES, PatchMatch, PlaneMap
 from core_rasterizer.matching.patch_level import PatchLevel
-
-from . import patch_match_oracle as oracle
-from .slanted_wall import BOUNDS, NORMAL, OTHERS, wall
-from .test_plane_sweep import pose, textures, uneven_cameras
+from tests.core_rasterizer import patch_match_oracle as oracle
+from tests.core_rasterizer.slanted_wall import BOUNDS, NORMAL, OTHERS, wall
+from tests.core_rasterizer.test_plane_sweep import pose, textures, uneven_cameras
 
 RADIUS = 3
 

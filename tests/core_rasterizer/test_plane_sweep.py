@@ -18,8 +18,7 @@ from core_rasterizer.matching import (
     pick,
     seen_by_any,
 )
-
-from . import plane_sweep_oracle as oracle
+from tests.core_rasterizer import plane_sweep_oracle as oracle
 
 SIZES = [(37, 29), (45, 31), (24, 40), (30, 30)]
 INVERSE_DEPTHS = torch.linspace(0.1, 0.9, 19, dtype=torch.float64)

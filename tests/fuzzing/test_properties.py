@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from core_rasterizer import ExplainedError, load_ply, load_points
 from registry.contract.checks.scene import validate
+from registry.discovery import Plugins
 from registry.errors import PipelineError, SceneError
 from registry.messages.visible_text import is_plain_name
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
-from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.results import Failure, Results, SceneRecord, read_results
 from registry.system.files import jsonable

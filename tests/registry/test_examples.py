@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from registry.plugins.commands import verbs
-from registry.plugins.discovery import Plugins
+from registry.discovery import Plugins
+from stereogs.command_line.installed import verbs
 from tests.packages import ROOT, importable, install, run_python
 
 PACKAGES = sorted(path.parent for path in (ROOT / "docs" / "examples").glob("*/pyproject.toml"))

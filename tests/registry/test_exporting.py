@@ -11,11 +11,10 @@ import torch
 
 import stereogs
 from registry import PluginError, RunError, Scene
-from registry.cli import main
 from registry.errors import PipelineError
 from registry.testing import tiny_scene
-
-from .conftest import TOY_ENTRIES, Install
+from stereogs.cli import main
+from tests.registry.conftest import TOY_ENTRIES, Install
 
 ITERATIONS = 8
 

@@ -14,16 +14,15 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.calls.memory import MemoryLedger
 from registry.calls.watchdog import WATCHDOG
+from registry.discovery import GROUP, Plugins
 from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.opening import open_run
 from registry.system.memory import resident_bytes
 from registry.toolkit.cache import FOLDER_VARIABLE
-from stereogs_plugins.tools.replay import repeat_failure
-
-from .conftest import TOYS
-from .faulty import NAMES, installed, module
+from stereogs.verbs.replay import repeat_failure
+from tests.registry.conftest import TOYS
+from tests.registry.faulty import NAMES, installed, module
 
 BASE = """\
 name: faulty

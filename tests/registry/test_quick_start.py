@@ -14,7 +14,7 @@ SLOW = ("torch", "pyopencl", "pycolmap", "onnxruntime", "scipy", "skimage", "num
 SCRIPT = """
 import contextlib, io, os, sys
 os.environ.pop("STEREOGS_PLUGINS", None)
-from registry.cli import main
+from stereogs.cli import main
 answers = []
 for arguments in {lines!r}:
     said = io.StringIO()
@@ -121,7 +121,7 @@ def test_modules_run_the_command(module: str) -> None:
 HASHES = """
 import sys
 sys.settrace(eval(sys.argv.pop()))
-from registry.__main__ import main
+from stereogs.__main__ import main
 main()
 print(hash("a word"))
 """

@@ -13,8 +13,8 @@ import sys
 import xml.etree.ElementTree as ET
 from collections import Counter
 
-from .catalog import RUNTIMES, Runtime
-from .fetching import FOLDER, ROOT, Unavailable
+from tests.runtimes.catalog import RUNTIMES, Runtime
+from tests.runtimes.fetching import FOLDER, ROOT, Unavailable
 
 _TESTS = "tests/core_rasterizer"
 _OPTIONS = (

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from core_rasterizer.device import Variant
-
-from .fetching import ROOT, unpacked
+from tests.runtimes.fetching import ROOT, unpacked
 
 LIBRARIES = Path("usr", "lib", "x86_64-linux-gnu")
 

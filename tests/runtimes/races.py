@@ -12,8 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-from .catalog import LIBRARIES, selected
-from .fetching import FOLDER, ROOT, Unavailable, unpacked
+from tests.runtimes.catalog import LIBRARIES, selected
+from tests.runtimes.fetching import FOLDER, ROOT, Unavailable, unpacked
 
 PARTS = ("engine", "matching")
 _SECONDS = 1800

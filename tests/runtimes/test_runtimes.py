@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.device import program
-
-from . import __main__ as command
-from . import fetching, race_scenes, races
-from .catalog import Runtime
-from .fetching import Unavailable, unpacked
+from tests.runtimes import __main__ as command
+from tests.runtimes import fetching, race_scenes, races
+from tests.runtimes.catalog import Runtime
+from tests.runtimes.fetching import Unavailable, unpacked
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ import sys
 from collections import Counter
 
 from core_rasterizer import open_device
-
-from .cases import all_cases
-from .trial import found_by_check, verdict
+from tests.sick.cases import all_cases
+from tests.sick.trial import found_by_check, verdict
 
 
 def main() -> int:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from core_rasterizer import open_device
-
-from .cases import all_cases
-from .trial import verdict
+from tests.sick.cases import all_cases
+from tests.sick.trial import verdict
 
 NAMED = (
     "regularizers: step.rendering.rgb.mean().backward()",

@@ -32,9 +32,8 @@ from registry.runs.training_run import start
 from registry.testing import check, tiny_scene
 from registry.testing.processes import in_other_processes
 from registry.testing.scenes import pipeline_item, pipeline_of
-from stereogs_plugins.tools.other_processes import refuse_different_answers
-
-from .cases import Case
+from stereogs.verbs.other_processes import refuse_different_answers
+from tests.sick.cases import Case
 
 Verdict = Literal["named", "warned", "refused", "crash", "harmless", "silent"]
 """named: an error, or a failure in the results, names the component. warned: a warning does. refused: an

@@ -17,7 +17,7 @@ nerfbaselines = pytest.importorskip("nerfbaselines")
 from nerfbaselines.datasets import download_dataset, load_dataset  # noqa: E402
 from nerfbaselines.evaluation import build_evaluation_protocol  # noqa: E402
 
-from stereogs.nerfbaselines_protocols import pipeline_of  # noqa: E402
+from stereogs.nerfbaselines.protocols import pipeline_of  # noqa: E402
 
 
 def prepared(protocol: str, scene: str, folder: Path) -> Path:
@@ -107,7 +107,7 @@ def test_missing_files_and_folders_are_explained(
 
 def test_settings_from_the_command_line_are_strings() -> None:
     """`--set training.iterations=7` passes the string "7"."""
-    from stereogs.nerfbaselines_method import StereoGS
+    from stereogs.nerfbaselines.method import StereoGS
 
     room = {"name": "room", "scene": {"use": "procedural", "width": 64, "height": 48}}
     scene = stereogs.load_scene({**room, "initializer": "sfm"})

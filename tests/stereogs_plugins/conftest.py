@@ -6,8 +6,7 @@ import pytest
 
 from registry import Scene
 from stereogs_plugins.scenes.procedural import ProceduralScene
-
-from .building import build
+from tests.stereogs_plugins.building import build
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ import torch
 
 from core_rasterizer import Gaussians, save_ply
 from registry import Prior, TrainingView
-from registry.plugins.discovery import GROUP, Offer, Plugins
+from registry.discovery import GROUP, Offer, Plugins
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.testing import check, tiny_scene
 from tests.stereogs_plugins.building import build

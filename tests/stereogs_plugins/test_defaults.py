@@ -12,9 +12,9 @@ from torch.nn.functional import avg_pool2d
 
 import stereogs
 from registry import Scene, View
+from registry.discovery import Offer, Plugins
 from registry.pipeline.pipeline import default_schedule
-from registry.plugins.discovery import Offer, Plugins
-from registry.runs import evaluate
+from registry.runs.evaluation import evaluate
 from tests.data import data_folder
 
 PLUGINS = Plugins()

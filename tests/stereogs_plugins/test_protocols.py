@@ -9,11 +9,10 @@ import pytest
 
 from core_rasterizer import open_device
 from registry.contract.scene import Scene
-from registry.inspection.scene_source import load
+from registry.discovery import Plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
-from registry.plugins.discovery import Plugins
 from tests.data import data_folder
 
 TEXT = """\
@@ -26,7 +25,7 @@ initializer: random
 
 def under(protocol: str, loader: str, path: str) -> Scene:
     text = TEXT.format(protocol=protocol, loader=loader, path=path)
-    return load(Parts(parse_pipeline(text, Plugins()), open_device()).one("scene"))
+    return load_scene(Parts(parse_pipeline(text, Plugins()), open_device()).one("scene"))
 
 
 @pytest.mark.parametrize("name", protocol_names())

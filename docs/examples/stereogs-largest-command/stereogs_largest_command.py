@@ -3,7 +3,8 @@
 import argparse
 
 import registry
-from registry.commands import add_run, console, open_given
+from stereogs.command_line.arguments import add_run, open_given
+from stereogs.command_line.output import console
 
 STEREOGS_API = 3
 """The version of the plugin API that this module was written for."""

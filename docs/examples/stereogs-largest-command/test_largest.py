@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from registry.cli import main
+from stereogs.cli import main
 
 
 def test_it_lists_the_largest_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from ...contract.scene import SOLID
     from .confident_gaussians import confidence_of_gaussians
     from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
     from .painted import Painted, gathered, same_model
@@ -26,6 +27,7 @@ else:
 
 __all__ = [
     "RIGHT",
+    "SOLID",
     "Painted",
     "Photographs",
     "ViewAngles",

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 import pydantic
 
-from registry import Metric, PluginError, Register, Unavailable, hookimpl
-from registry.contract import AverageErrorRole
+from registry import AverageErrorRole, Metric, PluginError, Register, Unavailable, hookimpl
 from registry.toolkit.drawing import ImageMetricSettings
 from registry.toolkit.networks import Sha256
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import pydantic
 
 from registry import Register, Report, Scene, Settings, hookimpl
-from registry.system import write_text
+from registry.toolkit import write_text
 from registry.toolkit.photos import in_parallel
 from registry.toolkit.web_page import (
     Cell,

@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from registry import RunError
 from registry.runs import read_results
 
@@ -42,9 +44,7 @@ class RunFiles:
     @property
     def training(self) -> dict[str, Any]:
         """The pipeline's training settings, or an empty mapping."""
-        from registry.pipeline import parse
-
-        content = parse(self.pipeline, "pipeline.yaml").as_written()
+        content = yaml.safe_load(self.pipeline)
         return dict(content.get("training") or {}) if isinstance(content, dict) else {}
 
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from registry.system import write_text
-from registry.toolkit import web_page
+from registry.toolkit import web_page, write_text
 from registry.toolkit.drawing import upwards
 
 from .reach import reaches

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from registry import Fact, Scene, SceneLoader
-from registry.messages import counted
+from registry.toolkit import counted
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,

@@ -9,8 +9,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from unittest import mock
 
+from registry.discovery import GROUP, Plugins
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
-from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.results import Results, read_results
 from tests.fuzzing.target import Target
 from tests.registry.runs.test_results_file import RESULTS

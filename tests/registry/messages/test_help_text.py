@@ -4,9 +4,9 @@ import argparse
 
 import pytest
 
-from registry.cli import main
 from registry.messages.terminal import HelpFormatter
-from registry.plugins.commands import verbs
+from stereogs.cli import main
+from stereogs.command_line.installed import verbs
 
 TEXT = """\
 examples:

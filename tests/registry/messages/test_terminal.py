@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from rich.table import Table
 
-from registry.cli import main
-from registry.commands.output import LogLines
 from registry.messages.terminal import PlainConsole, visible
 from registry.runs.options import RunOptions
+from stereogs.cli import main
+from stereogs.command_line.output import LogLines
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
 TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"

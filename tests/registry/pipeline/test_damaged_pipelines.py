@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import ExplainedError
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import load_pipeline
-from registry.plugins.discovery import Plugins
 from tests.fuzzing.formats.texts import ENVIRONMENT, shipped_plugins
 
 SHIPPED = Path(__file__).parents[3] / "pipelines" / "stereogs.yaml"

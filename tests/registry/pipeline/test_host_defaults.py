@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from registry.contract.component import Component
+from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, parse_pipeline
-from registry.plugins.discovery import Plugins
 from tests.registry.toy_plugin import ToyGrowth, ToyTerm
 
 TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"

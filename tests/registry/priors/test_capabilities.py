@@ -21,8 +21,15 @@ from registry.priors import (
     StereoPrior,
 )
 from registry.testing import check, tiny_scene
-
-from .toy_priors import BestShift, Brightness, Corners, Middle, Sideways, built, textured
+from tests.registry.priors.toy_priors import (
+    BestShift,
+    Brightness,
+    Corners,
+    Middle,
+    Sideways,
+    built,
+    textured,
+)
 
 
 @pytest.mark.parametrize("component", [BestShift, Middle, Brightness])

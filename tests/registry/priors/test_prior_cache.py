@@ -18,8 +18,7 @@ from registry import Context, Settings
 from registry.priors import MonocularDepthPrior
 from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.testing import tiny_scene
-
-from .toy_priors import Brightness, Middle, built
+from tests.registry.priors.toy_priors import Brightness, Middle, built
 
 
 def test_equal_inputs_are_read_from_disk_bit_for_bit(cache: Path) -> None:

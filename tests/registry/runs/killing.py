@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import registry.runs.training_run  # so that no child needs to
-from registry.cli import main
 from registry.training import checkpoint
+from stereogs.cli import main
 
 PIPELINE = """\
 name: killed

@@ -11,16 +11,16 @@ import pytest
 
 from core_rasterizer import Device, ExplainedError
 from registry import RunError
+from registry.discovery import GROUP, Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import GROUP, Plugins
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from registry.toolkit.cache import keys
-from stereogs_plugins.tools.experiments.comparing.comparability import comparable_groups
-from stereogs_plugins.tools.experiments.comparing.comparison import read_run
-from stereogs_plugins.tools.experiments.comparing.labels import labels
+from stereogs.experiments.comparing.comparability import comparable_groups
+from stereogs.experiments.comparing.comparison import read_run
+from stereogs.experiments.comparing.labels import labels
 from tests.registry.conftest import TOYS
 
 TEXT = """\

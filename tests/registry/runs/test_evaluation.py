@@ -13,18 +13,18 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, GaussianModel, Rendering
-from registry.commands.output import results_table
 from registry.contract.component import Context
 from registry.contract.hook_points import HOOK_POINTS
+from registry.discovery import Offer
 from registry.pipeline.parts import Part
 from registry.pipeline.pipeline import Item
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Place
-from registry.plugins.discovery import Offer
 from registry.runs.evaluation import Scores, average_error, averaged, evaluate
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
+from stereogs.command_line.output import results_table
 
 PLACE = Place("a.yaml", 3)
 METRICS = next(point for point in HOOK_POINTS if point.section == "metrics")

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from registry import PointCloud, Scene, View
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.runs.origin import changed_inputs, input_digests, listed
 from registry.testing import tiny_scene
 

@@ -11,11 +11,11 @@ import registry as r
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.contract.hook_points import HOOK_POINTS
+from registry.discovery import Offer, Plugins
 from registry.events import IterationDone, ViewsScored
 from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Place
-from registry.plugins.discovery import Offer, Plugins
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.run import Run

@@ -11,12 +11,12 @@ import torch
 
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.runs.options import RunOptions
 from registry.runs.training_run import start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from stereogs_plugins.tools.replay import repeat_failure as replay
+from stereogs.verbs.replay import repeat_failure as replay
 from tests.registry.toy_plugin import ToyTerm
 
 TEXT = """\

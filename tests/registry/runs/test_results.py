@@ -14,9 +14,8 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError, SceneError, Unavailable
-from registry.commands.output import FAILED, conclude
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
@@ -24,6 +23,7 @@ from registry.runs.results import score_of
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from registry.training.checkpoint import read_checkpoint, write_checkpoint
+from stereogs.command_line.output import FAILED, conclude
 from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
 
 TEXT = """\

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 
 from registry import RunError
-from registry.cli import main
 from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 from registry.runs.results import read_results
+from stereogs.cli import main
 from stereogs_plugins.reports.html import HtmlReport
-from tests.stereogs_plugins.tools.experiments.comparing.conftest import PIPELINE, changed
-
-from ...stereogs_plugins.building import build
+from tests.stereogs.experiments.comparing.conftest import PIPELINE, changed
+from tests.stereogs_plugins.building import build
 
 RESULTS: dict[str, Any] = {
     "pipeline": "plain",

@@ -17,7 +17,7 @@ from torch import Tensor
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Scene
-from registry.plugins.discovery import Plugins
+from registry.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions

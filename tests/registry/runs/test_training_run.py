@@ -13,8 +13,8 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, SceneError
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import load_pipeline, parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.runs.folder import METRICS, RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions

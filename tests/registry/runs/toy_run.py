@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from core_rasterizer import Device
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.options import RunOptions
 from registry.runs.run import Run

@@ -24,10 +24,9 @@ from core_rasterizer import ExplainedError
 from registry.events import IterationDone, RunEnded, RunStarted
 from registry.priors import StereoPrior
 from registry.testing import check
+from tests.registry import toy_extension_points as extension_points
+from tests.registry import toy_plugin as toys
 from tests.registry.conftest import Install
-
-from .. import toy_extension_points as extension_points
-from .. import toy_plugin as toys
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import torch
 from core_rasterizer import Device, ExplainedError
 from core_rasterizer.layout import PARAMETERS
 from registry import PluginError, Step
+from registry.discovery import Plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.checkpoint import Checkpoint
 from registry.training.initial_model import initial_gaussians, new_model

@@ -10,9 +10,9 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, Edit, ExplainedError, MemoryBudgetError
+from registry.discovery import Plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Trainer

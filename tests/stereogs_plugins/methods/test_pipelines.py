@@ -16,9 +16,9 @@ import yaml
 
 from core_rasterizer import open_device
 from registry import PointCloud, Scene
+from registry.discovery import Plugins
 from registry.pipeline.parts import TRAINING_SECTIONS, Parts
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Iteration, Trainer
 

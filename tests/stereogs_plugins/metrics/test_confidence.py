@@ -11,9 +11,9 @@ import pytest
 from plyfile import PlyData
 
 import stereogs
-from registry.cli import main
-from registry.plugins.discovery import SELECTION
-from registry.runs import Run
+from registry.discovery import SELECTION
+from registry.runs.run import Run
+from stereogs.cli import main
 from stereogs_plugins.metrics.confidence import PSNRSeen, ViewAngle
 from stereogs_plugins.reports.html.confidence import confidence
 from tests.stereogs_plugins.building import build

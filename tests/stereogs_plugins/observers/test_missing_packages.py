@@ -8,8 +8,7 @@ import pytest
 import stereogs
 from registry import PluginError
 from registry.testing import tiny_scene
-
-from .heard import pipeline
+from tests.stereogs_plugins.observers.heard import pipeline
 
 
 def hide(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,7 @@ import pytest
 
 from registry.testing import check, tiny_scene
 from stereogs_plugins.observers.rerun import RerunObserver
-
-from .heard import CURVES, failed, stopped_and_resumed
+from tests.stereogs_plugins.observers.heard import CURVES, failed, stopped_and_resumed
 
 pytest.importorskip("rerun")
 

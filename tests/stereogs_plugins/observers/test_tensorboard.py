@@ -6,8 +6,7 @@ import pytest
 
 from registry.testing import check
 from stereogs_plugins.observers.tensorboard import TensorBoardObserver
-
-from .heard import CURVES, failed, stopped_and_resumed
+from tests.stereogs_plugins.observers.heard import CURVES, failed, stopped_and_resumed
 
 
 def accumulated(folder: Path):  # type: ignore[no-untyped-def]

@@ -13,8 +13,7 @@ import pytest
 
 from registry.testing import check
 from stereogs_plugins.observers.wandb import WandbObserver
-
-from .heard import CURVES, failed, stopped_and_resumed
+from tests.stereogs_plugins.observers.heard import CURVES, failed, stopped_and_resumed
 
 pytest.importorskip("wandb")
 _BLOCK, _FILE_HEADER, _HEADER = 32768, 7, struct.Struct("<IHB")

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from registry.testing import check
 from stereogs_plugins.priors.dis_flow import DisFlow, stereogs_register_priors
-
-from ..building import build, offered
+from tests.stereogs_plugins.building import build, offered
 
 
 def textured(height: int, width: int) -> Tensor:

@@ -12,8 +12,7 @@ from registry import PluginError
 from registry.testing import check
 from stereogs_plugins.priors.onnx_flow import OnnxFlow, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
-
-from . import graphs
+from tests.stereogs_plugins.priors import graphs
 
 BRIGHT, DARK = 0.75, 0.25
 """Half a unit apart: the graphs' flow is halved."""

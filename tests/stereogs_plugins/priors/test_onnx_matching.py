@@ -17,8 +17,7 @@ from stereogs_plugins.priors.onnx_matching import OnnxMatching, stereogs_registe
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder, models_folder
 from tests.stereogs_plugins.building import build, offered
-
-from . import graphs
+from tests.stereogs_plugins.priors import graphs
 
 FIRST = [(3, 4), (30, 9), (21, 17)]
 SECOND = [(36, 20), (5, 1), (11, 12)]

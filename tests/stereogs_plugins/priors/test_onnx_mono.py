@@ -12,8 +12,7 @@ from registry import PluginError
 from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.priors.onnx_mono import OnnxMono, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
-
-from . import graphs
+from tests.stereogs_plugins.priors import graphs
 
 
 def mono(model: Path, **settings: object) -> OnnxMono:

@@ -14,8 +14,7 @@ from registry import PluginError, View
 from registry.priors import DepthMap
 from stereogs_plugins.priors.onnx_mvs import OnnxMvs, overlap, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
-
-from . import graphs
+from tests.stereogs_plugins.priors import graphs
 
 BOUNDS = (1.5, 9.0)
 

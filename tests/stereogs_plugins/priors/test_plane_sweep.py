@@ -18,8 +18,7 @@ from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_pr
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
-
-from . import graphs
+from tests.stereogs_plugins.priors import graphs
 
 PLANES = 64
 """Few planes, enough for small images."""

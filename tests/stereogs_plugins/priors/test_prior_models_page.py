@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from stereogs_plugins.metrics.lpips.known_files import KNOWN
 from stereogs_plugins.priors import onnx_mono, onnx_mvs
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families

@@ -9,18 +9,17 @@ import pytest
 import torch
 
 from registry import PluginError, Scene, TrainingView
-from registry.cli import main
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import parse_pipeline
-from registry.plugins.discovery import Plugins
 from registry.priors import DepthMap, Matches
 from registry.toolkit.networks import OnnxModel
+from stereogs.cli import main
+from stereogs.verbs.priors import prior_trials
+from stereogs.verbs.priors.prior_trials import score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
-from stereogs_plugins.tools.priors import prior_trials
-from stereogs_plugins.tools.priors.prior_trials import score, truth_of
 from tests.stereogs_plugins.building import build
-
-from . import graphs
-from . import known_answers as known
+from tests.stereogs_plugins.priors import graphs
+from tests.stereogs_plugins.priors import known_answers as known
 
 Capture = pytest.CaptureFixture[str]
 

@@ -13,10 +13,9 @@ from torch import Tensor
 from benchmarks.priors_stereo import NAMES, load_pair, score
 from registry import PluginError
 from stereogs_plugins.priors.sgm import SgmPrior, stereogs_register_priors
-
-from ...data import data_folder
-from ..building import build, offered
-from . import graphs
+from tests.data import data_folder
+from tests.stereogs_plugins.building import build, offered
+from tests.stereogs_plugins.priors import graphs
 
 COSTS = ["census", "zncc"]
 HEIGHT, WIDTH = 30, 80

@@ -7,8 +7,7 @@ import torch
 from registry import Scene
 from registry.testing import check
 from stereogs_plugins.priors.sift_matches import SiftMatches, stereogs_register_priors
-
-from ..building import build, offered
+from tests.stereogs_plugins.building import build, offered
 
 
 def test_it_is_registered_and_keeps_the_contract() -> None:

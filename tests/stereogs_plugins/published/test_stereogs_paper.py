@@ -7,7 +7,7 @@ import math
 import pytest
 
 from registry.pipeline.protocols import protocol_names
-from stereogs_plugins.tools.experiments.comparing.paper_tables import Numbers, paper_tables
+from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
 
 TABLES = paper_tables("stereogs")
 

@@ -10,8 +10,7 @@ from registry import Step
 from registry.testing import check
 from stereogs_plugins.regularizers.distant_l1 import DistantL1
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
-
-from .monocular import Brightness
+from tests.stereogs_plugins.regularizers.monocular import Brightness
 
 
 def seen(step: Step, rgb: torch.Tensor) -> Step:

@@ -15,8 +15,7 @@ from registry.toolkit.views import virtual_views
 from registry.training.initial_model import initial_gaussians, new_model
 from stereogs_plugins.regularizers.pearson_depth import SOLID, PearsonDepth, correlation
 from tests.stereogs_plugins.building import build
-
-from .monocular import Brightness, DifferentiableBrightness
+from tests.stereogs_plugins.regularizers.monocular import Brightness, DifferentiableBrightness
 
 DEPTH = torch.tensor([[1.0, 2.0, 4.0], [3.0, 8.0, 5.0]])
 INVERSE = torch.tensor([[30.0, 10.0, 2.0], [7.0, 1.0, 4.0]])

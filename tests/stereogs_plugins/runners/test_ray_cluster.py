@@ -14,18 +14,13 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device, open_device
+from registry.discovery import SELECTION, Plugins
 from registry.pipeline.yaml_source import parse
-from registry.plugins.discovery import SELECTION, Plugins
+from stereogs.experiments.planning.matrix import plan_of, read_matrix
+from stereogs.experiments.planning.plan import Plan
+from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.runner import AblationProgress, Outcome, choose_runner, train_all
 from stereogs_plugins.runners.ray_cluster import extract
-from stereogs_plugins.tools.experiments.planning.matrix import plan_of, read_matrix
-from stereogs_plugins.tools.experiments.planning.plan import Plan
-from stereogs_plugins.tools.experiments.running.folder import AblationFolder
-from stereogs_plugins.tools.experiments.running.runner import (
-    AblationProgress,
-    Outcome,
-    choose_runner,
-    train_all,
-)
 
 SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
 PIPELINE = f"""\

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from PIL import Image
 
-import registry.session
-from registry.cli import main
+import stereogs.session
+from registry.discovery import Plugins
 from registry.pipeline.pipeline import Pipeline, load_pipeline
-from registry.plugins.discovery import Plugins
-from stereogs_plugins.tools.quality.table import LONG, QUALITIES, QUICK, SHORT, by_quality
+from stereogs.cli import main
+from stereogs.quality.table import LONG, QUALITIES, QUICK, SHORT, by_quality
 from tests.stereogs_plugins.scenes.test_formats import CASES
 
 FORMATS: dict[str, Callable[[Path], Path]] = {
@@ -46,7 +46,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[Pipeline]:
         pipelines.append(pipeline)
         raise Trained
 
-    monkeypatch.setattr(registry.session, "train", train)
+    monkeypatch.setattr(stereogs.session, "train", train)
     return pipelines
 
 

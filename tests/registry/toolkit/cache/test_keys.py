@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry.plugins.discovery import GROUP
+from registry.discovery import GROUP
 from registry.toolkit.cache import content_key, package_digest, source_digest
 from registry.toolkit.cache.keys import module_digest
 

@@ -10,8 +10,7 @@ import torch
 from registry import PluginError
 from registry.toolkit.networks import OnnxModel
 from tests.stereogs_plugins.priors import graphs
-
-from .test_onnx_stereo import finds_the_shift, stereo
+from tests.stereogs_plugins.priors.onnx_stereo.test_onnx_stereo import finds_the_shift, stereo
 
 COLOUR = (0.9, 0.4, 0.2)
 GREY = 0.299 * 0.9 + 0.587 * 0.4 + 0.114 * 0.2

@@ -13,8 +13,7 @@ from stereogs_plugins.regularizers.known_depth import (
     stereogs_register_regularizers,
 )
 from tests.stereogs_plugins.building import build, offered
-
-from .steps import step_with_depth
+from tests.stereogs_plugins.regularizers.known_depth.steps import step_with_depth
 
 
 def test_the_three_are_registered_and_this_one_keeps_the_contract() -> None:

@@ -6,9 +6,8 @@ import torch
 from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import DepthRanking
 from tests.stereogs_plugins.building import build
-
-from ..monocular import Brightness
-from .steps import step_with_depth
+from tests.stereogs_plugins.regularizers.known_depth.steps import step_with_depth
+from tests.stereogs_plugins.regularizers.monocular import Brightness
 
 SLOPE = torch.linspace(1, 2, 40, dtype=torch.float64)[None, :].expand(30, 40).contiguous()
 

@@ -10,8 +10,7 @@ import torch
 from registry import PluginError
 from stereogs_plugins.regularizers.known_depth.estimate import Farness
 from tests.stereogs_plugins.initializers.depth_scenes import prior_of
-
-from .steps import step_with_depth
+from tests.stereogs_plugins.regularizers.known_depth.steps import step_with_depth
 
 
 @pytest.fixture(autouse=True)

@@ -11,9 +11,8 @@ from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import PatchDepth
 from stereogs_plugins.regularizers.known_depth.patch_depth import Patches
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians
-
-from ..monocular import Brightness
-from .steps import fixed
+from tests.stereogs_plugins.regularizers.known_depth.steps import fixed
+from tests.stereogs_plugins.regularizers.monocular import Brightness
 
 KNOWN = torch.ones(4, 4, dtype=torch.bool)
 RAMP = torch.arange(16.0, dtype=torch.float64).reshape(4, 4)

@@ -7,8 +7,13 @@ from pydantic import ValidationError
 from core_rasterizer import Gaussians
 from registry import PluginError
 from stereogs_plugins.regularizers.stereo_depth.baseline import BaselineSettings, choose_baseline
-
-from .block_matching import DEPTH, FOCAL, WIDTH, Wall, wall
+from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import (
+    DEPTH,
+    FOCAL,
+    WIDTH,
+    Wall,
+    wall,
+)
 
 
 def chosen(around: Wall | None = None, reach: float | None = None, **settings: object) -> float:

@@ -8,8 +8,11 @@ from torch import Tensor
 from registry.priors import Disparity
 from stereogs_plugins.regularizers.stereo_depth.left_right_check import agreeing
 from tests.stereogs_plugins.building import build
-
-from .block_matching import BlockMatcher, PrintedOrder, Wall
+from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import (
+    BlockMatcher,
+    PrintedOrder,
+    Wall,
+)
 
 
 def known(values: Tensor) -> Disparity:

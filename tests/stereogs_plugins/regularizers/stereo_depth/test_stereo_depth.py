@@ -13,8 +13,16 @@ from registry import PluginError, Settings
 from registry.priors import StereoPrior
 from stereogs_plugins.regularizers.stereo_depth import StereoDepth, stereogs_register_regularizers
 from tests.stereogs_plugins.building import build, offered
-
-from .block_matching import BASELINE, DEPTH, FOCAL, HEIGHT, WIDTH, BlockMatcher, Wall, wall
+from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import (
+    BASELINE,
+    DEPTH,
+    FOCAL,
+    HEIGHT,
+    WIDTH,
+    BlockMatcher,
+    Wall,
+    wall,
+)
 
 WORLD = {"mode": "world", "value": BASELINE}
 TRUE_DISPARITY = FOCAL * BASELINE / DEPTH

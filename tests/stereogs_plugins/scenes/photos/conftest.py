@@ -11,8 +11,7 @@ from registry import Scene
 from registry.toolkit.drawing.pictures import to_bytes
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build
-
-from .photographs import COUNT, SIDEWAYS, load
+from tests.stereogs_plugins.scenes.photos.photographs import COUNT, SIDEWAYS, load
 
 ORIENTATION = 0x0112
 

@@ -17,8 +17,7 @@ from stereogs_plugins.scenes.photos.mapping import Piece
 from stereogs_plugins.scenes.photos.no_depth import Doubt
 from stereogs_plugins.scenes.photos.picture_files import reason_lines
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
-
-from .photographs import MATCHES, load
+from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load
 
 NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
 

@@ -11,8 +11,7 @@ import pytest
 from stereogs_plugins.scenes.photos.found_cameras import remembered_cameras
 from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
-
-from .photographs import MATCHES, load, reconstruction_of
+from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load, reconstruction_of
 
 
 def test_cameras_are_estimated_once(

@@ -25,8 +25,13 @@ from stereogs_plugins.scenes.photos import (
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
-
-from .photographs import SIDEWAYS, load, pose_errors, reconstruction_of, write_pictures
+from tests.stereogs_plugins.scenes.photos.photographs import (
+    SIDEWAYS,
+    load,
+    pose_errors,
+    reconstruction_of,
+    write_pictures,
+)
 
 
 def test_registers_as_photos() -> None:

@@ -13,8 +13,7 @@ from registry.toolkit.drawing.pictures import to_bytes
 from stereogs_plugins.scenes.photos import structure_from_motion
 from stereogs_plugins.scenes.photos.no_depth import LEAST_DEVIATION, rotation_error
 from tests.data import data_folder
-
-from .photographs import Array, load
+from tests.stereogs_plugins.scenes.photos.photographs import Array, load
 
 SIZE = (360, 270)
 LENS = np.array([[300.0, 0, 180], [0, 300, 135], [0, 0, 1]])

@@ -15,8 +15,7 @@ from registry import SceneError
 from registry.toolkit.photos import Decoder
 from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
-
-from .photographs import load, write_pictures
+from tests.stereogs_plugins.scenes.photos.photographs import load, write_pictures
 
 FOCAL_35MM = 0xA405
 

@@ -8,8 +8,8 @@ import cv2
 import pytest
 
 from registry import SceneError
-from registry.cli import main
 from registry.testing import check
+from stereogs.cli import main
 from stereogs_plugins.scenes.photos import VideoScene, video_file
 from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
 from tests.data import data_folder

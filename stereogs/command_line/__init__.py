@@ -1,0 +1,1 @@
+"""Verbs: their base class, where they are found, and the arguments and output that several have."""

@@ -1,0 +1,66 @@
+"""The output folder of an ablation or bench.
+
+runs/NAME_DIGEST/       a run folder; the digest identifies its pipeline
+runs/NAME_DIGEST.yaml   the pipeline that was trained
+runs/NAME_DIGEST.log    the output of the training
+ablation.txt, ablation.csv, index.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from registry import RunError
+from registry.runs.folder import RESULTS, RunFolder
+from registry.runs.results import read_results
+from registry.system.lock import locked
+
+from ..planning.plan import PlannedRun
+
+RUNS = "runs"
+
+
+class AblationFolder:
+    """An output folder, which is created when needed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def run(self, planned: PlannedRun) -> RunFolder:
+        """Return the run folder with the digest, or a new one."""
+        existing = sorted((self.path / RUNS).glob(f"*_{planned.digest}/"))
+        return RunFolder(existing[0] if existing else self.path / RUNS / planned.name)
+
+    def results(self, planned: PlannedRun) -> dict[str, Any]:
+        """Return the results of a finished run; empty if unfinished, invalid or of another pipeline."""
+        run = self.run(planned)
+        try:
+            if not planned.pipeline.wrote(run.pipeline.read_text("utf-8")):
+                return {}
+            return read_results(run.path / RESULTS)
+        except (OSError, UnicodeDecodeError, RunError):
+            return {}
+
+    @contextmanager
+    def locked(self) -> Iterator[int | None]:
+        """Lock the folder against other processes; yield a file descriptor for child processes to inherit.
+
+        If this process is killed, the lock is held until every child has closed the descriptor, so it also
+        covers trainings whose parent was killed.
+
+        Raises:
+            RunError: another process holds the lock, or the folder is not writable.
+        """
+        try:
+            (self.path / RUNS).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(
+                f"the folder is not writable: {error.strerror or error}",
+                where=str(self.path),
+                fix="choose another --out",
+            ) from error
+        with locked(self.path) as lock:
+            yield lock.descriptor

@@ -1,0 +1,174 @@
+"""The default runner: processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable
+from functools import cached_property
+
+from pydantic import Field
+
+from core_rasterizer import Device, ExplainedError
+from registry import Context, Settings
+from registry.discovery import Plugins
+from registry.pipeline.pipeline import parse_pipeline
+from registry.pipeline.training_settings import iterations_of_a_run
+from registry.runners import Runner, RunningTask, TrainingTask
+from registry.runs.folder import METRICS, RunFolder
+from registry.system.files import write_text
+from registry.system.memory import available_bytes
+from registry.training.checkpoint import CHECKPOINT, load_checkpoint
+
+CORES_PER_RUN = 4
+"""A training uses about so many cores; more trainings on fewer cores save no time."""
+MEMORY_PER_RUN_MB = 2000.0
+"""Assumed memory of a training until one has been measured."""
+_TAIL_BYTES = 8192
+
+
+class LocalProcessesSettings(Settings):
+    jobs: int | None = Field(None, ge=1)
+    """Number of simultaneous trainings; null: as many as cores and memory allow, 1 on a GPU."""
+
+
+class LocalProcesses(Runner[LocalProcessesSettings]):
+    """Runs `stereogs train` or `stereogs resume` in processes on this machine.
+
+    Attributes:
+        lock: file descriptor that the processes inherit, or None.
+        peaks_mb: peak memory of each finished training.
+    """
+
+    def __init__(self, settings: LocalProcessesSettings, context: Context) -> None:
+        super().__init__(settings, context)
+        self.lock: int | None = None
+        self.peaks_mb: list[float] = []
+
+    @property
+    def places(self) -> int:
+        """The number of simultaneous trainings."""
+        return self.settings.jobs or default_jobs(self.context.device, self.peaks_mb)
+
+    def start(self, task: TrainingTask) -> RunningTask:
+        """Start a process for the task (see `training_arguments`)."""
+        return TrainingProcess(task, self.lock)
+
+
+def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
+    """Return how many trainings cores and free memory allow; 1 on a GPU or if the memory is unknown.
+
+    Args:
+        peaks_mb: peak memory of finished trainings.
+    """
+    if device.kind != "cpu":
+        return 1
+    by_cores = _cores() // CORES_PER_RUN
+    free = available_bytes()
+    if math.isinf(free):  # unknown
+        return 1
+    by_memory = int(free / 1e6 // max(peaks_mb, default=MEMORY_PER_RUN_MB))
+    return max(1, min(by_cores, by_memory))
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class TrainingProcess(RunningTask):
+    """A training in its own process, which inherits the file descriptor `lock`."""
+
+    def __init__(self, task: TrainingTask, lock: int | None) -> None:
+        self._task = task
+        command = [sys.executable, "-m", "registry", *training_arguments(task)]
+        command += [] if task.device is None else ["--device", task.device]
+        with task.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                pass_fds=() if lock is None else (lock,),
+                # Ctrl-C in the terminal does not reach the new session; `stop` forwards it once.
+                start_new_session=True,
+            )
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process has ended."""
+        return self._process.poll() is not None
+
+    def stop(self) -> None:
+        """Ask the process to stop after the current iteration, as Ctrl-C does."""
+        if not self.ended:
+            self._process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Kill the process and wait for its end."""
+        self._process.kill()
+        self._process.wait()
+
+    def progress(self) -> float:
+        """Return the share of iterations in the log."""
+        try:
+            with (self._task.folder / METRICS).open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+                last = file.read().splitlines()[-1]
+            return int(json.loads(last)["iteration"]) / self._iterations
+        except (OSError, ValueError, KeyError, IndexError, TypeError, ZeroDivisionError):
+            return 0.0  # no file yet, or an incomplete line
+
+    @cached_property
+    def _iterations(self) -> int:
+        """The run's length, which may depend on its scene."""
+        return iterations_of_a_run(RunFolder(self._task.folder).pipeline.read_text("utf-8"))
+
+    def failure(self) -> str:
+        """Return the error that the process printed; empty if it succeeded."""
+        return failure(
+            self._process.returncode, self._task.log.read_text("utf-8", errors="replace")
+        )
+
+
+def failure(status: int | None, printed: str) -> str:
+    """Return the error of a training with this exit status and output; empty if it succeeded."""
+    if status == 0:
+        return ""
+    if status is not None and status < 0:
+        return f"it was killed by signal {-status}; was there enough memory?"
+    lines = printed.splitlines()
+    starts = [i for i, line in enumerate(lines) if line.startswith("stereogs: ")]
+    return "\n".join(lines[starts[-1] :] if starts else lines[-1:]) or f"exit status {status}"
+
+
+def training_arguments(task: TrainingTask) -> list[str]:
+    """Return arguments that resume the run if it has a usable checkpoint, otherwise train it from scratch.
+
+    To train from scratch, removes the run folder and writes the pipeline next to it.
+    """
+    if _can_resume(task):
+        return ["resume", str(task.folder)]
+    if task.folder.exists():
+        shutil.rmtree(task.folder)
+    pipeline = task.folder.with_name(f"{task.folder.name}.yaml")
+    write_text(pipeline, task.pipeline)
+    return ["train", str(pipeline), "--out", str(task.folder)]
+
+
+def _can_resume(task: TrainingTask) -> bool:
+    run = RunFolder(task.folder)
+    try:
+        text = run.pipeline.read_text("utf-8")
+        load_checkpoint(run.path / CHECKPOINT)
+        # The texts differ if the length of the run depends on its scene.
+        return text == task.pipeline or parse_pipeline(task.pipeline, Plugins()).wrote(text)
+    except (OSError, UnicodeDecodeError, ExplainedError):
+        return False

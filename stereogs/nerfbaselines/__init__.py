@@ -1,0 +1,1 @@
+"""Pipelines as methods of NerfBaselines, and the protocols as its data sets."""

@@ -1,0 +1,56 @@
+"""The scene loader for a folder, or of a pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from registry.discovery import SCENE, Plugins, recognize
+from registry.errors import SceneError
+from registry.pipeline.pipeline import Item, load_pipeline
+from registry.pipeline.ready import is_pipeline_file, ready_pipelines
+from registry.pipeline.settings_check import escape_variables
+from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
+from registry.pipeline.yaml_source import Node
+
+if TYPE_CHECKING:
+    pass
+
+
+class FoundLoader(NamedTuple):
+    """A scene loader with its settings, and the seed of the run that it would load for."""
+
+    item: Item
+    seed: int = 0
+
+
+def find_loader(
+    data: Path, plugins: Plugins, *, format_name: str | None = None, changes: Sequence[str] = ()
+) -> FoundLoader:
+    """Return the loader for a folder, or the loader of a pipeline.
+
+    Args:
+        data: a folder, a pipeline's YAML file, or the name of a ready pipeline.
+        format_name: the loader to use for a folder; None chooses the loader that recognizes it.
+        changes: `key=value` or `scene.key=value`, settings of the loader.
+
+    Raises:
+        ExplainedError: the path does not exist, no loader or several recognize the folder, or a setting
+            is wrong.
+    """
+    if not is_pipeline_file(data) and (data.exists() or data.as_posix() not in ready_pipelines()):
+        offer = (
+            recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
+        )
+        path = Node(escape_variables(str(data)), COMMAND_LINE)
+        return FoundLoader(single_item(offer, changes, {"path": path}))
+    if format_name is not None:
+        raise SceneError(
+            "a pipeline file names its own loader",
+            where=f"--format {format_name}",
+            fix="leave --format out, or give the folder of the data",
+        )
+    overrides = [qualified(text, SCENE.section) for text in changes]
+    pipeline = load_pipeline(data, plugins, overrides=overrides)
+    return FoundLoader(pipeline.one(SCENE.section), pipeline.training.seed)

@@ -1,0 +1,193 @@
+"""Export a run to other file formats."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from registry import RunError
+from registry.messages.suggestions import did_you_mean, listing
+
+from ..command_line.arguments import add_run, open_given
+from ..command_line.command import Command
+from ..command_line.output import console
+
+if TYPE_CHECKING:
+    from core_rasterizer import GaussianReader
+    from registry.pipeline.pipeline import Item
+    from registry.runs.run import Run
+
+MOST_LINES = 3
+"""Largest number of files per folder that are listed one by one."""
+
+_EPILOG = """\
+examples:
+  stereogs export runs/3dgs-fern --format gltf
+  stereogs export runs/3dgs-fern --format video --set frames=300 --out films
+  stereogs export runs/weightfree-fern --format spz --without margin,back_layer
+  stereogs export runs/weightfree-fern --format ply --min-confidence 0.5
+
+The format is the name of an exporter: `stereogs plugins` lists them, `stereogs plugins NAME` describes one
+and its settings. --without leaves out Gaussians that descend from guessed initial points;
+initialization/facts.json in the run folder lists the kinds of points (points_by_kind).
+"""
+
+
+class Export(Command):
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "--format", required=True, metavar="NAME", help="the name of an exporter"
+        )
+        parser.add_argument(
+            "--out",
+            type=Path,
+            metavar="DIR",
+            help="the folder to write (default: exports in the run folder)",
+        )
+        parser.add_argument(
+            "--without",
+            type=_names,
+            default=(),
+            metavar="A,B",
+            help="leave out the Gaussians of these kinds of initial points",
+        )
+        parser.add_argument(
+            "--min-confidence",
+            type=_share,
+            metavar="C",
+            help="leave out Gaussians of less confidence, 0 to 1; PLY and glTF hold the values of the others",
+        )
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="change a setting of the exporter",
+        )
+        add_run(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Export and print the written files."""
+        output = console()
+
+        find_exporter(arguments.format, arguments.set)  # fails before the scene is loaded
+        opened = open_given(arguments)
+        written = export(
+            opened,
+            arguments.format,
+            arguments.out,
+            changes=arguments.set,
+            without=arguments.without,
+            min_confidence=arguments.min_confidence,
+        )
+        for folder in dict.fromkeys(path.parent for path in written):
+            inside = [path for path in written if path.parent == folder]
+            if len(inside) > MOST_LINES:
+                output.print(f"exported  {len(inside)} files in {folder}")
+            else:
+                output.print(*(f"exported  {path}" for path in inside), sep="\n")
+        return 0
+
+
+def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
+    """Return an exporter with its settings.
+
+    Raises:
+        ExplainedError: no such exporter, or wrong settings.
+    """
+    from registry.discovery import Plugins
+    from registry.pipeline.edits import SECTIONS
+    from registry.pipeline.single_item import single_item
+
+    return single_item(Plugins().find(SECTIONS["exporters"], format_name), changes)
+
+
+def export(
+    run: Run,
+    format_name: str,
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    changes: Sequence[str] = (),
+    without: Sequence[str] = (),
+    min_confidence: float | None = None,
+) -> list[Path]:
+    """Write the Gaussians of a run with any installed exporter.
+
+    Args:
+        format_name: name of the exporter: "ply", "gltf", ...
+        folder: created if missing; None: `exports` in the run folder.
+        changes: `key=value`, settings of the exporter.
+        without: kinds of initial points whose Gaussians are left out, for example "margin"; see `Run.kinds`.
+        min_confidence: in [0, 1]; Gaussians with less confidence are left out, and PLY and glTF files hold
+            the confidence of the others.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        ExplainedError: no such exporter or kind, wrong settings, no folder, no Gaussian remains, or the
+            exporter failed.
+    """
+    from registry.calls.copies import copied
+    from registry.pipeline.parts import build_part
+    from registry.runs.results import EXPORTS, existing_files
+    from registry.training.trainer import one_torch_thread
+
+    item = find_exporter(format_name, changes)
+    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
+    with one_torch_thread():
+        reader = _reader(run, without, min_confidence)
+        place.mkdir(parents=True, exist_ok=True)
+        part = build_part(item, run.pipeline.training.seed, run.model.engine)
+        with part.at_work():
+            return existing_files(part.component.export(reader, copied(run.scene), place))
+
+
+def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:
+    """Return the Gaussians of a run except those of some kinds, and of low confidence."""
+    import torch
+
+    from core_rasterizer import GaussianReader, Gaussians
+    from registry.toolkit.views import confidence_of_gaussians
+    from registry.training.initial_model import new_model
+
+    if not kinds and min_confidence is None:
+        return GaussianReader(run.model)
+    known, left_out = run.kinds, torch.zeros(run.model.count, dtype=torch.bool)
+    for kind in kinds:
+        if kind not in known:
+            raise RunError(
+                f"the run's Gaussians have no kind {kind!r}{did_you_mean(kind, known)}",
+                where="--without",
+                fix=f"kinds: {listing(known)}"
+                if known
+                else "its initializer does not distinguish kinds, or an older version trained it",
+            )
+        left_out |= known[kind]
+    attributes = {}
+    if min_confidence is not None:
+        values = confidence_of_gaussians(run.trained, run.confidence("calibrated"))
+        left_out |= values < min_confidence
+        attributes = {"confidence": values[~left_out]}
+    if left_out.all():
+        where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
+        raise RunError("no Gaussian would remain", where=where, fix="leave out less")
+    kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
+    model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
+    return GaussianReader(model, attributes)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(filter(None, (name.strip() for name in text.split(","))))
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 1")
+    return value

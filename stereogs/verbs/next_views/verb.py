@@ -1,0 +1,106 @@
+"""Suggest which picture of a scene to take next."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from registry.messages.suggestions import counted
+
+from ...command_line.arguments import add_run, open_given
+from ...command_line.command import Command
+from ...command_line.output import console, print_failures
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from core_rasterizer import Camera
+
+_EPILOG = """\
+examples:
+  stereogs next runs/fern                             where to stand for the next three pictures
+  stereogs next runs/fern --count 1
+  stereogs next runs/fern --poses poses.json          which of these cameras to photograph from
+  stereogs next runs/fern --pictures train_views=0    which of the scene's other pictures to train on
+
+Writes into RUN/next a picture of what would be seen from each place, with the parts hatched that are guessed
+today, and next.json; the run's page shows the places under "Seen by". --poses reads a file like
+transforms.json: {"frames": [{"transform_matrix": 4 x 4}]}, camera-to-world with OpenGL axes, in the world of
+the run's scene.
+"""
+
+
+class Next(Command):
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "--count",
+            type=_positive,
+            default=3,
+            metavar="N",
+            help="number of suggestions (default 3)",
+        )
+        source = parser.add_mutually_exclusive_group()
+        source.add_argument(
+            "--poses", type=Path, metavar="FILE", help="choose from the cameras in a JSON file"
+        )
+        source.add_argument(
+            "--pictures",
+            nargs="*",
+            metavar="SETTING=VALUE",
+            help="choose from pictures of the scene that the run did not train on: its test views, and those "
+            "that the scene's loader returns with these settings; write it after RUN",
+        )
+        add_run(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Print the suggestions and where their files are."""
+        output = console()
+        run = open_given(arguments)
+        from registry.training.trainer import one_torch_thread
+
+        from . import photographs_of, suggestions
+        from .given import other_pictures, read_poses
+        from .written import write
+
+        names: Sequence[str] | None = None
+        cameras: Sequence[Camera] | None = None
+        with one_torch_thread():
+            if arguments.poses is not None:
+                names, cameras = read_poses(arguments.poses, run.scene.train[0].camera)
+            elif arguments.pictures is not None:
+                names, cameras = other_pictures(run, arguments.pictures)
+            photographs = photographs_of(run)
+            found = suggestions(run, photographs, cameras, arguments.count)
+            folder = run.folder_or_refuse().folder("next")
+            write(run, found, names, folder)
+        for number, one in enumerate(found, start=1):
+            name = f"{names[one.index]}: " if names is not None else ""
+            output.print(f"{number}  {name}{one.words}")
+            output.print(f"   confirms {one.gain:.0%} of what is unknown now{_doubt(one.overlap)}")
+        output.print(photographs.step_words)
+        output.print(f"{counted(len(found), 'picture')} and next.json in {folder}")
+        if not run.finished or not run.folder_or_refuse().results():
+            return 0
+        files, failures = run.report(run.parts["reports"])
+        for file in files:
+            output.print(f"page  {run.folder_or_refuse().path / file}")
+        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
+
+
+def _doubt(overlap: float) -> str:
+    """Return a warning for a picture that may not connect to the photographs."""
+    from .gain import OVERLAP
+
+    if overlap >= OVERLAP:
+        return ""
+    return f"; only {overlap:.0%} of it is in other photographs: take one halfway too"
+
+
+def _positive(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of pictures")
+    return value

@@ -1,0 +1,260 @@
+"""Find the prior and settings for an ONNX file by trying them on a scene with known depth.
+
+Each installed prior suggests settings (`Prior.settings_for`); those with the smallest error are the best.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from registry import PluginError, Prior, TrainingView
+from registry.contract.hook_points import HOOK_POINTS
+from registry.discovery import Offer, Plugins
+from registry.pipeline.blame import blame as blamed
+from registry.pipeline.edits import apply_override
+from registry.pipeline.parts import build_part, load_scene
+from registry.pipeline.pipeline import component_item
+from registry.pipeline.settings_check import escape_variables, plain
+from registry.pipeline.yaml_source import parse, to_yaml
+from registry.priors import (
+    MatchingPrior,
+    MonocularDepthPrior,
+    MultiViewDepthPrior,
+    OpticalFlowPrior,
+    StereoPrior,
+)
+
+from ...scene_source import find_loader
+
+if TYPE_CHECKING:
+    from core_rasterizer import Device
+    from registry.toolkit.networks import OnnxModel
+
+_PRIORS = next(point for point in HOOK_POINTS if point.section == "priors")
+PIXELS = 2.0
+"""Largest error of a correct disparity, flow vector or match."""
+RELATIVE_DEPTH = 0.03
+"""Largest relative error of a correct depth."""
+_SAME_SURFACE = 0.02
+"""Largest relative depth difference between two views of the same surface point."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A prior with settings to try, as plain values."""
+
+    offer: Offer
+    settings: dict[str, Any]
+
+    def to_yaml(self) -> str:
+        """Return the section `priors` of a pipeline."""
+        entry = {"use": self.offer.name, **self.settings}
+        return to_yaml({_PRIORS.section: [escape_variables(entry)]})
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A tried guess with the score and duration of one prediction."""
+
+    guess: Guess
+    score: Score
+    seconds: float
+
+
+def guesses(model: OnnxModel, plugins: Plugins, changes: Sequence[str] = ()) -> list[Guess]:
+    """Return the suggestions of the installed priors, sorted by name.
+
+    Args:
+        changes: `key=value` texts that replace suggested settings.
+
+    Raises:
+        PluginError: no prior supports the file's inputs and outputs.
+        PipelineError: a change cannot be parsed.
+    """
+    found = [
+        Guess(offer, _changed(offer, dict(settings), changes))
+        for offer in plugins.all()
+        if offer.point is _PRIORS and issubclass(offer.component, Prior)
+        for settings in offer.component.settings_for(model)
+    ]
+    if not found:
+        raise PluginError(
+            "no installed prior supports a file with these inputs and outputs",
+            where=str(model.path),
+            fix="docs/prior_models.md lists the supported inputs and outputs; other files need a plugin "
+            "whose `settings_for` recognizes them",
+        )
+    return [guess for index, guess in enumerate(found) if guess not in found[:index]]
+
+
+def known_truth(plugins: Plugins, device: Device) -> Truth:
+    """Load the scene that guesses are tried on."""
+    with resources.as_file(resources.files(__package__) / "prior_check.yaml") as path:
+        found = find_loader(path, plugins)
+        scene = load_scene(build_part(found.item, found.seed, device))
+    return truth_of(scene.train, scene.bounds)
+
+
+def attempt(guess: Guess, truth: Truth, device: Device) -> Trial:
+    """Build the prior, run it and score the result.
+
+    Raises:
+        ExplainedError: the prior rejects the settings, or the network fails.
+    """
+    written = to_yaml(escape_variables({"use": guess.offer.name, **guess.settings}))
+    node = parse(written, "the suggested settings")
+    item = component_item(_PRIORS, node, lambda point, name: guess.offer, iterations=1)
+    assert item is not None
+    prior = build_part(item, 0, device).component
+    begin = time.perf_counter()
+    with blamed(item):
+        result = score(prior, truth)
+    return Trial(guess, result, time.perf_counter() - begin)
+
+
+def _changed(offer: Offer, settings: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    root = parse(Guess(offer, settings).to_yaml(), "the suggested settings")
+    for text in changes:
+        apply_override(root, f"{_PRIORS.section}.{offer.name}.{text}")
+    assert isinstance(root.content, dict)
+    (item,) = plain(root.content[_PRIORS.section])
+    return {key: value for key, value in item.items() if key != "use"}
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score of a prior.
+
+    Args:
+        error: 0 if all is correct, 1 if nothing is; for monocular depth, 1 minus the rank correlation.
+        text: a description with units.
+    """
+
+    error: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Ground truth of a rectified pair of views.
+
+    Args:
+        views: all views; the first two are the left and right view of the pair, with depth.
+        bounds: (near, far) z-depth, world units.
+        moved: `[H, W, 2]` flow from the first view to the second, pixels.
+        visible: `[H, W]` bool, pixels of the first view that the second view shows too.
+    """
+
+    views: tuple[TrainingView, ...]
+    bounds: tuple[float, float]
+    moved: Tensor
+    visible: Tensor
+
+
+def truth_of(views: tuple[TrainingView, ...], bounds: tuple[float, float]) -> Truth:
+    """Compute the ground truth from the depths of the first two views.
+
+    Raises:
+        PluginError: one of them has no depth.
+    """
+    first, second = views[:2]
+    depth, other = (_depth(view) for view in (first, second))
+    u, v = first.camera.pixel_centers()
+    points = first.camera.unproject(u.ravel(), v.ravel(), depth.ravel())
+    there_u, there_v, there_z = (x.reshape(depth.shape) for x in second.camera.project(points))
+    height, width = other.shape
+    inside = second.camera.contains(there_u, there_v)
+    column, row = there_u.clamp(0, width - 1).long(), there_v.clamp(0, height - 1).long()
+    same = (other[row, column] - there_z).abs() <= _SAME_SURFACE * there_z
+    moved = torch.stack([there_u - u, there_v - v], dim=2)
+    return Truth(views, bounds, moved, inside & same)
+
+
+def score(prior: Prior[Any], truth: Truth) -> Score:
+    """Run a prior, without the cache, and compare its prediction with the ground truth.
+
+    Raises:
+        PluginError: the prior fails, or its capability is not supported.
+    """
+    first, second = truth.views[:2]
+    if isinstance(prior, StereoPrior):
+        disparity = prior.disparity(first.image, second.image)
+        errors = (disparity.values + truth.moved[..., 0]).abs()
+        return _pixels(errors.where(disparity.valid, torch.inf)[truth.visible])
+    if isinstance(prior, OpticalFlowPrior):
+        flow = prior.flow(first.image, second.image)
+        errors = (flow.vectors - truth.moved).norm(dim=2)
+        return _pixels(errors.where(flow.valid, torch.inf)[truth.visible])
+    if isinstance(prior, MultiViewDepthPrior):
+        return _depths(prior, truth)
+    if isinstance(prior, MonocularDepthPrior):
+        return _order(prior.inverse_depth(first.image), 1 / _depth(first))
+    if isinstance(prior, MatchingPrior):
+        return _matches(prior, truth)
+    raise PluginError(f"priors of the capability {prior.capability!r} cannot be scored")
+
+
+def _depth(view: TrainingView) -> Tensor:
+    if view.depth is None:
+        raise PluginError(f"the view {view.name!r} has no depth to compare with")
+    return view.depth.double()
+
+
+def _pixels(errors: Tensor) -> Score:
+    """Score errors of visible pixels; infinite without a prediction."""
+    known = errors[torch.isfinite(errors)]
+    wrong = float((errors > PIXELS).double().mean())
+    middle = f"{float(known.median()):.2f} px" if len(known) else "none"
+    return Score(
+        wrong,
+        f"{wrong:.1%} of the pixels that both images show are off by more than {PIXELS:g} px or "
+        f"missing; {len(known) / len(errors):.0%} have a prediction, median error {middle}",
+    )
+
+
+def _depths(prior: MultiViewDepthPrior[Any], truth: Truth) -> Score:
+    answer = prior.estimate(truth.views, truth.bounds)[0]
+    expected = _depth(truth.views[0])
+    errors = (answer.depth - expected).abs() / expected
+    right = answer.valid & (errors <= RELATIVE_DEPTH)
+    share = float(right.double().mean())
+    known = float(answer.valid.double().mean())
+    of_known = share / known if known else 0.0
+    return Score(
+        1 - share,
+        f"depth correct within {RELATIVE_DEPTH:.0%} in {share:.1%} of all pixels, and in {of_known:.1%} "
+        f"of the {known:.0%} with a prediction",
+    )
+
+
+def _order(answer: Tensor, expected: Tensor) -> Score:
+    """Score by Spearman's rank correlation, which ignores scale and shift."""
+    from scipy.stats import spearmanr
+
+    if answer.min() == answer.max():
+        return Score(1.0, "the same prediction for every pixel")
+    correlation = float(spearmanr(answer.ravel().numpy(), expected.ravel().numpy()).statistic)
+    return Score(1 - correlation, f"rank correlation {correlation:.2f} with the true inverse depth")
+
+
+def _matches(prior: MatchingPrior[Any], truth: Truth) -> Score:
+    found = prior.matches(*(view.image for view in truth.views[:2]))
+    height, width = truth.visible.shape
+    column = found.first[:, 0].clamp(0, width - 1).long()
+    row = found.first[:, 1].clamp(0, height - 1).long()
+    errors = (found.second - found.first - truth.moved[row, column]).norm(dim=1)
+    if not len(errors):
+        return Score(1.0, "no matches")
+    wrong = float((errors > PIXELS).double().mean())
+    return Score(
+        wrong,
+        f"{len(errors)} matches, {wrong:.1%} of them off by more than {PIXELS:g} px, "
+        f"median error {float(errors.median()):.2f} px",
+    )

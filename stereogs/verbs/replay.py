@@ -1,0 +1,121 @@
+"""Repeat a failed iteration."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from registry import RunError
+
+from ..command_line.arguments import add_accept_changed, add_device
+from ..command_line.command import Command
+from ..command_line.output import console
+
+if TYPE_CHECKING:
+    from core_rasterizer import Device
+    from registry.discovery import Plugins
+
+_EPILOG = """\
+examples:
+  stereogs replay runs/3dgs-fern/failures/iteration-0000021
+  STEREOGS_TRACE=1 stereogs replay runs/3dgs-fern/failures/iteration-0000021
+
+A run whose iteration fails saves the state before it. This command repeats the iteration: it reproduces
+the error, or succeeds if the cause has been fixed.
+"""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An iteration that failed before, with the error `what`, and succeeds now."""
+
+    iteration: int
+    what: str
+
+
+class Replay(Command):
+    epilog = _EPILOG
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "failure",
+            type=Path,
+            metavar="FAILURE",
+            help="a folder in RUN/failures, or a file in it",
+        )
+        add_accept_changed(parser, "inputs")
+        add_device(parser)
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Repeat the iteration; return 0 if it succeeds."""
+        from core_rasterizer import open_device
+        from registry.discovery import Plugins
+        from registry.training.trainer import one_torch_thread
+
+        with one_torch_thread():
+            failure = repeat_failure(
+                arguments.failure,
+                plugins=Plugins(),
+                device=open_device(arguments.device),
+                accept_changed_inputs=arguments.accept_changed_inputs,
+            )
+        console().print(
+            f"iteration {failure.iteration} succeeds now; it had failed with: {failure.what}"
+        )
+        return 0
+
+
+def repeat_failure(
+    place: Path,
+    *,
+    plugins: Plugins,
+    device: Device,
+    accept_changed_inputs: bool = False,
+) -> Failure:
+    """Repeat an iteration that failed.
+
+    Args:
+        place: a folder in RUN/failures, or a file in it.
+        accept_changed_inputs: continue even if photographs, cameras or model files have changed.
+
+    Returns:
+        The earlier failure, if the iteration succeeds now.
+
+    Raises:
+        ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
+    """
+    from core_rasterizer import Gaussians
+    from registry.pipeline.parts import Parts, load_scene
+    from registry.pipeline.pipeline import load_pipeline
+    from registry.runs.opening import FAILURES
+    from registry.runs.origin import compare_inputs
+    from registry.training.checkpoint import explain_misfit, read_checkpoint
+    from registry.training.initial_model import new_model
+    from registry.training.trainer import Trainer
+
+    place = place.parent if place.is_file() else place
+    fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
+    if not place.is_dir():
+        raise RunError("there is no such folder", where=str(place), fix=fix)
+    checkpoint = read_checkpoint(place)
+    pipeline = load_pipeline(place / "pipeline.yaml", plugins)
+    notes, last = checkpoint.notes, pipeline.training.iterations
+    iteration, inputs = notes.get("iteration"), notes.get("inputs")
+    if type(iteration) is not int or not isinstance(inputs, dict):
+        what = "this is the checkpoint of a run, not of a failed iteration"
+        raise RunError(what, where=str(place), fix=fix)
+    if not checkpoint.iteration < iteration <= last:
+        what = (
+            f"iteration {iteration} does not come after {checkpoint.iteration} in a run of {last}"
+        )
+        raise RunError(what, where=str(place), fix=fix)
+    parts = Parts(pipeline, device)
+    scene = load_scene(parts.one("scene"))
+    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
+    with explain_misfit(place):
+        model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
+        trainer = Trainer(pipeline.training, parts, scene, model, checkpoint=checkpoint)
+    next(done for done in trainer.run() if done.number == iteration)
+    return Failure(iteration, str(notes.get("what")))

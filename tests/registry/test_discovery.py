@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from registry import API_VERSION, PluginError
+from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
+from registry.discovery import GROUP, SELECTION, Plugins
+from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
+
+POINTS = {point.section: point for point in PIPELINE_POINTS}
+METRICS = POINTS["metrics"]
+
+METRIC = """\
+import registry
+class {cls}(registry.Metric[registry.Settings]):
+    def measure(self, rendered, photograph, mask):
+        return 0.0
+@registry.hookimpl
+def stereogs_register_metrics(register):
+    register("{name}", {cls})
+"""
+
+
+def metric(name: str, cls: str = "Score") -> str:
+    return METRIC.format(name=name, cls=cls)
+
+
+def refusal(plugins: Plugins, name: str, point: HookPoint = METRICS) -> PluginError:
+    with pytest.raises(PluginError) as caught:
+        plugins.find(point, name)
+    return caught.value
+
+
+def test_every_hook_point_collects() -> None:
+    toys = Plugins([*TOYS, *EXTENSION_POINTS])
+    offers = toys.all()
+    assert {offer.point.section for offer in offers} == set(POINTS)
+    assert not toys.broken
+    assert not toys.conflicts()
+
+
+def test_tests_see_no_installed_plugins() -> None:
+    assert Plugins().entries == ()
+
+
+def test_a_plugin_is_found_through_its_metadata(install: Install) -> None:
+    install("acme-metrics", "1.2", {"sharpness": "acme_sharp"}, acme_sharp=metric("sharpness"))
+    offer = Plugins().find(METRICS, "sharpness")
+    assert (offer.plugin, offer.distribution, offer.version) == ("sharpness", "acme-metrics", "1.2")
+    assert str(offer) == "metric 'sharpness' (acme-metrics 1.2)"
+
+
+@pytest.mark.parametrize("entry", ["alpha", "metrics.alpha"])
+def test_only_the_plugin_that_is_named_is_imported(install: Install, entry: str) -> None:
+    install("lazy", "1", {entry: "lazy_a", "beta": "lazy_b"}, lazy_a=metric("alpha"), lazy_b="1/0")
+    plugins = Plugins()
+    assert "lazy_a" not in sys.modules
+    plugins.find(METRICS, "alpha")
+    assert "lazy_b" not in sys.modules
+    assert not plugins.broken
+
+
+def test_a_broken_plugin_harms_only_those_who_use_it(install: Install) -> None:
+    install("good", "1", {"pack.inside_pack": "good_pack"}, good_pack=metric("inside_pack"))
+    install("bad", "3.1", {"monster": "bad_monster"}, bad_monster="import does_not_exist")
+    plugins = Plugins()
+    assert plugins.find(METRICS, "inside_pack").distribution == "good"
+    named = refusal(plugins, "monster")
+    assert "monster (bad 3.1)" in named.what
+    assert "does_not_exist" in named.what
+    assert "monster = bad_monster" in named.where
+    elsewhere = refusal(plugins, "inside_pak")
+    assert "did you mean 'inside_pack'" in elsewhere.what
+    assert "stereogs plugins" in elsewhere.fix
+
+
+def test_a_misspelt_name_imports_nothing(install: Install) -> None:
+    install("calm", "1", {"quiet": "calm_a", "monster": "calm_b"}, calm_a="1/0", calm_b="1/0")
+    plugins = Plugins()
+    assert "did you mean 'quiet'" in refusal(plugins, "quite").what
+    assert not {"calm_a", "calm_b"} & set(sys.modules)
+    assert not plugins.broken
+
+
+def test_a_plugin_that_registers_nothing_is_told_what_may_lack(install: Install) -> None:
+    bare = metric("mute").replace("@registry.hookimpl\n", "")
+    install("mute", "2", {"mute": "mute_module"}, mute_module=bare)
+    error = refusal(Plugins(), "mute")
+    assert "mute (mute 2)" in error.what
+    assert "@registry.hookimpl" in error.fix
+
+
+@pytest.mark.parametrize("kind", ["ValueError", "SystemExit"])
+def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: str) -> None:
+    install("rude", "1", {"rude": "rude_module"}, rude_module=f"raise {kind}('no GPU')")
+    assert f"{kind}: no GPU" in refusal(Plugins(), "rude").what
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("STEREOGS_API = 99\n" + metric("x"), f"needs stereogs API 99, this is API {API_VERSION}"),
+        (
+            metric("x").replace("_metrics", "_metrix"),
+            "no hook 'stereogs_register_metrix'; did you mean 'stereogs_register_metrics'",
+        ),
+        ("import os\nos.chdir('/')\n" + metric("x"), "changed the working directory"),
+        (metric("x").replace("(register)", "(register, more)"), "more"),
+        (metric("x").replace("measure", "meazure"), "does not define measure"),
+        (
+            metric("x").replace("registry.Metric[registry.Settings]", "object"),
+            "registry.ViewMetric",
+        ),
+        (metric("x").replace("registry.Metric[", "registry.Exporter["), "registry.ViewMetric"),
+        (metric("x y"), "is not a word"),
+        (metric("x") + '    register("x", Score)\n', "registered twice"),
+        (metric("x").replace("pass", "") + "    raise KeyError('k')\n", "KeyError"),
+        (
+            metric("x").replace(
+                "    def measure",
+                "    class Settings(registry.Settings):\n        name: str = ''\n    def measure",
+            ),
+            "'name', which belongs to the host",
+        ),
+        (
+            metric("x").replace("    def measure", "    Settings = dict\n    def measure"),
+            "do not derive from registry.Settings",
+        ),
+    ],
+)
+def test_what_the_host_cannot_use_is_refused(install: Install, source: str, message: str) -> None:
+    install("faulty", "0.1", {"x": "faulty_module"}, faulty_module=source)
+    error = refusal(Plugins(), "x")
+    assert message in error.what
+    assert "x (faulty 0.1)" in error.what
+    assert error.fix
+
+
+def test_a_setting_named_start_is_fine_where_the_host_lends_no_schedule(install: Install) -> None:
+    source = metric("timed").replace(
+        "    def measure",
+        "    class Settings(registry.Settings):\n        start: int = 0\n    def measure",
+    )
+    install("timed", "1", {"timed": "timed_module"}, timed_module=source)
+    assert Plugins().find(METRICS, "timed").settings_type.model_fields.keys() == {"start"}
+
+
+def test_two_packages_with_one_name_conflict(install: Install) -> None:
+    install("first", "1", {"twin": "twin_a"}, twin_a=metric("twin"))
+    install("second", "2", {"other.twin": "twin_b"}, twin_b=metric("twin"))
+    error = refusal(Plugins(), "twin")
+    assert "first 1" in error.what
+    assert "second 2" in error.what
+    assert SELECTION in error.fix
+    assert [str(e) for e in Plugins().conflicts()] == [str(error)]
+    install("third", "3", {"twin": "twin_c"}, twin_c=metric("twin"))
+    assert SELECTION not in refusal(Plugins(), "twin").fix, "it cannot tell twin from twin"
+
+
+@pytest.mark.parametrize("first", ["mine", "twin"])
+def test_an_entry_offers_nothing_but_what_it_is_named_after(install: Install, first: str) -> None:
+    install("stranger", "3", {"mine": "stranger_a"}, stranger_a=metric("twin"))
+    install("owner", "1", {"twin": "owner_a"}, owner_a=metric("twin", "Owned"))
+    plugins = Plugins()
+    if first == "mine":
+        refusal(plugins, "mine")
+    assert plugins.find(METRICS, "twin").distribution == "owner", "whatever was imported before"
+    error = refusal(plugins, "mine")
+    assert "registers the metric 'twin', but no entry point of stranger" in error.what
+    assert 'add `twin = "stranger_a"`' in error.fix
+    install("honest", "1", {"too.twin": "honest_a"}, honest_a=metric("twin", "Other"))
+    assert "offered twice" in refusal(Plugins(), "twin").what
+
+
+def test_an_entry_whose_name_is_not_registered_is_a_fault_of_its_package(install: Install) -> None:
+    source = metric("right")
+    install("late", "1", {"wrong": "late_a", "right": "late_a"}, late_a=source)
+    plugins = Plugins()
+    assert plugins.find(METRICS, "right").distribution == "late"
+    plugins.all()
+    (fault,) = plugins.broken.values()
+    assert "its entry point is named 'wrong', but late_a registers right" in fault.what
+    assert "register 'wrong'" in fault.fix
+
+
+def test_a_module_of_several_components_is_imported_for_each_alone(install: Install) -> None:
+    source = metric("one") + '    register("two", Score)\n'
+    install("duo", "1", {"one": "duo_a", "two": "duo_a", "far": "duo_b"}, duo_a=source, duo_b="1/0")
+    plugins = Plugins()
+    assert [plugins.find(METRICS, name).plugin for name in ("two", "one")] == ["two", "one"]
+    assert "duo_b" not in sys.modules
+    assert [offer.name for offer in plugins.all()] == ["one", "two"]
+
+
+def test_one_name_at_two_hook_points_is_no_conflict(install: Install) -> None:
+    source = metric("same") + (
+        "class Out(registry.Exporter[registry.Settings]):\n"
+        "    def export(self, model, scene, folder):\n        return []\n"
+        "@registry.hookimpl\ndef stereogs_register_exporters(register):\n"
+        "    register('same', Out)\n"
+    )
+    install("both", "1", {"same": "both_module"}, both_module=source)
+    plugins = Plugins()
+    assert plugins.find(METRICS, "same").component.__name__ == "Score"
+    assert plugins.find(POINTS["exporters"], "same").component.__name__ == "Out"
+
+
+def test_selection(install: Install, monkeypatch: pytest.MonkeyPatch) -> None:
+    install("sel", "1", {"sel_one": "sel_a", "sel_two": "sel_b"}, sel_a="", sel_b="")
+    assert [e.name for e in Plugins().entries] == ["sel_one", "sel_two"]
+    monkeypatch.setenv(SELECTION, " sel_two ,")
+    assert [e.name for e in Plugins().entries] == ["sel_two"]
+    monkeypatch.setenv(SELECTION, "")
+    assert Plugins().entries == ()
+    monkeypatch.delenv(SELECTION)
+    assert {"sel_one", "sel_two"} <= {e.name for e in Plugins().entries}
+    monkeypatch.setenv(SELECTION, "sel_too")
+    with pytest.raises(PluginError, match="did you mean 'sel_two'") as caught:
+        Plugins()
+    assert SELECTION in caught.value.where
+
+
+def test_no_plugins_at_all() -> None:
+    assert SELECTION in refusal(Plugins(), "psnr").fix
+
+
+def test_an_entry_without_a_package_still_has_a_name() -> None:
+    plugins = Plugins([*TOYS, EntryPoint("gone", "no_such_module_anywhere", GROUP)])
+    assert "gone (unknown package ?)" in refusal(plugins, "gone").what

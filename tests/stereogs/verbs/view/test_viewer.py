@@ -1,0 +1,195 @@
+"""The viewer's page over a WebSocket, rendered by the engine."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPResponse
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("viser")
+
+from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin
+
+from core_rasterizer import Camera, Device, GaussianModel, Gaussians
+from registry import RunError
+from registry.testing import tiny_scene
+from stereogs.verbs.view.guard import Guard
+from stereogs.verbs.view.subject import Subject, viewpoints_of
+from stereogs.verbs.view.viewer import Viewer
+from tests.stereogs.verbs.view.browser import WINDOW, Received, change, move, visit
+
+SCENE = tiny_scene()
+
+
+@pytest.fixture
+def subject(device: Device) -> Subject:
+    """A red wall of Gaussians at z = 2 on the left, a green one at z = 4 on the right."""
+    left = torch.cartesian_prod(torch.linspace(-2, -0.2, 12), torch.linspace(-2, 2, 12))
+    right = torch.cartesian_prod(torch.linspace(0.4, 4, 12), torch.linspace(-4, 4, 12))
+    positions = torch.cat(
+        [
+            torch.cat([left, torch.full((len(left), 1), 2.0)], dim=1),
+            torch.cat([right, torch.full((len(right), 1), 4.0)], dim=1),
+        ]
+    )
+    near = positions[:, 2] < 3
+    colors = torch.where(near[:, None], torch.tensor([0.9, 0, 0]), torch.tensor([0, 0.9, 0]))
+    count = len(positions)
+    gaussians = Gaussians.from_points(
+        positions, colors, torch.full((count,), 0.2), torch.full((count,), 0.95), 0
+    )
+    kinds = {"near": near, "far": ~near}
+    return Subject("walls", GaussianModel(gaussians, device), viewpoints_of(SCENE), kinds=kinds)
+
+
+@pytest.fixture
+def viewer(subject: Subject) -> Iterator[Viewer]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    viewer = Viewer(subject, port)
+    yield viewer
+    viewer.close()
+
+
+def serve_until(viewer: Viewer, received: Received, true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < end, "nothing came"
+        viewer.serve(0.05)
+        received.read()
+
+
+def green(picture: np.ndarray | None) -> float:  # type: ignore[type-arg]
+    """The mean green of the right half."""
+    assert picture is not None
+    return float(picture[:, picture.shape[1] // 2 :, 1].mean())
+
+
+def is_grey(picture: np.ndarray | None) -> bool:  # type: ignore[type-arg]
+    return picture is not None and bool((np.ptp(picture, axis=2) < 8).all())
+
+
+def test_the_browser_shows_the_scene_and_follows_the_controls(
+    viewer: Viewer, subject: Subject
+) -> None:
+    with visit(viewer.url) as page:
+        received = Received(page)
+        move(page, (0.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        first = received.picture
+        assert first is not None
+        assert first.shape == (WINDOW[1], WINDOW[0], 3)
+        expected = subject.model.render(Camera.centered(torch.eye(4), WINDOW[1] / 2, *WINDOW))
+        difference = first - expected.rgb.detach().clamp(0, 1).numpy() * 255
+        assert np.abs(difference).mean() < 6  # JPEG
+
+        assert {f"/cameras/{view.name}" for view in (*SCENE.train, *SCENE.test)} <= received.nodes
+        assert green(first) > 100
+        change(page, received.controls["far"], False)
+        serve_until(
+            viewer,
+            received,
+            lambda: green(received.picture) < 20,
+        )
+        change(page, received.controls["Show"], "depth")
+        serve_until(viewer, received, lambda: green(received.picture) < 1)
+        change(page, received.controls["far"], True)
+        change(page, received.controls["Show"], "alpha")
+        serve_until(viewer, received, lambda: is_grey(received.picture))
+        assert green(received.picture) > 60
+
+        change(page, received.controls["Ellipsoids"], True)
+        serve_until(viewer, received, lambda: "/ellipsoids" in received.nodes)
+        serve_until(viewer, received, lambda: received.picture is None)
+        assert "/crop_box" not in received.nodes
+        change(page, received.controls["Show only the inside"], True)
+        serve_until(viewer, received, lambda: "/crop_box" in received.nodes)
+        change(page, received.controls["Show only the inside"], False)
+        serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
+def test_the_server_listens_on_localhost_only(viewer: Viewer) -> None:
+    """A server that listens on all addresses would answer on this one too."""
+    port = urlsplit(viewer.url).port
+    with socket.create_connection(("127.0.0.1", port), timeout=5):
+        pass
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", port), timeout=5)
+
+
+def test_new_gaussians_are_shown(viewer: Viewer, subject: Subject, device: Device) -> None:
+    with visit(viewer.url) as page:
+        received = Received(page)
+        move(page, (0.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        kept = {k: v[subject.kinds["near"]] for k, v in vars(subject.model.gaussians()).items()}
+        later = GaussianModel(Gaussians(**kept), device)
+        viewer.show(Subject("walls", later, viewpoints_of(SCENE)), 7)
+        serve_until(viewer, received, lambda: green(received.picture) < 20)
+
+
+def answer(viewer: Viewer, path: str = "", **headers: str) -> HTTPResponse:
+    """What the server answers to a request for a path, by default the printed address's."""
+    address = urlsplit(viewer.url)
+    connection = HTTPConnection("127.0.0.1", address.port or 0, timeout=10)
+    connection.request("GET", path or f"/?{address.query}", headers=headers)
+    return connection.getresponse()
+
+
+def test_the_printed_address_opens_the_page_and_its_files(viewer: Viewer) -> None:
+    page = answer(viewer)
+    assert page.status == 200
+    cookie = page.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    assert answer(viewer, "/", Cookie=cookie.partition(";")[0]).status == 200
+    own = f"http://localhost:{urlsplit(viewer.url).port}"
+    assert answer(viewer, Host=own.removeprefix("http://"), Origin=own).status == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("", {"Host": "evil.example"}),
+        ("", {"Host": "127.0.0.1.evil.example"}),
+        ("", {"Host": "[broken"}),
+        ("", {"Origin": "http://evil.example"}),
+        ("", {"Origin": "http://localhost:1"}),
+        ("", {"Origin": "null"}),
+        ("/", {}),
+        ("/index.html", {}),
+        ("/?token=guessed", {}),
+        ("/", {"Cookie": "stereogs-1=guessed; a"}),
+    ],
+)
+def test_nobody_else_gets_the_page(viewer: Viewer, path: str, headers: dict[str, str]) -> None:
+    refused = answer(viewer, path, **headers)
+    assert refused.status == 403
+    assert refused.headers["Set-Cookie"] is None
+    assert len(refused.read()) < 100
+
+
+@pytest.mark.parametrize("case", ["foreign origin", "foreign host", "no token"])
+def test_another_web_page_cannot_read_the_scene(viewer: Viewer, case: str) -> None:
+    """A page in the same browser may open a WebSocket to any address; the browser states its origin."""
+    url = viewer.url.partition("?")[0] if case == "no token" else viewer.url
+    headers = {"Host": "evil.example"} if case == "foreign host" else {}
+    origin = Origin("http://evil.example") if case == "foreign origin" else None
+    with pytest.raises(InvalidStatus) as caught, visit(url, origin, headers):
+        pass
+    assert caught.value.response.status_code == 403
+
+
+def test_a_server_that_would_not_be_guarded_is_an_error() -> None:
+    with pytest.raises(RunError, match="cannot be protected"), Guard().installed():
+        pass
