@@ -6,7 +6,7 @@
         check(MyRegularizer, weight_of_something=0.5)
 
 `check` builds the component, calls it as the host would, and checks the results against the contract.
-`stereogs.testing` offers the same names, and `check_command`. Whether a component is useful is for its author to test.
+Whether it is useful is for its author to test. `stereogs.testing` offers the same names, and `check_command`.
 """
 
 from __future__ import annotations

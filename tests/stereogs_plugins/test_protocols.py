@@ -10,7 +10,7 @@ import pytest
 from core_rasterizer import open_device
 from registry.contract.scene import Scene
 from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
+from registry.pipeline.parts import Parts, load_scene
 from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
 from tests.data import data_folder
