@@ -52,6 +52,6 @@ def _targets(package: str) -> Iterator[tuple[str, tuple[str, str]]]:
             continue
         for statement in node.body:
             if isinstance(statement, ast.ImportFrom):
-                module = resolve_name("." * statement.level + (statement.module or ""), package)
+                module = resolve_name("." * statement.level + (statement.module or ""), spec.parent)
                 for alias in statement.names:
                     yield alias.asname or alias.name, (module, alias.name)

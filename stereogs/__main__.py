@@ -1,4 +1,4 @@
-"""The command `stereogs`, also as `python -m registry` and `python -m stereogs`."""
+"""The command `stereogs`, also as `python -m stereogs`."""
 
 import os
 import sys

@@ -39,11 +39,3 @@ def test_importing_loads_nothing_slow() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout
     assert output.strip() == "False"
-
-
-def test_a_name_that_moved_is_found_with_a_warning() -> None:
-    import registry
-
-    for name in ("MonocularDepthPrior", "virtual_views", "write_text"):
-        with pytest.warns(DeprecationWarning, match=f"registry.{name} has moved"):
-            getattr(registry, name)

@@ -129,7 +129,7 @@ def train(pipeline: str, device: str | None, environment: dict[str, str]) -> Arc
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
         folder = Path(name)
         (folder / "pipeline.yaml").write_text(pipeline, "utf-8")
-        command = [sys.executable, "-m", "registry", "train", str(folder / "pipeline.yaml")]
+        command = [sys.executable, "-m", "stereogs", "train", str(folder / "pipeline.yaml")]
         command += ["--out", str(folder / _RUN)]
         command += [] if device is None else ["--device", device]
         done = subprocess.run(

@@ -106,7 +106,7 @@ def test_invalid_pipelines_import_nothing_slow(tmp_path: Path) -> None:
         assert said in output
 
 
-@pytest.mark.parametrize("module", ["registry", "stereogs"])
+@pytest.mark.parametrize("module", ["stereogs"])
 def test_modules_run_the_command(module: str) -> None:
     output = subprocess.run(
         [sys.executable, "-m", module, "--version"],

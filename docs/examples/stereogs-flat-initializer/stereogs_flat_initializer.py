@@ -10,33 +10,33 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-import registry
+from stereogs import api
 
 STEREOGS_API = 3
 """Version of the plugin API that this module was written for."""
 
 
-class FlatSettings(registry.Settings):
+class FlatSettings(api.Settings):
     points_per_view: int = Field(2000, ge=1)
     """Number of points per training view, at random pixels."""
     depth: float = Field(0.5, ge=0, le=1)
     """Position of the plane: 0 is the scene's near bound, 1 its far bound, linear in 1 / z."""
 
 
-class FlatInitializer(registry.Initializer[FlatSettings]):
+class FlatInitializer(api.Initializer[FlatSettings]):
     """Points at one depth, a lower bound for ablations."""
 
     def initialize(
-        self, scene: registry.TrainingScene, priors: Mapping[str, registry.Prior[Any]]
-    ) -> registry.PointCloud:
+        self, scene: api.TrainingScene, priors: Mapping[str, api.Prior[Any]]
+    ) -> api.PointCloud:
         """Return `points_per_view` points for each training view."""
         near, far = scene.bounds
         z = 1 / ((1 - self.settings.depth) / near + self.settings.depth / far)
         parts = [self._points(view, z) for view in scene.train]
         positions, colors = (torch.cat(column) for column in zip(*parts, strict=True))
-        return registry.PointCloud(positions, colors)
+        return api.PointCloud(positions, colors)
 
-    def _points(self, view: registry.View, z: float) -> tuple[Tensor, Tensor]:
+    def _points(self, view: api.View, z: float) -> tuple[Tensor, Tensor]:
         """Return positions `[P, 3]` in world units and colours `[P, 3]` of random pixels at depth z."""
         camera, count = view.camera, self.settings.points_per_view
         # `self.generator` belongs to this component: other components do not affect its numbers.
@@ -50,8 +50,8 @@ class FlatInitializer(registry.Initializer[FlatSettings]):
         return positions.float(), view.image[rows, columns]
 
 
-@registry.hookimpl
+@api.hookimpl
 def stereogs_register_initializers(
-    register: registry.Register[FlatInitializer],
+    register: api.Register[FlatInitializer],
 ) -> None:
     register("flat", FlatInitializer)

@@ -3,9 +3,9 @@
 import torch
 from stereogs_flat_initializer import FlatInitializer, FlatSettings
 
-import registry
 from core_rasterizer import open_device
-from registry.testing import check, tiny_scene
+from stereogs import api
+from stereogs.testing import check, tiny_scene
 
 
 def test_it_keeps_the_contract() -> None:
@@ -15,7 +15,5 @@ def test_it_keeps_the_contract() -> None:
 def test_points_lie_on_the_plane() -> None:
     scene = tiny_scene()
     settings = FlatSettings(points_per_view=50, depth=1.0)
-    points = FlatInitializer(settings, registry.Context("flat", 0, open_device())).initialize(
-        scene, {}
-    )
+    points = FlatInitializer(settings, api.Context("flat", 0, open_device())).initialize(scene, {})
     torch.testing.assert_close(points.positions[:, 2], torch.full((100,), scene.bounds[1]))

@@ -9,27 +9,27 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-import registry
+from stereogs import api
 
 STEREOGS_API = 3
 """Version of the plugin API that this module was written for."""
 
 
-class IdleFadeSettings(registry.Settings):
+class IdleFadeSettings(api.Settings):
     patience: int = Field(50, ge=0)
     """Number of consecutive updates without a touched pixel before a Gaussian fades."""
     factor: float = Field(0.95, gt=0, le=1)
     """Factor applied to its opacity at each update from then on."""
 
 
-class IdleFade(registry.OpacityPolicy[IdleFadeSettings]):
+class IdleFade(api.OpacityPolicy[IdleFadeSettings]):
     """Decay of Gaussians that have not touched a pixel recently."""
 
-    def __init__(self, settings: IdleFadeSettings, context: registry.Context) -> None:
+    def __init__(self, settings: IdleFadeSettings, context: api.Context) -> None:
         super().__init__(settings, context)
         self._idle = torch.zeros(0, dtype=torch.int64)
 
-    def update(self, step: registry.Step) -> registry.OpacityUpdate:
+    def update(self, step: api.Step) -> api.OpacityUpdate:
         """Return the new opacities."""
         if not len(self._idle):
             self._idle = torch.zeros(step.model.count, dtype=torch.int64)
@@ -37,9 +37,7 @@ class IdleFade(registry.OpacityPolicy[IdleFadeSettings]):
         fading = self._idle > self.settings.patience
         step.log("fading", float(fading.sum()))
         opacities = step.model.opacities()
-        return registry.OpacityUpdate(
-            torch.where(fading, self.settings.factor * opacities, opacities)
-        )
+        return api.OpacityUpdate(torch.where(fading, self.settings.factor * opacities, opacities))
 
     def state(self) -> dict[str, Tensor]:
         """Return the consecutive updates without a touched pixel, `[N]` int64; empty at first."""
@@ -55,6 +53,6 @@ class IdleFade(registry.OpacityPolicy[IdleFadeSettings]):
             self._idle = torch.where(fresh, 0, self._idle[source])
 
 
-@registry.hookimpl
-def stereogs_register_opacity_policies(register: registry.Register[IdleFade]) -> None:
+@api.hookimpl
+def stereogs_register_opacity_policies(register: api.Register[IdleFade]) -> None:
     register("idle_fade", IdleFade)

@@ -3,9 +3,9 @@
 import torch
 from stereogs_idle_opacity import IdleFade, IdleFadeSettings
 
-import registry
 from core_rasterizer import GaussianModel, Gaussians, open_device
-from registry.testing import check, step_of, tiny_scene
+from stereogs import api
+from stereogs.testing import check, step_of, tiny_scene
 
 
 def test_it_keeps_the_contract() -> None:
@@ -20,7 +20,7 @@ def test_only_what_stays_untouched_fades_and_only_after_a_while() -> None:
     rendering = model.render(scene.train[0].camera)
     rendering.rgb.mean().backward()
     step = step_of(model, scene, rendering=rendering)
-    policy = IdleFade(IdleFadeSettings(patience=2), registry.Context("idle", 0, device))
+    policy = IdleFade(IdleFadeSettings(patience=2), api.Context("idle", 0, device))
     faded = [policy.update(step).opacities / model.opacities() for _ in range(4)]
     expected = [[1.0, 1.0], [1.0, 1.0], [1.0, 0.95], [1.0, 0.95]]
     torch.testing.assert_close(torch.stack(faded), torch.tensor(expected))

@@ -2,7 +2,7 @@
 
 import argparse
 
-import registry
+from stereogs import api
 from stereogs.command_line.arguments import add_run, open_given
 from stereogs.command_line.output import console
 
@@ -10,7 +10,7 @@ STEREOGS_API = 3
 """The version of the plugin API that this module was written for."""
 
 
-class Largest(registry.Command):
+class Largest(api.Command):
     """The verb `largest`: centres and sizes of the Gaussians with the largest standard deviations."""
 
     epilog = "examples:\n  stereogs largest runs/3dgs-fern --count 5\n"
@@ -30,6 +30,6 @@ class Largest(registry.Command):
         return 0
 
 
-@registry.hookimpl
-def stereogs_register_commands(register: registry.Register[registry.Command]) -> None:
+@api.hookimpl
+def stereogs_register_commands(register: api.Register[api.Command]) -> None:
     register("largest", Largest)

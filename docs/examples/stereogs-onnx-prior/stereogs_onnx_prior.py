@@ -10,10 +10,10 @@ your own.
 from pydantic import Field
 from torch import Tensor
 
-import registry
-from registry.priors import MonocularDepthPrior
 from registry.toolkit.networks import OnnxModelSettings
 from registry.toolkit.networks.image_fitting import full_size_maps, in_range, padded
+from stereogs import api
+from stereogs.api import MonocularDepthPrior
 
 STEREOGS_API = 3
 """Version of the plugin API that this module was written for."""
@@ -27,7 +27,7 @@ class PlainDepthSettings(OnnxModelSettings):
 class PlainDepth(MonocularDepthPrior[PlainDepthSettings]):
     """Network with input `[1, 3, H, W]`, normalized as for ImageNet, and output `[1, 1, H, W]`."""
 
-    def __init__(self, settings: PlainDepthSettings, context: registry.Context) -> None:
+    def __init__(self, settings: PlainDepthSettings, context: api.Context) -> None:
         super().__init__(settings, context)
         self._model = settings.open()  # checks hash and format
 
@@ -53,6 +53,6 @@ class PlainDepth(MonocularDepthPrior[PlainDepthSettings]):
         return fit.undo(maps)[0]
 
 
-@registry.hookimpl
-def stereogs_register_priors(register: registry.Register[PlainDepth]) -> None:
+@api.hookimpl
+def stereogs_register_priors(register: api.Register[PlainDepth]) -> None:
     register("plain_depth", PlainDepth)

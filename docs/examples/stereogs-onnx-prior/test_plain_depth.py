@@ -9,9 +9,9 @@ import torch
 from onnx import TensorProto, helper
 from stereogs_onnx_prior import PlainDepth, PlainDepthSettings
 
-import registry
 from core_rasterizer import open_device
-from registry.testing import check
+from stereogs import api
+from stereogs.testing import check
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_it_keeps_the_contract(network: Path) -> None:
 
 
 def test_brighter_is_nearer_at_the_size_of_the_image(network: Path) -> None:
-    prior = PlainDepth(PlainDepthSettings(model=network), registry.Context("p", 0, open_device()))
+    prior = PlainDepth(PlainDepthSettings(model=network), api.Context("p", 0, open_device()))
     image = torch.linspace(0, 1, 20)[None, :, None].expand(15, 20, 3)
     answer = prior.estimate(image)
     assert answer.shape == (15, 20)
@@ -42,5 +42,5 @@ def test_brighter_is_nearer_at_the_size_of_the_image(network: Path) -> None:
 
 def test_another_file_is_refused(network: Path) -> None:
     settings = PlainDepthSettings(model=network, sha256="0" * 64)
-    with pytest.raises(registry.PluginError, match="hash"):
-        PlainDepth(settings, registry.Context("p", 0, open_device()))
+    with pytest.raises(api.PluginError, match="hash"):
+        PlainDepth(settings, api.Context("p", 0, open_device()))

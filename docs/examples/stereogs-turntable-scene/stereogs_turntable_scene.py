@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import pydantic
 
-import registry
 from registry.toolkit import photos
+from stereogs import api
 
 STEREOGS_API = 3
 """Version of the plugin API that this module was written for."""
@@ -40,7 +40,7 @@ class TurntableSettings(photos.SplitSettings):
     """Maximum length of the longer side in pixels; larger photographs are reduced."""
 
 
-class TurntableScene(registry.SceneLoader[TurntableSettings]):
+class TurntableScene(api.SceneLoader[TurntableSettings]):
     """Scene from turntable.json: one lens, OpenGL poses, split like LLFF."""
 
     recognized_by: ClassVar[str] = "turntable.json"
@@ -49,7 +49,7 @@ class TurntableScene(registry.SceneLoader[TurntableSettings]):
     def recognizes(cls, folder: Path) -> bool:
         return (folder / "turntable.json").is_file()
 
-    def load(self) -> registry.Scene:
+    def load(self) -> api.Scene:
         settings, path = self.settings, self.settings.path / "turntable.json"
         table = photos.read_document(path, Turntable, "write turntable.json again")
         shots = [self._photo(table, index, str(path)) for index in range(len(table.shots))]
@@ -80,6 +80,6 @@ class TurntableScene(registry.SceneLoader[TurntableSettings]):
         )
 
 
-@registry.hookimpl
-def stereogs_register_scenes(register: registry.Register[TurntableScene]) -> None:
+@api.hookimpl
+def stereogs_register_scenes(register: api.Register[TurntableScene]) -> None:
     register("turntable", TurntableScene)

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 from stereogs_turntable_scene import TurntableScene, TurntableSettings
 
-import registry
 from core_rasterizer import open_device
-from registry.testing import check
+from stereogs import api
+from stereogs.testing import check
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_it_keeps_the_contract(folder: Path) -> None:
 
 def test_cameras_look_at_the_middle_of_the_table(folder: Path) -> None:
     settings = TurntableSettings(path=folder, test_every=2, train_views=2)
-    scene = TurntableScene(settings, registry.Context("t", 0, open_device())).load()
+    scene = TurntableScene(settings, api.Context("t", 0, open_device())).load()
     for view in (*scene.train, *scene.test):
         center = view.camera.world_to_camera[:3, 3]
         np.testing.assert_allclose(center, [0, 0, 4], atol=1e-9)

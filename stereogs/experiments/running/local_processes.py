@@ -88,7 +88,7 @@ class TrainingProcess(RunningTask):
 
     def __init__(self, task: TrainingTask, lock: int | None) -> None:
         self._task = task
-        command = [sys.executable, "-m", "registry", *training_arguments(task)]
+        command = [sys.executable, "-m", "stereogs", *training_arguments(task)]
         command += [] if task.device is None else ["--device", task.device]
         with task.log.open("wb") as log:
             self._process = subprocess.Popen(

@@ -84,7 +84,7 @@ def _check(name: str, kind: str) -> None:
     if name in installed:
         package = installed[name].dist
         raise PluginError(
-            f"a {noun} {name!r} is installed, offered by {package.name if package else 'the host'}",
+            f"a {noun} {name!r} is installed, offered by {package.name if package else 'stereogs'}",
             where="NAME",
             fix="choose another name: a name that two packages offer cannot be used",
         )

@@ -108,7 +108,7 @@ def test_an_unknown_format_is_refused_before_the_run_is_read(capsys: Capture) ->
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    command = [sys.executable, "-m", "registry", "plugins", "--json"]
+    command = [sys.executable, "-m", "stereogs", "plugins", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
         assert started.stdout is not None
         assert started.stderr is not None

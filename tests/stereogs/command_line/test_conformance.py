@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from registry import Command
+from stereogs.api import Command
 from stereogs.testing import check_command
 from stereogs.verbs.completion import Completion
 
@@ -53,7 +53,7 @@ def test_good_commands_pass() -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (int, "does not derive from registry.Command"),
+        (int, "does not derive from stereogs.api.Command"),
         (WithoutRun, "does not define run"),
         (Twice, "the arguments clash"),
         (Help, "the arguments clash"),

@@ -14,7 +14,7 @@ from stereogs.experiments.planning.description import read_description
 from stereogs.experiments.planning.making import make_plan
 from tests.stereogs.experiments.ablating import plan, write
 
-PIPELINES = Path(__file__).parents[4] / "pipelines"
+PIPELINES = Path(__file__).parents[3] / "pipelines"
 FILES = sorted((PIPELINES / "ablations").glob("*.yaml"))
 COUNTS = {
     "baseline": 9,

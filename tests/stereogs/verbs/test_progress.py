@@ -30,7 +30,7 @@ def _installed_plugins(_no_installed_plugins: None, monkeypatch: pytest.MonkeyPa
 def command(*options: str) -> list[str]:
     """Train a small room in twenty iterations; `options` are Python's own."""
     changes = [word for change in ROOM for word in ("--set", change)]
-    train = ["-m", "registry", "train", "weightfree_quick", *changes, "--out", "run"]
+    train = ["-m", "stereogs", "train", "weightfree_quick", *changes, "--out", "run"]
     return [sys.executable, *options, *train]
 
 

@@ -1,8 +1,7 @@
-"""Every tool is a plugin: without its entry point the rest of the command line works."""
+"""Verbs, the application's own and those of other packages."""
 
 from __future__ import annotations
 
-import importlib.metadata
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,15 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer import ExplainedError
 from stereogs.cli import main, parse
 from stereogs.command_line import installed as commands
-from stereogs.command_line.installed import COMMANDS, TRAIN_OPTIONS, verbs
+from stereogs.command_line.installed import COMMANDS, verbs
 
-TOOLS = [(COMMANDS, e.name) for e in importlib.metadata.entry_points(group=COMMANDS)] + [
-    (TRAIN_OPTIONS, e.name) for e in importlib.metadata.entry_points(group=TRAIN_OPTIONS)
-]
-HOST = ("train", "resume")
 EXAMPLES = {
     "train": ["train", "3dgs"],
     "resume": ["resume", "runs/x"],
@@ -46,54 +40,18 @@ EXAMPLES = {
 Answer = Callable[..., EntryPoints]
 
 
-def without(group: str, name: str) -> Answer:
-    """`entry_points` as if one entry were not installed."""
-
-    def answer(**query: str) -> EntryPoints:
-        found = importlib.metadata.entry_points(**query)
-        return EntryPoints(e for e in found if (e.group, e.name) != (group, name))
-
-    return answer
-
-
-@pytest.mark.parametrize(("group", "name"), TOOLS, ids=lambda part: part)
-def test_without_a_tool_the_rest_works(
-    group: str, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(commands, "entry_points", without(group, name))
-    left = list(verbs())
-    assert set(HOST) <= set(left)
-    for verb in left:
+def test_every_verb_parses_its_arguments() -> None:
+    for verb in verbs():
         parsed = parse(EXAMPLES.get(verb, [verb]))
         assert callable(parsed.command.run)
-    if group == COMMANDS:
-        assert name not in left
-        assert main([name]) == 2
-        assert f"unknown verb {name!r}" in capsys.readouterr().err
 
 
-def test_without_its_tool_an_option_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(commands, "entry_points", without(TRAIN_OPTIONS, "quality"))
-    with pytest.raises(ExplainedError, match="'--seconds' is not understood"):
-        parse(["train", "3dgs", "--seconds", "10"])
-
-
-def test_without_quality_a_folder_needs_a_pipeline(
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path_factory: pytest.TempPathFactory,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(commands, "entry_points", without(TRAIN_OPTIONS, "quality"))
-    assert main(["train", str(tmp_path_factory.mktemp("pictures"))]) == 2
-    error = capsys.readouterr().err
-    assert "format is not known" in error or "no installed plugin chooses a pipeline" in error
-
-
-def test_help_lists_every_verb_and_imports_no_tool() -> None:
+def test_help_lists_every_verb_and_imports_little() -> None:
     code = (
         "import sys\nfrom stereogs.cli import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print([m for m in sys.modules if m.startswith('stereogs_plugins') or m == 'torch'])"
+        "tops = ('stereogs_plugins', 'stereogs.verbs', 'torch')\n"
+        "print([m for m in sys.modules if m.startswith(tops)])"
     )
     output = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -106,10 +64,10 @@ def test_help_lists_every_verb_and_imports_no_tool() -> None:
 
 MODULE = '''"""Count the Gaussians of a run."""
 
-import registry
+from stereogs.api import Command, hookimpl
 
 
-class Count(registry.Command):
+class Count(Command):
     """The verb `count`."""
 
     def add_arguments(self, parser):
@@ -120,7 +78,7 @@ class Count(registry.Command):
         return 0
 
 
-@registry.hookimpl
+@hookimpl
 def stereogs_register_commands(register):
     register("{name}", {cls})
 '''
@@ -161,7 +119,10 @@ def test_another_package_adds_a_verb(
             MODULE.replace("{name}", "cont").replace("{cls}", "Count"),
             "registers cont, not 'broken'",
         ),
-        (MODULE.replace("{name}", "broken").replace("{cls}", "int"), "not a subclass of registry"),
+        (
+            MODULE.replace("{name}", "broken").replace("{cls}", "int"),
+            "not a subclass of stereogs.api",
+        ),
         ('"""Do nothing."""\n', "registers nothing, not 'broken'"),
     ],
 )
