@@ -45,7 +45,7 @@ CASES = (
 ESTIMATORS = ("fisher", "support", "coverage", "calibrated")
 BASELINE, OURS = "fisher", "calibrated"
 SEEDS = (0, 1, 2)
-MOST_VIEWS = 16
+MAX_VIEWS = 16
 """Test views of a scene that are measured, evenly spaced."""
 SAMPLES = 2000
 """Pixels of a left-out view that the weights are fitted to."""
@@ -60,7 +60,7 @@ def scene_of(case: str, fold: int | None = None) -> Scene:
         stereogs.build_pipeline(PIPELINES / "weightfree_quick.yaml", OVERRIDES[case])
     )
     if fold is None:
-        count = min(len(scene.test), MOST_VIEWS)
+        count = min(len(scene.test), MAX_VIEWS)
         return replace(
             scene, test=tuple(scene.test[k * len(scene.test) // count] for k in range(count))
         )

@@ -16,7 +16,7 @@ from stereogs.session import build_pipeline, load_scene
 PIPELINE = "weightfree_quick"
 START = 3
 """Photographs at the start, evenly spaced in the order of the capture."""
-MOST_IN_POOL, MOST_TESTED = 20, 12
+MAX_IN_POOL, MAX_TESTED = 20, 12
 _TEST_EVERY = 3
 """On DTU, whose protocol has nine training views, every third of its 34 usable views tests."""
 
@@ -97,7 +97,7 @@ def pool_scene(name: str) -> PoolScene:
     train, test = scene.train, scene.test
     if source.loader == "dtu":
         train, test = _resplit((*train, *test))
-    train, test = _at_most(MOST_IN_POOL, train), _at_most(MOST_TESTED, test)
+    train, test = _at_most(MAX_IN_POOL, train), _at_most(MAX_TESTED, test)
     scene = replace(scene, train=train, test=test, points=None)
     for _ in range(source.halvings):
         scene = half(scene)

@@ -59,7 +59,7 @@ PHOTOGRAPHS = (
 """Data sets and numbers of training views, each by its protocol."""
 TOLERANCES = (0.01, 0.03)
 """Relative depth errors."""
-SHORTEST_TRACK = 3
+MIN_TRACK = 3
 """Fewest photographs that see a point."""
 SLANTED = 60.0
 """Smallest angle, in degrees, between the normal and the viewing ray of a slanted surface."""
@@ -96,7 +96,7 @@ def reconstructed(file: Path, scene: Scene) -> list[Tensor]:
     found = []
     for number in numbers:
         seen = np.unique(owners[photographs == number + 1])
-        found.append(torch.from_numpy(positions[seen[lengths[seen] >= SHORTEST_TRACK]]))
+        found.append(torch.from_numpy(positions[seen[lengths[seen] >= MIN_TRACK]]))
     return found
 
 
@@ -105,7 +105,7 @@ def triangulated(scene: Scene) -> list[Tensor]:
     found = triangulate(
         scene.train, scene.bounds, max_reprojection_error=1.0, min_angle=1.5, seed=0
     )
-    agreed = found.seen_by.sum(dim=1) >= SHORTEST_TRACK
+    agreed = found.seen_by.sum(dim=1) >= MIN_TRACK
     return [found.positions[agreed & seen].double() for seen in found.seen_by.unbind(dim=1)]
 
 

@@ -45,8 +45,8 @@ def names_on_first_use(package: str) -> tuple[Callable[[str], Any], Callable[[],
 
 def _targets(package: str) -> Iterator[tuple[str, tuple[str, str]]]:
     """Each name with its module and its name in that module."""
-    spec = sys.modules[package].__spec__
-    source = spec.loader.get_source(package)  # type: ignore[union-attr]
+    spec: Any = sys.modules[package].__spec__
+    source = spec.loader.get_source(package)
     for node in ast.parse(source).body:
         if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
             continue

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from .errors import PlyError
 
-_LONGEST_HEADER = 1 << 16
-_MOST_DIGITS = 18
+_MAX_HEADER = 1 << 16
+_MAX_DIGITS = 18
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
@@ -85,7 +85,7 @@ def read_header(path: Path) -> PlyHeader:
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
-            start = file.read(_LONGEST_HEADER)
+            start = file.read(_MAX_HEADER)
     except OSError as error:
         raise PlyError(
             f"the PLY file cannot be opened: {error.strerror}",
@@ -116,7 +116,7 @@ def _parse(start: bytes, path: Path) -> PlyHeader:
 
 def _element(lines: bytes, path: Path) -> ElementHeader:
     words = lines.split(None, 3)
-    if len(words) < 3 or not words[2].isdigit() or len(words[2]) > _MOST_DIGITS:
+    if len(words) < 3 or not words[2].isdigit() or len(words[2]) > _MAX_DIGITS:
         shown = lines.split(b"\n")[0].decode("ascii", "replace").strip()[:100]
         raise PlyError(
             f"the PLY header has an element without a count: {shown.removeprefix('element ')}",

@@ -6,7 +6,7 @@ from ..first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .feature_sweep import FeatureSweep
-    from .limits import LARGEST_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS, MOST_PATCH_SOURCES
+    from .limits import MAX_PATCH_SOURCES, MAX_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
     from .patch_match import PatchMatch, PlaneMap
     from .plane_sweep import ZnccSweep
     from .rectified import census_costs, feature_costs, right_costs, zncc_costs
@@ -17,10 +17,10 @@ else:
     __getattr__, __dir__ = names_on_first_use(__name__)
 
 __all__ = [
-    "LARGEST_PENALTY",
+    "MAX_PATCH_SOURCES",
+    "MAX_PENALTY",
     "MAX_RADIUS",
     "MAX_SWEEP_RADIUS",
-    "MOST_PATCH_SOURCES",
     "CostVolume",
     "FeatureSweep",
     "PatchMatch",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-LARGEST_PENALTY = 7000
+MAX_PENALTY = 7000
 """Penalty of a jump; the sum of eight paths fits in 16 bits."""
 MAX_RADIUS = 16
 """Radius of the windows of rectified matching, pixels."""
 MAX_SWEEP_RADIUS = 8
 """Radius of the windows of the plane sweep, pixels."""
-MOST_PATCH_SOURCES = 12
+MAX_PATCH_SOURCES = 12
 """Number of source views of PatchMatch."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program
-from .limits import MOST_PATCH_SOURCES
+from .limits import MAX_PATCH_SOURCES
 from .sweep_geometry import plane_transfer
 
 GREY_LEVELS = 8191
@@ -52,7 +52,7 @@ class PatchLevel:
         self._defines = {
             "RADIUS": radius,
             "LEVELS": GREY_LEVELS,
-            "MOST_SOURCES": MOST_PATCH_SOURCES,
+            "MAX_SOURCES": MAX_PATCH_SOURCES,
         }
         pair_ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
         ends = list(accumulate(camera.width * camera.height for camera in cameras))

@@ -17,10 +17,10 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device
-from .limits import MOST_PATCH_SOURCES
+from .limits import MAX_PATCH_SOURCES
 from .patch_level import PatchLevel
 
-SMALLEST_SIDE = 24
+MIN_SIDE = 24
 """Pixels; scales with smaller images are skipped, except the finest."""
 
 
@@ -104,9 +104,7 @@ class PatchMatch:
                     f"{camera.width}x{camera.height}"
                 )
         smallest = min(min(camera.width, camera.height) for camera in cameras)
-        self._schedule = [
-            r for r in SCHEDULE if r.shrink == 1 or smallest >= SMALLEST_SIDE * r.shrink
-        ]
+        self._schedule = [r for r in SCHEDULE if r.shrink == 1 or smallest >= MIN_SIDE * r.shrink]
         if self._schedule[0].agreement:  # no depths are known yet
             self._schedule.insert(0, Round(self._schedule[0].shrink, SCHEDULE[0].steps, 0.0))
         self._device, self._levels = device, {}
@@ -129,16 +127,16 @@ class PatchMatch:
         """Estimate a plane for every pixel of every view.
 
         Args:
-            sources: for each view the indices of its source views, 1 to `MOST_PATCH_SOURCES`.
+            sources: for each view the indices of its source views, 1 to `MAX_PATCH_SOURCES`.
             done: called with the finished share of the work, in [0, 1], several times per view.
 
         Raises:
             ValueError: a view has too few or too many sources.
         """
         for index, others in enumerate(sources):
-            if not 1 <= len(others) <= MOST_PATCH_SOURCES:
+            if not 1 <= len(others) <= MAX_PATCH_SOURCES:
                 raise ValueError(
-                    f"view {index} has {len(others)} source views; 1 to {MOST_PATCH_SOURCES} are allowed"
+                    f"view {index} has {len(others)} source views; 1 to {MAX_PATCH_SOURCES} are allowed"
                 )
         level, finished = self._start(sources), 0.0
         work = len(sources) * sum(r.work for r in self._schedule)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..device import Device, DeviceArray
 from ..errors import MemoryBudgetError
-from .limits import LARGEST_PENALTY
+from .limits import MAX_PENALTY
 
 CostVolume: TypeAlias = DeviceArray
 """uint8 `[H, W, D]`, as above."""
@@ -37,17 +37,15 @@ class Penalties:
             255 levels, P2 is large / max(1, g), but at least P1.
 
     Raises:
-        ValueError: not 0 <= small <= large <= `LARGEST_PENALTY`.
+        ValueError: not 0 <= small <= large <= `MAX_PENALTY`.
     """
 
     small: int
     large: int
 
     def __post_init__(self) -> None:
-        if not 0 <= self.small <= self.large <= LARGEST_PENALTY:
-            raise ValueError(
-                f"penalties must be 0 <= small <= large <= {LARGEST_PENALTY}, got {self}"
-            )
+        if not 0 <= self.small <= self.large <= MAX_PENALTY:
+            raise ValueError(f"penalties must be 0 <= small <= large <= {MAX_PENALTY}, got {self}")
 
     def by_grey_step(self) -> Tensor:
         """`[256]` int64: P2 for each difference of grey levels."""

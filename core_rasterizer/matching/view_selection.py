@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..camera import Camera
 
-SMALLEST_BASELINE = 1e-4
+MIN_BASELINE = 1e-4
 """Relative to the near bound; closer cameras have no parallax."""
 BEST_ANGLE = 5.0
 """Degrees between the rays of two views: less makes depth inaccurate, more changes the appearance."""
@@ -41,7 +41,7 @@ def source_views(
     """
     here = cameras[reference].center
     distances = [float((camera.center - here).norm()) for camera in cameras]
-    apart = [k for k in range(len(cameras)) if distances[k] > SMALLEST_BASELINE * bounds[0]]
+    apart = [k for k in range(len(cameras)) if distances[k] > MIN_BASELINE * bounds[0]]
     apart.sort(key=lambda k: distances[k])
     if len(apart) <= count:
         return apart

@@ -19,7 +19,7 @@ _BETA1, _BETA2 = 0.9, 0.999
 _CPU_SPAN = 4096
 """Adjacent columns per work-item on a CPU."""
 _GPU_GROUP = 64
-_LARGEST_RATE = 1e37
+_MAX_RATE = 1e37
 """Stays finite when divided by the first bias correction, 0.1 at the first step."""
 
 
@@ -84,11 +84,11 @@ class Adam:
                 fix=f"give one for each of {', '.join(PARAMETER_GROUPS)}",
             )
         for name, rate in learning_rates.items():
-            if not abs(rate) < _LARGEST_RATE:
+            if not abs(rate) < _MAX_RATE:
                 raise ExplainedError(
                     f"the learning rate of {name} is {rate}",
                     where=f"Adam.step: {name}",
-                    fix=f"give one below {_LARGEST_RATE:g}",
+                    fix=f"give one below {_MAX_RATE:g}",
                 )
         moving = _groups_without(skip)
         self._model.steps += 1

@@ -16,7 +16,7 @@ from .edit import Carried, Edit, Relocation
 from .storage import GaussianStorage
 
 _GROUP = 64
-_LARGEST_LOGIT = 16.0
+_MAX_LOGIT = 16.0
 """Logits are clamped to it: the opacity is then 1 to seven digits, and the alternating sum of
 `shared_among_copies` keeps nine."""
 
@@ -127,7 +127,7 @@ def shared_among_copies(opacity_logits: Tensor, copies: Tensor) -> tuple[Tensor,
         The logit of o' `[M]`, and the logarithm of the factor of the scales `[M]`; both float64.
     """
     n = copies.double()
-    logits = opacity_logits.double().clamp(-_LARGEST_LOGIT, _LARGEST_LOGIT)
+    logits = opacity_logits.double().clamp(-_MAX_LOGIT, _MAX_LOGIT)
     # ln(1 - o') is accurate for o near 0 and near 1.
     transparency = torch.nn.functional.logsigmoid(-logits) / n
     opacity = -torch.expm1(transparency)

@@ -17,7 +17,7 @@ GROUP = 256
 """Work-items per chunk."""
 CHUNK = 2048
 """Elements per chunk, so that a work-item takes eight, however many there are."""
-MOST_CHUNKS = 4096
+MAX_CHUNKS = 4096
 """More elements make larger chunks instead, so that tables of counts stay small."""
 MACROS: Mapping[str, int] = MappingProxyType({"DIGIT_BITS": DIGIT_BITS, "LIST_GROUP": GROUP})
 _OF_PAIRS = ("tiles_a", "slots_a", "tiles_b", "slots_b", "gaussians")
@@ -27,7 +27,7 @@ _ALL, _VISIBLE, _PAIRS = -1, 0, 1
 
 def chunks_for(elements: int) -> int:
     """Number of chunks of an array that may have this many elements."""
-    return min(MOST_CHUNKS, max(1, -(-elements // CHUNK)))
+    return min(MAX_CHUNKS, max(1, -(-elements // CHUNK)))
 
 
 class Runs(NamedTuple):
@@ -63,7 +63,7 @@ class GpuTileLists(TileLists):
             **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
             "covers": 4 * capacity,
             "counts": chunks_for(capacity) * BUCKETS,
-            "chunk_pairs": MOST_CHUNKS + 1,
+            "chunk_pairs": MAX_CHUNKS + 1,
         }
         return {
             **{name: (torch.int32, elements) for name, elements in words.items()},
@@ -138,7 +138,7 @@ class GpuTileLists(TileLists):
     def _emit(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
         """Write tile and Gaussian of every pair, in the order of slots, and count them."""
         # Long thin Gaussians have many more candidates than pairs: let at least every unit take part.
-        chunks = max(chunks_for(pair_capacity), min(MOST_CHUNKS, self._device.compute_units))
+        chunks = max(chunks_for(pair_capacity), min(MAX_CHUNKS, self._device.compute_units))
         runs = Runs.of(count)
         counters, records = frame.arrays.all("counters", "records")
         covers, order, *tables = self._scratch.all(

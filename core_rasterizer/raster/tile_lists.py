@@ -18,7 +18,7 @@ DIGIT_BITS = 11
 BUCKETS = 1 << DIGIT_BITS
 """Row length of the sort's table of counts, which has one row per chunk."""
 _SCAN_GROUP = 16
-_MOST_CHUNKS = 64
+_MAX_CHUNKS = 64
 FEW = 1 << 13
 
 
@@ -27,7 +27,7 @@ def chunks_of(device: Device) -> int:
 
     Two per core, so that one that starts late is not waited for long.
     """
-    return min(_MOST_CHUNKS, 2 * device.compute_units)
+    return min(_MAX_CHUNKS, 2 * device.compute_units)
 
 
 def few(device: Device) -> int:

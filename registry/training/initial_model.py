@@ -20,7 +20,7 @@ NEIGHBOURS = 3
 """Number of nearest points whose distance gives the initial size of a Gaussian (3DGS)."""
 MIN_SQUARED_DISTANCE = 1e-7
 """Square world units, so that coincident points get a size (3DGS)."""
-_MOST_FACTS = 1_000_000
+_MAX_FACTS = 1_000_000
 """Characters of the initializer's facts as JSON."""
 
 
@@ -104,7 +104,7 @@ def _check(points: PointCloud) -> None:
         size = len(json.dumps(jsonable(dict(points.facts))))
     except (TypeError, ValueError) as error:
         raise SceneError(f"the initializer's facts are not plain values: {error}") from error
-    if size > _MOST_FACTS or not all(is_plain_name(name) for name in points.facts):
+    if size > _MAX_FACTS or not all(is_plain_name(name) for name in points.facts):
         raise SceneError(
             "the initializer's facts do not have plain names, or take more than a megabyte",
             fix="use printable texts of at most 200 characters as names",

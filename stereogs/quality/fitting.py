@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from .rehearsal import Clock, Measured
 
-LEAST_ITERATIONS = 30
+MIN_ITERATIONS = 30
 """A run trains at least as many, however late it ends; a pipeline with fewer trains its own number."""
 REHEARSED = 0.04
 """Share of the budget for timing iterations."""
@@ -193,9 +193,9 @@ class WithinSeconds(SizePlan):
             reason, longest = choice.reason, choice.longest
             if choice.name != SHORT:
                 initial = initial.of(_ready(choice.name, initial, self.load))
-                self._measure(initial, choice.name, again=affordable >= LEAST_ITERATIONS)
+                self._measure(initial, choice.name, again=affordable >= MIN_ITERATIONS)
         most = round(longest * self._whole.training.iterations)
-        self._least = min(LEAST_ITERATIONS, most)
+        self._least = min(MIN_ITERATIONS, most)
         count = max(self._least, min(self._affordable(), most))
         chosen = self._with_length(count)
         _log_choice(chosen, reason, initial, self.log)

@@ -32,7 +32,7 @@ MOMENTS = (1 / 8, 3 / 8, 5 / 8, 7 / 8)
 WARM_UP, WARM = 3, 1
 """Iterations that are not counted, at the first moment (kernels are compiled, buffers allocated) and at each
 later one (image sizes may change)."""
-MOST_MEASURED = 10
+MAX_MEASURED = 10
 """Largest number of iterations per moment."""
 CLOSING = 0.35
 """Duration of checkpoints, exports and reports relative to that of the quick scores of all views: both
@@ -116,7 +116,7 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> fl
             begin = clock()
             continue
         done = count
-        if clock() - begin >= seconds or done == MOST_MEASURED:
+        if clock() - begin >= seconds or done == MAX_MEASURED:
             break
     return (clock() - begin) / max(done, 1)
 

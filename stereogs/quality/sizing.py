@@ -21,7 +21,7 @@ SMALLEST = 256
 """Longer side in pixels that time and memory never go below."""
 SHARE = 0.5
 """Largest share of the time left for first points and scores, and of the free memory for the run."""
-LEAST_CHANGE = 0.9
+MIN_CHANGE = 0.9
 """A size is kept if the new one is larger than this multiple: reading again takes time too."""
 SWEEPS, SWEEPS_AROUND = 530.0, 1700.0
 """CPU time of first points and scores per megapixel of training views, in units of `sweep_seconds`; the
@@ -59,7 +59,7 @@ def smaller_size(scene: Scene, cpu_seconds: float | None, device: Device) -> Siz
         found.append((max(0.0, SHARE * cpu_seconds / needed), "time"))
     share, reason = min(found)
     size = max(SMALLEST, int(longer * sqrt(min(1.0, share))))
-    return Size(size, reason) if size < LEAST_CHANGE * longer else None
+    return Size(size, reason) if size < MIN_CHANGE * longer else None
 
 
 def _looks_around(scene: Scene) -> bool:

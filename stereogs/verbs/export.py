@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from registry.pipeline.pipeline import Item
     from registry.runs.run import Run
 
-MOST_LINES = 3
+MAX_LINES = 3
 """Largest number of files per folder that are listed one by one."""
 
 _EPILOG = """\
@@ -87,7 +87,7 @@ class Export(Command):
         )
         for folder in dict.fromkeys(path.parent for path in written):
             inside = [path for path in written if path.parent == folder]
-            if len(inside) > MOST_LINES:
+            if len(inside) > MAX_LINES:
                 output.print(f"exported  {len(inside)} files in {folder}")
             else:
                 output.print(*(f"exported  {path}" for path in inside), sep="\n")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FamilyName = Literal["dpt", "depth_anything_v2"]
 Answer = Literal["inverse_depth", "depth"]
-SMALLEST_DEPTH = 1e-3
+MIN_DEPTH = 1e-3
 """Least depth relative to the median of a network's depths; smaller ones are clamped."""
 
 
@@ -148,7 +148,7 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
                 where=str(self._model.path),
                 fix="remove `answers` if the graph returns inverse depth; check `value_range`",
             )
-        return 1 / depth.clamp(min=SMALLEST_DEPTH * float(known.median()))
+        return 1 / depth.clamp(min=MIN_DEPTH * float(known.median()))
 
 
 def _is_map(spec: OnnxTensor) -> bool:

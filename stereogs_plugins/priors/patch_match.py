@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from core_rasterizer.matching import MOST_PATCH_SOURCES
+from core_rasterizer.matching import MAX_PATCH_SOURCES
 from registry import PluginError, Register, Settings, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
@@ -29,7 +29,7 @@ class PatchMatchSettings(Settings):
     """Least depth as a multiple of the scene's near bound."""
     far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
     """Largest depth as a multiple of the scene's far bound."""
-    max_sources: int = Field(5, ge=1, le=MOST_PATCH_SOURCES)
+    max_sources: int = Field(5, ge=1, le=MAX_PATCH_SOURCES)
     """Largest number of source views per view, chosen by overlap and triangulation angle."""
     radius: int = Field(3, ge=1, le=12)
     """Radius of the compared windows in pixels; every second pixel is used."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from core_rasterizer.matching import LARGEST_PENALTY, MAX_SWEEP_RADIUS
+from core_rasterizer.matching import MAX_PENALTY, MAX_SWEEP_RADIUS
 from registry import Context, PluginError, Register, Settings, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.drawing import grey
@@ -47,9 +47,9 @@ class PlaneSweepSettings(Settings):
     second_share: float = Field(0.25, ge=0, le=1)
     """Weight of the source view with the second lowest cost; the lowest has the rest. Other views are
     ignored because they may be occluded."""
-    small_penalty: int = Field(10, ge=0, le=LARGEST_PENALTY)
+    small_penalty: int = Field(10, ge=0, le=MAX_PENALTY)
     """Penalty P1 for a step of one plane between two pixels; a match costs 0 to 255."""
-    large_penalty: int = Field(4000, ge=0, le=LARGEST_PENALTY)
+    large_penalty: int = Field(4000, ge=0, le=MAX_PENALTY)
     """Penalty P2 for a larger step; it is divided by the difference of the two grey levels."""
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from core_rasterizer.matching import LARGEST_PENALTY, MAX_RADIUS
+from core_rasterizer.matching import MAX_PENALTY, MAX_RADIUS
 from registry import Context, PluginError, Register, Settings, hookimpl
 from registry.priors import StereoPrior
 from registry.toolkit.networks import OnnxModel, OnnxProvider, Sha256
@@ -38,9 +38,9 @@ class SgmSettings(Settings):
     """Required hash of the file; null accepts any file."""
     provider: OnnxProvider | None = None
     """Execution provider of the network; null: the first of this list that is installed."""
-    small_penalty: int = Field(80, ge=0, le=LARGEST_PENALTY)
+    small_penalty: int = Field(80, ge=0, le=MAX_PENALTY)
     """Penalty P1 for a disparity change of one between two pixels; a match costs 0 to 255."""
-    large_penalty: int = Field(6000, ge=0, le=LARGEST_PENALTY)
+    large_penalty: int = Field(6000, ge=0, le=MAX_PENALTY)
     """Penalty P2 for a larger change; divided by the difference of the two grey levels, at least P1."""
     median: bool = True
     """Replace each disparity by the median of its 3x3 neighbourhood."""

@@ -17,7 +17,7 @@ from registry.toolkit.networks.image_fitting import at_size
 if TYPE_CHECKING:
     from torch import Tensor
 
-SMALLEST_ALPHA = 0.3
+MIN_ALPHA = 0.3
 """Alpha above which depth divided by alpha is used; dropout and decay leave less than 1 on surfaces."""
 EDGE = 0.33
 """Decay of the smoothness with the photograph's gradient (the authors' code)."""
@@ -68,7 +68,7 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         depth, alpha = step.rendering.depth, step.rendering.alpha
         if self.settings.depth == "accumulated":
             return depth, torch.ones(depth.shape, dtype=torch.bool)
-        used = alpha.detach() > SMALLEST_ALPHA
+        used = alpha.detach() > MIN_ALPHA
         if step.view.solid is not None:
             used &= at_size(step.view.solid, *depth.shape)
         return depth / alpha.where(used, 1.0), used

@@ -18,7 +18,7 @@ from registry import Register, Sample, Sampler, Settings, Step, hookimpl
 if TYPE_CHECKING:
     from torch import Tensor
 
-SMALLEST_BLUR = 0.2
+MIN_BLUR = 0.2
 """Pixels; a smaller blur changes no 8-bit value."""
 
 
@@ -39,7 +39,7 @@ class CoarseToFine(Sampler[CoarseToFineSettings]):
         progress = min(1.0, step.iteration / (self.settings.until * step.iterations))
         degree = progress * step.model.sh_degree if self.settings.bands else sample.sh_degree
         sigma = (1 - progress) * self.settings.blur
-        target = _blurred(sample.target, sigma) if sigma >= SMALLEST_BLUR else sample.target
+        target = _blurred(sample.target, sigma) if sigma >= MIN_BLUR else sample.target
         return replace(sample, target=target, sh_degree=degree)
 
 

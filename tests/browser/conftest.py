@@ -19,7 +19,7 @@ SCREENSHOTS = Path(__file__).parent / "screenshots"
 WIDTHS = (390, 1280)
 """Pixels: of a phone, and of a laptop."""
 SOFTWARE_WEBGL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-MOST_SECONDS = 240
+MAX_SECONDS = 240
 """For a page to draw its 3D view: software does what a graphics card would."""
 
 
@@ -57,7 +57,7 @@ def opened(
         has_touch=width < 800,
         reduced_motion="reduce" if still else "no-preference",
     )
-    page.set_default_timeout(1000 * MOST_SECONDS)
+    page.set_default_timeout(1000 * MAX_SECONDS)
     wrong: list[str] = []
     inside = ("data:", "blob:", file.parent.absolute().as_uri())
     page.on("request", lambda r: None if r.url.startswith(inside) else wrong.append(r.url))

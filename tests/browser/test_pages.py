@@ -17,7 +17,7 @@ from PIL import Image
 
 import stereogs
 from stereogs.cli import main
-from tests.browser.conftest import MOST_SECONDS, WIDTHS, keep, opened, overflow
+from tests.browser.conftest import MAX_SECONDS, WIDTHS, keep, opened, overflow
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -300,7 +300,7 @@ def wait_for_scene(page: Page, size: tuple[int, int] | None = None) -> None:
 
 def until(page: Page, reached: Callable[[], bool]) -> None:
     """Wait for something that the page does in its own time."""
-    end = time.monotonic() + MOST_SECONDS
+    end = time.monotonic() + MAX_SECONDS
     while not reached():
         assert time.monotonic() < end, "it did not happen"
         page.wait_for_timeout(50)

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from core_rasterizer import Device, MemoryBudgetError, open_device
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.matching import LARGEST_PENALTY, Penalties, aggregate, pick
+from core_rasterizer.matching import MAX_PENALTY, Penalties, aggregate, pick
 from core_rasterizer.matching.semi_global import empty_volume, padded_planes
 from tests.core_rasterizer import matching_oracle as oracle
 
 SHAPES = [(7, 11, 16), (11, 7, 32), (1, 5, 16), (9, 1, 16), (1, 1, 48), (12, 21, 48)]
-PENALTIES = [Penalties(10, 250), Penalties(0, 0), Penalties(80, LARGEST_PENALTY)]
+PENALTIES = [Penalties(10, 250), Penalties(0, 0), Penalties(80, MAX_PENALTY)]
 
 
 def volume(device: Device, values: oracle.Ints) -> DeviceArray:
@@ -72,7 +72,7 @@ def test_the_largest_sums_do_not_overflow(device: Device) -> None:
     costs = np.full((20, 20, 16), 255)
     costs[::2, ::2, 0] = 0
     costs[1::2, ::2, 15] = 0
-    penalties = Penalties(LARGEST_PENALTY, LARGEST_PENALTY)
+    penalties = Penalties(MAX_PENALTY, MAX_PENALTY)
     grey = np.zeros((20, 20), dtype=np.int64)
     expected = oracle.aggregate(costs, grey, penalties)
     assert np.array_equal(summed(device, costs, grey, penalties), expected)
@@ -103,7 +103,7 @@ def test_jumps_are_cheaper_at_edges() -> None:
     assert steps[[0, 1, 2, 10, 25, 26, 255]].tolist() == [250, 250, 125, 25, 10, 10, 10]
 
 
-@pytest.mark.parametrize("wrong", [(-1, 5), (6, 5), (5, LARGEST_PENALTY + 1)])
+@pytest.mark.parametrize("wrong", [(-1, 5), (6, 5), (5, MAX_PENALTY + 1)])
 def test_penalties_out_of_order_raise(wrong: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="0 <= small <= large"):
         Penalties(*wrong)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device
-from core_rasterizer.matching import MOST_PATCH_SOURCES, PatchMatch, PlaneMap
+from core_rasterizer.matching import MAX_PATCH_SOURCES, PatchMatch, PlaneMap
 from core_rasterizer.matching.patch_level import PatchLevel
 from tests.core_rasterizer import patch_match_oracle as oracle
 from tests.core_rasterizer.slanted_wall import BOUNDS, NORMAL, OTHERS, wall
@@ -99,5 +99,5 @@ def test_invalid_arguments_raise(device: Device) -> None:
         PatchMatch(device, images, cameras, (2.0, float("inf")))
     with pytest.raises(ValueError, match="view 1 has 0 source views"):
         PatchMatch(device, images, cameras, BOUNDS).maps([[1], [], [1]])
-    with pytest.raises(ValueError, match=f"1 to {MOST_PATCH_SOURCES} are allowed"):
+    with pytest.raises(ValueError, match=f"1 to {MAX_PATCH_SOURCES} are allowed"):
         PatchMatch(device, images, cameras, BOUNDS).maps([[1] * 13, [0], [0]])

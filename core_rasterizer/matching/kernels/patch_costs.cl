@@ -11,7 +11,7 @@
 #define SOURCE_LAYOUT 4
 #define NOISE 4e-6f /* variance of grey values that counts as no texture */
 #define FORGIVEN 1.0f /* pixels of disagreement without cost, because depths are read without interpolation */
-#define MOST_MISSED 3.0f /* pixels; larger disagreements cost the same */
+#define MAX_MISSED 3.0f /* pixels; larger disagreements cost the same */
 #define WORST 2.0f /* cost of NCC = -1, and where a view does not see the point */
 
 /* The views to compare with. */
@@ -66,7 +66,7 @@ static inline lane photometric_cost(
 }
 
 /* The cost of the reprojection error of a pixel to a source view, onto its known surface, and back: at most
- * MOST_MISSED pixels, also where not visible (geometric consistency of Xu and Tao, CVPR 2019). */
+ * MAX_MISSED pixels, also where not visible (geometric consistency of Xu and Tao, CVPR 2019). */
 static inline lane disagreement(
     const window *here, lane nearness, const source_views *views, int s)
 {
@@ -87,8 +87,8 @@ static inline lane disagreement(
     const lane back_x = (m[0] * u + m[1] * v + m[2] + there * m[9]) / back_z - here->x;
     const lane back_y = (m[3] * u + m[4] * v + m[5] + there * m[10]) / back_z - here->y;
     const lane missed = lane_sqrt(back_x * back_x + back_y * back_y) - FORGIVEN;
-    const lane_int known_there = seen & (back_z > (lane)0) & (missed < (lane)MOST_MISSED);
-    return views->agreement * (known_there ? LANE_MAX(missed, (lane)0) : (lane)MOST_MISSED);
+    const lane_int known_there = seen & (back_z > (lane)0) & (missed < (lane)MAX_MISSED);
+    return views->agreement * (known_there ? LANE_MAX(missed, (lane)0) : (lane)MAX_MISSED);
 }
 
 /* The photometric cost of each pixel's plane in each source view, [sources, H, W]. */

@@ -4,7 +4,7 @@
  * matter. See patch_plane.cl for planes and patch_costs.cl for their cost.
  */
 
-#define LEAST_WEIGHT 0.01f /* source views of lower weight are ignored */
+#define MIN_WEIGHT 0.01f /* source views of lower weight are ignored */
 #define BAD_COST 1.2f /* a view that costs more contradicts a plane */
 #define GOOD_FALLOFF 5.556f /* 1 / (2 * 0.3^2), of the weight by cost */
 #define IMPOSSIBLE 1000.0f /* above every cost */
@@ -65,7 +65,7 @@ static inline void neighbouring_planes(
 /* How much each source view counts at the pixel: views that match most of the neighbouring planes well,
  * by how well (joint view selection of Xu and Tao, CVPR 2019). All others get a tiny weight, which decides
  * if no view is chosen. */
-static inline void weigh_views(lane (*costs)[MOST_SOURCES], int sources, real good_cost, lane *weights)
+static inline void weigh_views(lane (*costs)[MAX_SOURCES], int sources, real good_cost, lane *weights)
 {
     for (int s = 0; s < sources; s++) {
         lane good = (lane)0, bad = (lane)0, sum = (lane)0, all = (lane)0;
@@ -85,7 +85,7 @@ static inline void weigh_views(lane (*costs)[MOST_SOURCES], int sources, real go
         total += weights[s];
     for (int s = 0; s < sources; s++) {
         weights[s] /= total;
-        weights[s] = weights[s] < (lane)LEAST_WEIGHT ? (lane)0 : weights[s];
+        weights[s] = weights[s] < (lane)MIN_WEIGHT ? (lane)0 : weights[s];
     }
 }
 
@@ -110,7 +110,7 @@ static inline void try_neighbours(
     search *state, const plane *found, const window *here, const source_views *views,
     real good_cost, lane *weights)
 {
-    lane costs[HYPOTHESES][MOST_SOURCES];
+    lane costs[HYPOTHESES][MAX_SOURCES];
     for (int k = 0; k < HYPOTHESES; k++)
         for (int s = 0; s < views->count; s++)
             costs[k][s] = photometric_cost(here, found[k], views, s);
@@ -150,7 +150,7 @@ __kernel void improve_planes(
     const lane_int x = columns(first, 2, width), at = y * width + x;
     const source_views views = {pairs, known, numbers, layout, sources, agreement};
     plane found[HYPOTHESES];
-    lane weights[MOST_SOURCES];
+    lane weights[MAX_SOURCES];
     window here;
 
     found[REGIONS] = load_plane(planes, pixels, at);

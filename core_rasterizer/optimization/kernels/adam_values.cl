@@ -32,13 +32,13 @@
 #define SHARE2 ((real)0.001)
 #define EPSILON ((real)1e-15)
 /* The square of a larger gradient overflows; such gradients, and undefined ones, count as 0. */
-#define LARGEST_GRADIENT ((real)1e18)
+#define MAX_GRADIENT ((real)1e18)
 /* First moments below the smallest normal number become 0. Without gradient they would stay subnormal, because
  * 0.9 times the smallest number rounds to itself, and arithmetic with subnormal numbers is slow. */
 #if REAL_IS_DOUBLE
-#define SMALLEST_MOMENT DBL_MIN
+#define MIN_MOMENT DBL_MIN
 #else
-#define SMALLEST_MOMENT FLT_MIN
+#define MIN_MOMENT FLT_MIN
 #endif
 
 /* With VISIBLE_ONLY, values without gradient are skipped, so their moments do not decay; used by
@@ -58,11 +58,11 @@ static inline int step_values(
     int undefined = 0;
     for (size_t at = begin; at < end; at++) {
         const real given = gradients[at];
-        const int defined = (given > -LARGEST_GRADIENT) & (given < LARGEST_GRADIENT);
+        const int defined = (given > -MAX_GRADIENT) & (given < MAX_GRADIENT);
         const real gradient = defined ? given : 0;
         const real m = BETA1 * first_moments[at] + SHARE1 * gradient;
         const real v = BETA2 * second_moments[at] + SHARE2 * (gradient * gradient);
-        const real kept_m = (m > -SMALLEST_MOMENT) & (m < SMALLEST_MOMENT) ? 0 : m;
+        const real kept_m = (m > -MIN_MOMENT) & (m < MIN_MOMENT) ? 0 : m;
         const int still = VISIBLE_ONLY & (given == 0);
         first_moments[at] = still ? first_moments[at] : kept_m;
         second_moments[at] = still ? second_moments[at] : v;

@@ -28,7 +28,7 @@ void append_columns(
         target[(size_t)row * target_capacity + first + j] = values[(size_t)row * columns + j];
 }
 
-#define LARGEST_LOG_SCALE ((real)80) /* e^80 times the noise is finite */
+#define MAX_LOG_SCALE ((real)80) /* e^80 times the noise is finite */
 
 /* A child of a split is drawn from its parent: mean += R S noise, then the scale shrinks. */
 __kernel __attribute__((reqd_work_group_size(TOPOLOGY_GROUP, 1, 1)))
@@ -45,7 +45,7 @@ void spread_children(
          y = row[(ROW_QUATERNION + 2) * stride], z = row[(ROW_QUATERNION + 3) * stride];
     /* As in projection.cl: the largest component first, so that no square overflows. */
     const real largest = fmax(fmax(fabs(w), fabs(x)), fmax(fabs(y), fabs(z)));
-    if (largest >= SMALLEST_QUATERNION) {
+    if (largest >= MIN_QUATERNION) {
         w /= largest, x /= largest, y /= largest, z /= largest;
         const real norm = sqrt(w * w + x * x + y * y + z * z);
         w /= norm, x /= norm, y /= norm, z /= norm;
@@ -53,7 +53,7 @@ void spread_children(
         w = 1, x = y = z = 0;
     real offset[3];
     for (int k = 0; k < 3; k++)
-        offset[k] = exp(fmin(row[(ROW_SCALE + k) * stride], LARGEST_LOG_SCALE)) * noise[3 * child + k];
+        offset[k] = exp(fmin(row[(ROW_SCALE + k) * stride], MAX_LOG_SCALE)) * noise[3 * child + k];
     row[ROW_MEAN * stride] += (1 - 2 * (y * y + z * z)) * offset[0] + 2 * (x * y - w * z) * offset[1]
         + 2 * (x * z + w * y) * offset[2];
     row[(ROW_MEAN + 1) * stride] += 2 * (x * y + w * z) * offset[0] + (1 - 2 * (x * x + z * z)) * offset[1]

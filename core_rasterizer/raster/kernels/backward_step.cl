@@ -41,7 +41,7 @@ void project_backward_and_step(
         return;
     const int size /* a constant on a GPU */
         = PROJECT_SPAN == 1 || begin + PROJECT_SPAN < capacity ? PROJECT_SPAN : capacity - begin;
-    real gradients[MOST_ROWS * PROJECT_SPAN] __attribute__((aligned(64)));
+    real gradients[MAX_ROWS * PROJECT_SPAN] __attribute__((aligned(64)));
     const int written = ROW_SH + 3 * (degree + 1) * (degree + 1);
     for (int block = 0; block < size / LANES; block++) {
         prefetch_moments(first_moments, second_moments, capacity, begin, block, rows);
@@ -52,7 +52,7 @@ void project_backward_and_step(
 #if LANES == 1
 #pragma unroll
 #endif
-    for (int k = UP_TO(written * PROJECT_SPAN, 0); k < UP_TO(rows, MOST_ROWS) * PROJECT_SPAN; k++)
+    for (int k = UP_TO(written * PROJECT_SPAN, 0); k < UP_TO(rows, MAX_ROWS) * PROJECT_SPAN; k++)
         if (k >= written * PROJECT_SPAN)
             gradients[k] = 0;
     ADAM_RATES_BY_GROUP
@@ -60,7 +60,7 @@ void project_backward_and_step(
 #if LANES == 1
 #pragma unroll
 #endif
-    for (int row = 0; row < UP_TO(rows, MOST_ROWS); row++) {
+    for (int row = 0; row < UP_TO(rows, MAX_ROWS); row++) {
         const int group = ADAM_GROUP_OF(row);
         if (row >= rows || (moving >> group & 1) == 0)
             continue;

@@ -12,7 +12,7 @@
 /* `collect`: 0 no statistics, 1 two rows, 2 a third row, which needs kernels with ABSOLUTE. */
 #define COLLECT_ABSOLUTE 2
 
-#define MOST_ROWS (ROW_SH + 48)
+#define MAX_ROWS (ROW_SH + 48)
 
 /* Sums the slots of each lane's Gaussian in slot order, which is fixed. */
 static inline void sum_pairs(
@@ -258,7 +258,7 @@ static inline void backward_of_block(
 #if LANES == 1
 #pragma unroll
 #endif
-        for (int row = 0; row < UP_TO(rows, MOST_ROWS); row++)
+        for (int row = 0; row < UP_TO(rows, MAX_ROWS); row++)
             if (row < rows && !accumulate)
                 STORE_GRADIENT(gradients + row * gradient_stride, (lane)0);
         return;

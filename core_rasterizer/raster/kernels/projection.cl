@@ -77,7 +77,7 @@ static inline void rotation_of(lane w, lane x, lane y, lane z, lane *rotation)
 static inline void read_rotation(projected *g, lane w, lane x, lane y, lane z, lane *rotation)
 {
     lane largest = LANE_MAX(LANE_MAX(lane_abs(w), lane_abs(x)), LANE_MAX(lane_abs(y), lane_abs(z)));
-    const lane_mask zero = largest < (lane)SMALLEST_QUATERNION;
+    const lane_mask zero = largest < (lane)MIN_QUATERNION;
     largest = zero ? (lane)1 : largest;
     w /= largest, x /= largest, y /= largest, z /= largest;
     w = zero ? (lane)1 : w;

@@ -84,5 +84,5 @@ typedef GLUE(REAL_NAME, 4) quad;
 #define ALPHA_MAX ((real)0.99)
 #define TRANSMITTANCE_STOP ((real)EARLY_STOP)
 #define LOG2_E ((real)1.4426950408889634)
-#define SMALLEST_QUATERNION ((real)1e-12)
+#define MIN_QUATERNION ((real)1e-12)
 #define INVISIBLE 0xFFFFFFFFu

@@ -2,8 +2,8 @@
  * neighbouring elements, one element per work-item at a time. counts[digit][chunk], in this order, so that
  * one prefix sum over the whole table gives each chunk the place of its first element of each digit. */
 
-#define MOST_DIGITS (1u << DIGIT_BITS)
-#define NO_DIGIT MOST_DIGITS /* of elements that are invisible or beyond the chunk */
+#define MAX_DIGITS (1u << DIGIT_BITS)
+#define NO_DIGIT MAX_DIGITS /* of elements that are invisible or beyond the chunk */
 
 /* Number of elements: `limit`, or where `counter` names one, its value; 0 if that exceeds the limit, because
  * the arrays are too small then. */
@@ -26,7 +26,7 @@ void count_digits(
     __global const uint *keys, __global uint *counts, __global ulong *counters, int counter, uint limit,
     uint shift, uint digits)
 {
-    __local uint found[MOST_DIGITS];
+    __local uint found[MAX_DIGITS];
     BEGIN_STEPS;
     const uint id = get_local_id(0);
     const size_t chunks = get_num_groups(0), chunk = get_group_id(0);
@@ -59,7 +59,7 @@ void scatter_digits(
 {
     __local scan_memory memory;
     __local ulong starts[LIST_GROUP];
-    __local uint next[MOST_DIGITS]; /* index of the chunk's next element of each digit */
+    __local uint next[MAX_DIGITS]; /* index of the chunk's next element of each digit */
     __local uint batch_digits[LIST_GROUP];
     BEGIN_STEPS;
     const uint id = get_local_id(0);

@@ -44,7 +44,7 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 """Pillow's names of the supported formats; `read_heif` adds HEIF."""
-MOST_PIXELS = 1 << 27
+MAX_PIXELS = 1 << 27
 """134 megapixels; a decoded pixel takes up to four bytes."""
 UNCHECKED_PIXELS = 1 << 24
 """17 megapixels; images up to this size may have any compression ratio."""
@@ -93,9 +93,9 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
 def _check_size(file: Image.Image, path: Path, what: str) -> None:
     width, height = file.size
     pixels, size = width * height, path.stat().st_size
-    if pixels > MOST_PIXELS:
+    if pixels > MAX_PIXELS:
         raise SceneError(
-            f"{what} has {width}x{height} pixels, more than {MOST_PIXELS // 1_000_000} megapixels",
+            f"{what} has {width}x{height} pixels, more than {MAX_PIXELS // 1_000_000} megapixels",
             where=str(path),
             fix="downsample it; training uses a much smaller size",
         )
@@ -132,7 +132,7 @@ def read_heif() -> bool:
 
 def divided_by(divisor: int, largest: int | None = None) -> SizeRule:
     """Divide each side and round it, as the published protocols do; then limit the longer side."""
-    limited = longest_side(largest or MOST_PIXELS)
+    limited = longest_side(largest or MAX_PIXELS)
     return lambda width, height: limited(
         max(1, round(width / divisor)), max(1, round(height / divisor))
     )

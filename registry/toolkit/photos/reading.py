@@ -29,13 +29,13 @@ Matrix4x4 = tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Suffixes of files that are read as photographs, in lower case."""
-LARGEST_GROWTH = 10
+MAX_GROWTH = 10
 """Unpacked size of an archive divided by its file size, at most; real arrays shrink to a half at best."""
 UNCHECKED_BYTES = 1 << 26
 """64 MiB; archives that unpack to less may have any compression ratio."""
-_LARGEST_DOCUMENT = 12_000_000
+_MAX_DOCUMENT = 12_000_000
 """Bytes; cameras of 10,000 photographs take 10 MB."""
-_LONGEST_NAME = 240
+_MAX_NAME = 240
 """Bytes; file systems allow 255."""
 
 
@@ -76,9 +76,9 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
     """
     _require_file(path, f"the file {path.name}", fix)
     size = path.stat().st_size
-    if size > _LARGEST_DOCUMENT:
+    if size > _MAX_DOCUMENT:
         raise SceneError(
-            f"the file {path.name} has {size:,} bytes, more than {_LARGEST_DOCUMENT:,}",
+            f"the file {path.name} has {size:,} bytes, more than {_MAX_DOCUMENT:,}",
             where=str(path),
             fix=fix,
         )
@@ -141,7 +141,7 @@ def read_arrays(path: Path, names: Sequence[str], what: str, fix: str) -> dict[s
     with decoding(what, path, fix), zipfile.ZipFile(path) as archive:
         members = [archive.getinfo(f"{name}.npy") for name in names]
         unpacked = sum(member.file_size for member in members)
-        most = max(UNCHECKED_BYTES, LARGEST_GROWTH * path.stat().st_size)
+        most = max(UNCHECKED_BYTES, MAX_GROWTH * path.stat().st_size)
         if unpacked > most:
             raise ValueError(f"it would unpack to {unpacked:,} bytes, more than {most:,}")
         return {
@@ -213,7 +213,7 @@ def inside(folder: Path, name: str, where: str) -> Path:
         or ".." in relative.parts
         or "\\" in name
         or not name.isprintable()
-        or max(len(part.encode()) for part in relative.parts) > _LONGEST_NAME
+        or max(len(part.encode()) for part in relative.parts) > _MAX_NAME
     ):
         raise SceneError(
             f"the file name {name[:100]!r} does not stay inside the scene's folder",

@@ -14,10 +14,10 @@ from ...calls.watchdog import WATCHDOG, Watchdog
 
 Item = TypeVar("Item")
 
-_LEAST_SECONDS, _LEAST_SHARE, _MOST_AWAITED = 3.0, 6, 10
+_MIN_SECONDS, _MIN_SHARE, _MAX_AWAITED = 3.0, 6, 10
 """The time left is known after so many seconds and a sixth of the steps, which are at least 2 and at most 10:
 the first iterations may compile kernels."""
-_SAMPLE_SECONDS, _MOST_SAMPLES = 0.5, 2000
+_SAMPLE_SECONDS, _MAX_SAMPLES = 0.5, 2000
 _TREND_LIMIT = 1.5
 """Largest factor by which a trend lengthens the rest. The last iterations of a training take two to six times
 as long as the first."""
@@ -56,7 +56,7 @@ class Stage:
             self.done = done
             if now - self._samples[-1][1] >= _SAMPLE_SECONDS:
                 self._samples.append((done, now))
-                if len(self._samples) > _MOST_SAMPLES:
+                if len(self._samples) > _MAX_SAMPLES:
                     del self._samples[1::2]
 
     def seconds_left(self, now: float) -> float | None:
@@ -67,15 +67,15 @@ class Stage:
         """
         (first, began), (done, latest) = self._samples[0], self._samples[-1]
         steps = done - first
-        if self.total is None or latest - began < _LEAST_SECONDS:
+        if self.total is None or latest - began < _MIN_SECONDS:
             return None
-        if steps < min(max(self.total // _LEAST_SHARE, 2), _MOST_AWAITED):
+        if steps < min(max(self.total // _MIN_SHARE, 2), _MAX_AWAITED):
             return None
         middle = bisect_right(self._samples, (first + steps // 2, latest)) - 1
         half, split = self._samples[min(middle, len(self._samples) - 2)]
         step = (latest - split) / (done - half)
-        growth = self.growth if steps * _LEAST_SHARE < self.total else 1.0
-        if half > first and steps >= _MOST_AWAITED:
+        growth = self.growth if steps * _MIN_SHARE < self.total else 1.0
+        if half > first and steps >= _MAX_AWAITED:
             slower = 1 - (split - began) / (half - first) / step
             growth = max(growth, min(1 + slower * (self.total - half) / steps, _TREND_LIMIT))
         return max((self.total - done) * step * growth - (now - latest), 0.0)

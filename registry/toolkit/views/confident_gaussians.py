@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ...confidence import Confidence, Trained
 
 _CAMERAS_PER_VIEW = 2
-_LEAST_LIGHT = 0.5
+_MIN_LIGHT = 0.5
 """Light, in pixels of all cameras together, at which the confidence is halved."""
 
 
@@ -26,4 +26,4 @@ def confidence_of_gaussians(trained: Trained, confidence: Confidence) -> Tensor:
     cameras = [view.camera for view in trained.scene.train]
     path = smooth_path(cameras, _CAMERAS_PER_VIEW * len(cameras)) if len(cameras) > 1 else cameras
     sums, light = gathered(trained.model, ((one, confidence.of(one)) for one in path))
-    return (sums / (light + _LEAST_LIGHT)).clamp(0, 1)
+    return (sums / (light + _MIN_LIGHT)).clamp(0, 1)

@@ -37,7 +37,7 @@ __all__ = ["Triangulation", "triangulate", "triangulated_points"]
 
 CONTRAST_THRESHOLD = 0.002
 """Contrast threshold of SIFT features; COLMAP's 0.0067 suits dozens of photographs, not three."""
-MOST_PARTNERS = 8
+MAX_PARTNERS = 8
 """Partners that each photograph is matched with, so that time grows linearly."""
 BOUNDS_MARGIN = 1.1
 """Points nearer than near / margin or farther than far * margin count as wrong matches."""
@@ -149,7 +149,7 @@ def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> li
     found = {
         (min(index, partner), max(index, partner))
         for index in range(len(cameras))
-        for partner in source_views(cameras, index, MOST_PARTNERS, bounds)
+        for partner in source_views(cameras, index, MAX_PARTNERS, bounds)
     }
     return sorted(found)
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
-SMALLEST_STEP, LARGEST_STEP = 4.0, 20.0
+MIN_STEP, MAX_STEP = 4.0, 20.0
 """Limits of a step, degrees as seen from the subject."""
 _BETWEEN = 0.25
 """Share of the way between two photographs from which on a place is between them."""
@@ -21,9 +21,9 @@ _OFF_THE_MIDDLE = 0.15
 """Share of that way from the middle on which a place is nearer to one of the two."""
 _HALF_STEP = 0.25
 """Distances below this many steps are not mentioned."""
-_LEAST_NEARER = 0.75
+_MIN_NEARER = 0.75
 """Differences in distance below this many steps are not mentioned: they depend on the aim."""
-_MOST_ASIDE = 0.5
+_MAX_ASIDE = 0.5
 """A place farther aside from the line between two photographs is not between them; in units of its length."""
 _WIDE = 25.0
 """Degrees around the subject that are mentioned beside the steps."""
@@ -71,8 +71,7 @@ class Photographs:
 
         apart = torch.cdist(self.centers, self.centers).fill_diagonal_(math.inf)
         low, high = (
-            median(self.reach) * math.tan(math.radians(angle))
-            for angle in (SMALLEST_STEP, LARGEST_STEP)
+            median(self.reach) * math.tan(math.radians(angle)) for angle in (MIN_STEP, MAX_STEP)
         )
         return min(max(float(apart.amin(dim=1).median()), low), high)
 
@@ -127,7 +126,7 @@ class Photographs:
                 offset = self._level(place - self.centers[first], target, place)
                 share = float(offset @ way) / length**2
                 aside = float((offset - share * way).norm()) / length
-                if _BETWEEN <= share <= 1 - _BETWEEN and aside < _MOST_ASIDE:
+                if _BETWEEN <= share <= 1 - _BETWEEN and aside < _MAX_ASIDE:
                     found.append((length, first, second, share))
         return min(found)[1:] if found else None
 
@@ -164,7 +163,7 @@ class Photographs:
             (_steps(abs(height) / self.step), "higher" if height > 0 else "lower"),
             (_steps(abs(nearer) / self.step), "closer" if nearer > 0 else "farther away"),
         ]
-        if abs(nearer) < _LEAST_NEARER * self.step:
+        if abs(nearer) < _MIN_NEARER * self.step:
             words.pop()
         return [f"{steps} {way}" for steps, way in words if steps]
 

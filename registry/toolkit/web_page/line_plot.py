@@ -18,7 +18,7 @@ _DECADES = 2.0
 """Powers of ten; positive values with a larger range get a logarithmic axis."""
 _NEAR_LOWEST = 0.6
 """Share of the largest value; smaller values start the axis at its lowest."""
-_MOST_MARKED = 12
+_MAX_MARKED = 12
 """Largest number of points that are drawn individually."""
 
 
@@ -164,7 +164,7 @@ def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:
             yield f'<line {ends} stroke="{color}"/>'
         if point.marked:
             yield f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="6.5" stroke="{color}"/>'
-        if len(places) <= _MOST_MARKED and not line.dashed:
+        if len(places) <= _MAX_MARKED and not line.dashed:
             hint = f"<title>{_number(point.value)}</title>"
             yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}">{hint}</circle>'
 

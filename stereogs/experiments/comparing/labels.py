@@ -7,7 +7,7 @@ from typing import Any
 
 from .comparison import FinishedRun, dotted
 
-MOST_PARTS = 3
+MAX_PARTS = 3
 """Largest number of differences in a label."""
 _LENGTH = "training.iterations"
 _WORDS = {
@@ -35,9 +35,9 @@ def labels(runs: Sequence[FinishedRun]) -> list[str]:
             other for r, other in zip(runs, settings, strict=True) if r.pipeline == run.pipeline
         ]
         parts = list(_differences(own, same))
-        rest = len(parts) - MOST_PARTS
+        rest = len(parts) - MAX_PARTS
         more = [f"{rest} more"] if rest > 0 else []
-        found.append([*parts[:MOST_PARTS], *more])
+        found.append([*parts[:MAX_PARTS], *more])
     one_name = len({run.pipeline for run in runs}) == 1 and all(found)
     return [
         ", ".join(parts if one_name else [run.pipeline, *parts])

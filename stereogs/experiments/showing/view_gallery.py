@@ -10,7 +10,7 @@ from registry.messages.suggestions import counted
 from registry.toolkit.drawing import ViewPictures
 from registry.toolkit.web_page import choice, figure, image, note, pinned, wipe
 
-MOST_VIEWS = 12
+MAX_VIEWS = 12
 """Largest number of views on a page; each has a render and a depth map per run."""
 _DEPTHS = "Depth maps: yellow is near, dark blue is far, black is empty."
 _LONGEST_SIDE = 640
@@ -49,7 +49,7 @@ def _some_views(
     runs: Sequence[RenderedRun], part_of: Callable[[str, Sequence[RenderedRun]], str]
 ) -> str:
     names = list(dict.fromkeys(name for run in runs for name in run.scores))
-    count = min(len(names), MOST_VIEWS)
+    count = min(len(names), MAX_VIEWS)
     some = [names[index * len(names) // count] for index in range(count)]
     parts = {name: part for name in some if (part := part_of(name, runs))}
     hidden = len(names) - len(parts)

@@ -37,7 +37,7 @@ _CAMERA_LENGTH = 0.07
 """Length of a drawn field of view, relative to the size of the image."""
 _PERCENTILES = (2.0, 98.0)
 """Points outside do not extend the drawn area."""
-_MOST_POINTS = 20000
+_MAX_POINTS = 20000
 _OUTLINE = 12
 """Points along each edge of a drawn field of view that no label covers."""
 _FARTHEST = 3.0
@@ -247,7 +247,7 @@ def _draw_points(picture: Image.Image, plan: Plan, scene: Scene) -> None:
     """Draw each point as 2x2 pixels in its color, darkened so that white points are visible."""
     if scene.points is None:
         return
-    every = max(1, len(scene.points) // _MOST_POINTS)
+    every = max(1, len(scene.points) // _MAX_POINTS)
     positions = scene.points.positions[::every].double().numpy()
     colors = (204 * scene.points.colors[::every].numpy()).astype(np.uint8)
     cells = np.floor(plan.pixels(plan.coordinates(positions))).astype(int)

@@ -12,7 +12,7 @@ import torch
 
 from registry.toolkit.views.virtual_views import looking_at
 
-from .gain import LEAST_ALPHA, small
+from .gain import MIN_ALPHA, small
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,7 +26,7 @@ UPWARDS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 SAME_PLACE = 0.4
 """Distance between two candidates, or a candidate and a photograph, at least; steps."""
 MOST = 150
-_TOO_NEAR, _MOST_IN_THE_WAY = 0.4, 0.2
+_TOO_NEAR, _MAX_IN_THE_WAY = 0.4, 0.2
 """Surfaces nearer than this share of the distance to the subject may cover this share of a picture."""
 _MIDDLE = 0.6
 """Share of a picture's width and height that decides how far the subject is."""
@@ -102,11 +102,11 @@ def _reach(rendering: Rendering) -> float:
         for side in (height, width)
     )
     alpha, depth = rendering.alpha[rows, columns], rendering.depth[rows, columns]
-    shown = alpha > LEAST_ALPHA
+    shown = alpha > MIN_ALPHA
     return float((depth[shown] / alpha[shown]).median()) if shown.any() else math.inf
 
 
 def free_view(rendering: Rendering, reach: float) -> bool:
     """Return whether nothing is in the way between a candidate and its subject at this distance."""
     near = rendering.depth < _TOO_NEAR * reach * rendering.alpha
-    return float((near & (rendering.alpha > LEAST_ALPHA)).float().mean()) <= _MOST_IN_THE_WAY
+    return float((near & (rendering.alpha > MIN_ALPHA)).float().mean()) <= _MAX_IN_THE_WAY

@@ -40,11 +40,11 @@ OVERLAP = 0.3
 """Least overlap of a photograph that probably connects to the others."""
 DEPTH_TOLERANCE = 0.03
 """A point this much farther than the depth that a camera sees is hidden, as a share of the depth."""
-LEAST_ALPHA = 0.3
+MIN_ALPHA = 0.3
 """Pixels with less alpha show no surface."""
 RENDERED_PIXELS = 3600
 """Pixels of the renders, which decide what is hidden."""
-_MOST_POINTS, _LEAST_SPACING = 24_000, 3
+_MAX_POINTS, _MIN_SPACING = 24_000, 3
 """Points of all views together; pixels between two points of a view."""
 
 
@@ -63,8 +63,8 @@ class ExpectedGain:
         training: Sequence[Camera],
         candidates: Sequence[Camera],
     ) -> None:
-        spacing = math.sqrt(RENDERED_PIXELS * len(candidates) / _MOST_POINTS)
-        spacing = max(_LEAST_SPACING, math.ceil(spacing))
+        spacing = math.sqrt(RENDERED_PIXELS * len(candidates) / _MAX_POINTS)
+        spacing = max(_MIN_SPACING, math.ceil(spacing))
         cameras = [small(camera) for camera in (*training, *candidates)]
         depths, points, weights = [], [], []
         for index, camera in enumerate(cameras):
@@ -76,7 +76,7 @@ class ExpectedGain:
                 grid = slice(spacing // 2, None, spacing)
                 u, v = (axis[grid, grid] for axis in camera.pixel_centers())
                 points.append(camera.unproject(u, v, depth[grid, grid]).reshape(-1, 3))
-                light = torch.where(alpha > LEAST_ALPHA, alpha, 0.0)[grid, grid].flatten()
+                light = torch.where(alpha > MIN_ALPHA, alpha, 0.0)[grid, grid].flatten()
                 weights.append(light / len(light) / len(candidates))
         shown = torch.cat(points)
         eyes = [c.center.expand(len(p), 3) for c, p in zip(candidates, points, strict=True)]

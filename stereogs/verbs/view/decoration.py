@@ -28,7 +28,7 @@ _FRUSTUM = 0.08
 _BOX_COLOR = (240, 240, 240)
 _BOX_WIDTH = 0.004
 """Width of the crop box's lines, in units of its diagonal."""
-MOST_ELLIPSOIDS = 10_000
+MAX_ELLIPSOIDS = 10_000
 """A browser without a graphics card can still rotate so many."""
 
 _SH_C0 = 0.28209479177387814
@@ -92,7 +92,7 @@ def add_ellipsoids(
     if mask is not None:
         covered = torch.where(mask, covered, 0.0)
     order = covered.argsort(descending=True, stable=True)
-    chosen = order[: min(MOST_ELLIPSOIDS, int((covered > 0).sum()))]
+    chosen = order[: min(MAX_ELLIPSOIDS, int((covered > 0).sum()))]
     vertices, faces = _octasphere()
     return server.scene.add_batched_meshes_simple(
         "/ellipsoids",

@@ -25,7 +25,7 @@ QUICK_SECONDS = 0.08
 """Time for an image while the camera moves."""
 SHARP_SECONDS = 0.8
 """Time for an image once the camera stands still."""
-_FEWEST_PIXELS = 120 * 160
+_MIN_PIXELS = 120 * 160
 _FIRST_GUESS = 2e6
 """Pixels per second before an image has been timed."""
 _MEMORY = 0.5
@@ -125,7 +125,7 @@ class Pace:
 
     def size(self, width: int, height: int, seconds: float) -> tuple[int, int]:
         """Return the largest size with the window's aspect ratio that probably renders in `seconds`."""
-        pixels = max(_FEWEST_PIXELS, self._pixels_per_second * seconds)
+        pixels = max(_MIN_PIXELS, self._pixels_per_second * seconds)
         factor = min(1.0, math.sqrt(pixels / (width * height)))
         return max(1, round(width * factor)), max(1, round(height * factor))
 

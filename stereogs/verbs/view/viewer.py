@@ -38,7 +38,7 @@ SETTLED_SECONDS = 0.25
 """Time without movement before a sharp image is rendered."""
 _WINDOW = (1280, 720)
 """Pixels, until a browser has reported the size of its window."""
-_MOST_WIDE = 1920
+_MAX_WIDE = 1920
 _JPEG_QUALITY = 85
 _POLL_SECONDS = 1.0
 """Time between two checks for Ctrl-C."""
@@ -158,7 +158,7 @@ class Viewer:
         if (self._subject, look) != self._masked:
             self._mask, self._masked = visible(self._subject, look), (self._subject, look)
         window = (seen.image_width or _WINDOW[0], seen.image_height or _WINDOW[1])
-        shrink = min(1.0, _MOST_WIDE / window[0])
+        shrink = min(1.0, _MAX_WIDE / window[0])
         width, height = self._pace.size(
             round(window[0] * shrink), round(window[1] * shrink), seconds
         )

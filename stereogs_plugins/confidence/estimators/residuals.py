@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera
     from registry.confidence import Trained
 
-_LEAST_LIGHT = 3.5
+_MIN_LIGHT = 3.5
 """Light, in pixels, below which a Gaussian's error is mostly that of all."""
 
 
@@ -33,7 +33,7 @@ class Residuals:
             errors.append((view.camera, (rgb - view.image).abs().mean(dim=2)))
         sums, light = gathered(trained.model, errors)
         mean = torch.cat([error.flatten() for _, error in errors]).mean()
-        error = (sums.clamp(min=0) + _LEAST_LIGHT * mean) / (light + _LEAST_LIGHT)
+        error = (sums.clamp(min=0) + _MIN_LIGHT * mean) / (light + _MIN_LIGHT)
         self._painted = Painted(trained.model, error[:, None])
 
     def render(self, camera: Camera) -> Tensor:

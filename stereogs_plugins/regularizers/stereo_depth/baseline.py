@@ -12,11 +12,11 @@ from registry import PluginError, Settings, Step, TrainingView
 
 SHARE_OF_WIDTH = 0.20
 """Disparity of near content under the adaptive rule, as a share of the image width."""
-LARGEST_SHARE = 0.35
+MAX_SHARE = 0.35
 """Largest disparity of near content, as a share of the image width, for sufficient overlap."""
 MATCHER_MARGIN = 0.9
 """Largest disparity of near content, as a share of the matcher's largest disparity."""
-SMALLEST_MEDIAN = 4.0
+MIN_MEDIAN = 4.0
 """Pixels: at smaller disparities, sub-pixel errors are large errors in depth."""
 _NEAR, _MIDDLE = 0.05, 0.5
 _SOLID = 0.5
@@ -79,10 +79,10 @@ def choose_baseline(settings: BaselineSettings, step: Step, max_disparity: float
 
 def _adaptive(r: DepthRange, share: float, max_disparity: float | None) -> float:
     width, per_pixel = r.view.camera.width, 1 / r.view.camera.fx
-    reach = LARGEST_SHARE * width
+    reach = MAX_SHARE * width
     if max_disparity is not None:
         reach = min(reach, MATCHER_MARGIN * max_disparity)
-    wanted = max(share * width * r.near * per_pixel, SMALLEST_MEDIAN * r.middle * per_pixel)
+    wanted = max(share * width * r.near * per_pixel, MIN_MEDIAN * r.middle * per_pixel)
     return min(wanted, reach * r.near * per_pixel)
 
 
@@ -93,7 +93,7 @@ def _check_overlap(
     width = r.view.camera.width
     if near > width:
         problem = f"near content has a disparity of {near:.0f} px in an image {width} px wide"
-        largest = baseline * LARGEST_SHARE * width / near
+        largest = baseline * MAX_SHARE * width / near
     elif max_disparity is not None and middle > max_disparity:
         problem = (
             f"the median depth has a disparity of {middle:.0f} px, and the prior "

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-SMALLEST_DISPARITY = 0.1
+MIN_DISPARITY = 0.1
 """Pixels; at smaller disparities the depth diverges."""
-SMALLEST_ALPHA = 0.05
+MIN_ALPHA = 0.05
 """Pixels with a lower alpha have no valid depth."""
-SMALLEST_DEPTH = 1e-3
+MIN_DEPTH = 1e-3
 """In units of the scene's near bound; at smaller depths 1 / depth diverges."""
 
 
@@ -114,7 +114,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
 
         from .left_right_check import agreeing
 
-        trusted = left.valid & (left.values >= SMALLEST_DISPARITY)
+        trusted = left.valid & (left.values >= MIN_DISPARITY)
         agree = agreeing(left, right, self.settings.tau)
         self._log(step, "occluded", 1 - float(agree.float().mean()))
         if self.settings.validity_mask:
@@ -134,8 +134,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         """Return the loss. Pixels are selected before any division, since 0 * inf is NaN."""
         depth, alpha = step.rendering.depth, step.rendering.alpha
         disparity = at_size(disparity, *depth.shape)
-        used = (disparity > 0) & (alpha >= SMALLEST_ALPHA)
-        used &= depth >= SMALLEST_DEPTH * step.scene.bounds[0]
+        used = (disparity > 0) & (alpha >= MIN_ALPHA)
+        used &= depth >= MIN_DEPTH * step.scene.bounds[0]
         count = int(used.sum())
         self._log(step, "valid", count / used.numel())
         if count == 0:

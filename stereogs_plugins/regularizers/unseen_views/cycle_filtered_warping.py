@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera, Rendering
 
-SMALLEST_ALPHA = 0.05
+MIN_ALPHA = 0.05
 """Pixels with a lower alpha have no valid depth."""
 
 
@@ -48,7 +48,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
 
         camera = self._camera(step)
         rendering = step.render(camera)
-        shown = rendering.alpha.detach() >= SMALLEST_ALPHA
+        shown = rendering.alpha.detach() >= MIN_ALPHA
         depth = _depth(rendering)
         points = camera.unproject(*camera.pixel_centers(), depth)
         views = step.scene.train
@@ -92,7 +92,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
 
 def _depth(rendering: Rendering) -> Tensor:
     """Return depth over alpha `[H, W]`, world units; too small where alpha is nearly 0."""
-    return rendering.depth / rendering.alpha.clamp(min=SMALLEST_ALPHA)
+    return rendering.depth / rendering.alpha.clamp(min=MIN_ALPHA)
 
 
 def look_up(image: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:

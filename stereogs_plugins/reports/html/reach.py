@@ -19,7 +19,7 @@ _NEARER = 0.4
 """Share of the visible area that is nearer than the subject; below half, because of the background."""
 _SURFACE_WEIGHT = 0.1
 """Weight of the depths next to the point where the axes meet, which parallel axes do not have."""
-_MOST_CHANGE = 2.0
+_MAX_CHANGE = 2.0
 """Largest factor between the depth that a camera sees and the distance to the common subject."""
 
 
@@ -37,7 +37,7 @@ def reaches(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[float]:
     axes = np.stack([camera.world_to_camera[2, :3].double().numpy() for camera in cameras])
     target = _meeting_point(origins, axes, depths)
     along = np.einsum("nk,nk->n", target - origins, axes)
-    return [float(value) for value in np.clip(along, depths / _MOST_CHANGE, depths * _MOST_CHANGE)]
+    return [float(value) for value in np.clip(along, depths / _MAX_CHANGE, depths * _MAX_CHANGE)]
 
 
 def _depth(gaussians: Gaussians, camera: Camera) -> float:

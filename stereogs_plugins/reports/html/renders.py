@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from registry import Scene, View
 
-MOST_VIEWS = 24
+MAX_VIEWS = 24
 """Limit of the views shown, for the size of the page."""
 RENDERS = "renders"
-_LARGEST_ERROR = 0.3
+_MAX_ERROR = 0.3
 """Error of the scale's last colour; colours are in [0, 1], errors averaged over the channels."""
 _LONGEST_SIDE = 1000
 
@@ -46,8 +46,8 @@ def renders(results: Mapping[str, Any], scene: Scene, folder: Path) -> str:
 
 
 def _some(views: tuple[View, ...]) -> list[View]:
-    """Return up to MOST_VIEWS views, evenly spaced."""
-    count = min(len(views), MOST_VIEWS)
+    """Return up to MAX_VIEWS views, evenly spaced."""
+    count = min(len(views), MAX_VIEWS)
     return [views[index * len(views) // count] for index in range(count)]
 
 
@@ -68,8 +68,8 @@ def _error(view: View, files: ViewPictures) -> str:
     if rendered.shape != view.image.shape:
         return ""
     error = (rendered - view.image).abs().mean(dim=2)
-    picture = image(_picture(ramp_picture(error / _LARGEST_ERROR)), "error", _LONGEST_SIDE)
-    scale = color_scale(RAMP, ["0", f"{_LARGEST_ERROR / 2:g}", f"{_LARGEST_ERROR:g} and more"])
+    picture = image(_picture(ramp_picture(error / _MAX_ERROR)), "error", _LONGEST_SIDE)
+    scale = color_scale(RAMP, ["0", f"{_MAX_ERROR / 2:g}", f"{_MAX_ERROR:g} and more"])
     return figure("Error: mean difference of colours in [0, 1]", picture + scale)
 
 

@@ -39,10 +39,10 @@ _RADIUS = 5.0
 _LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
 """How far the camera may be from the photographs: angle in degrees as seen from the subject, distance to
 the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
-_LEAST_SHOWN = 0.45
+_MIN_SHOWN = 0.45
 """Share of a photograph's width and height in view, at least, so that a portrait fills a wide window.
 Objects on a plain background are shown whole."""
-MOST_SUGGESTED = 3
+MAX_SUGGESTED = 3
 """Suggested cameras that the menu offers."""
 _HELP = (
     "Drag to turn, pinch or click and scroll to zoom, two fingers or Shift to move. The camera stays within "
@@ -96,7 +96,7 @@ def pack(
         suggested: cameras for the next pictures by where they are, best first.
     """
     center, factor = _frame(gaussians)
-    best = list(suggested)[:MOST_SUGGESTED]
+    best = list(suggested)[:MAX_SUGGESTED]
     cameras = [view.camera for view in (*scene.train, *scene.test)]
     cameras += [suggested[place] for place in best]
     distances = reaches(gaussians, cameras)
@@ -105,7 +105,7 @@ def pack(
         "background": list(scene.background),
         "dilation": dilation,
         "compensate": compensate_dilation,
-        "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _LEAST_SHOWN,
+        "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _MIN_SHOWN,
         "limits": _LIMITS,
         "views": [
             _pose(camera, center, factor)

@@ -39,7 +39,7 @@ _REMEDIES: dict[Doubt, str] = {
     "pictures": "take pictures between them, each with two thirds of the previous picture",
 }
 PAGE = "docs/photographs_do_not_connect.md"
-_MOST_PAIRS = 6
+_MAX_PAIRS = 6
 _CONTRADICTING = "many matches with those that connect, but they contradict the cameras"
 _POOR = "nearly no details: blurred, too dark, or of a plain surface"
 
@@ -112,7 +112,7 @@ def _usual_doubt(found: Reconstruction) -> Doubt | None:
 def _strongest_pairs(found: Reconstruction, of: Collection[int], names: Sequence[str]) -> str:
     """Return the pairs with most matches that contain one of these photographs."""
     pairs = sorted((-count, a, b) for (a, b), count in found.matches.items() if {a, b} & set(of))
-    shown = (f"{names[a]} - {names[b]} {-count:,}" for count, a, b in pairs[:_MOST_PAIRS])
+    shown = (f"{names[a]} - {names[b]} {-count:,}" for count, a, b in pairs[:_MAX_PAIRS])
     return f"  tried {', '.join(found.tried)}; most matches: {', '.join(shown) or 'none'}"
 
 

@@ -36,8 +36,8 @@ MIN_SCORE = 0.1
 """Least score of a match; geometric verification removes the remaining wrong ones."""
 LONGER_SIDE = 1024
 """Longer side of the pictures that ALIKED sees, in pixels."""
-MOST_ENLARGED = 2.0
-MOST_KEYPOINTS = 1024
+MAX_ENLARGED = 2.0
+MAX_KEYPOINTS = 1024
 """Keypoints of a picture to match, best first; matching twice as many takes four times as long."""
 
 
@@ -96,16 +96,16 @@ def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
 
     with Image.open(file) as opened:
         picture = opened.convert("RGB")
-    scale = min(LONGER_SIDE / max(picture.size), MOST_ENLARGED)
+    scale = min(LONGER_SIDE / max(picture.size), MAX_ENLARGED)
     width, height = (round(side * scale) for side in picture.size)
     scaled = picture.resize((width, height), Image.Resampling.BICUBIC)
     image = torch.from_numpy(np.asarray(scaled, np.float32) / 255)
     found = networks.keypoints(image, turned=False)
     back = torch.tensor([picture.width / width, picture.height / height])
     return Keypoints(
-        found.points[:MOST_KEYPOINTS] * back,
-        found.normalized[:, :MOST_KEYPOINTS],
-        found.descriptors[:, :MOST_KEYPOINTS],
+        found.points[:MAX_KEYPOINTS] * back,
+        found.normalized[:, :MAX_KEYPOINTS],
+        found.descriptors[:, :MAX_KEYPOINTS],
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from registry.toolkit.progress import progress
 
-from .no_depth import LEAST_OFF_SURFACE, has_depth, transfer_errors
+from .no_depth import MIN_OFF_SURFACE, has_depth, transfer_errors
 from .unposed_photos import MIN_PHOTOS, image_index
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ FOCAL_RANGE = (0.5, 4.0)
 """Plausible focal lengths without EXIF, in units of the longer side."""
 FOCAL_FACTOR = 3.0
 """Plausible ratio to the focal length by EXIF and its inverse. Cropping does not change EXIF."""
-MOST_DISTORTION = 1.0
+MAX_DISTORTION = 1.0
 """Largest radial term k1; beyond it the picture would fold before its corners."""
-LEAST_SUPPORT = 0.9
+MIN_SUPPORT = 0.9
 """Least share of the matches of a pair that agree with a model; correct ones have 0.95 or more in general."""
 _FIRST_PAIR_DEGREES = (16.0, 2.0)
 _log = logging.getLogger("stereogs.photos")
@@ -55,16 +55,16 @@ class Trust(NamedTuple):
     alone: int
 
 
-LEAST_MATCHES = 15
+MIN_MATCHES = 15
 """Least number of matches that support a pair."""
-LEAST_CHECKED = 30
+MIN_CHECKED = 30
 """Matches that connect two photographs if the pictures confirm it (dense/check.py). Fewer are inexact: once,
 cameras were off by ten degrees along the epipolar lines, which pictures do not show."""
-SIFT_TRUST = Trust(LEAST_MATCHES, 60)
+SIFT_TRUST = Trust(MIN_MATCHES, 60)
 LEARNED_TRUST = Trust(150, 200)
 """Networks also match unrelated pictures (20 to 60 matches, of which a part fits any geometry) and opposite
 sides of symmetric objects (up to 180, in triangles too, but there one of the pairs had fewer than 140)."""
-LEAST_SHARED = 3
+MIN_SHARED = 3
 """Points that give two parts of a model the same scale. Three correct models had 6 or more; one had none, and
 positions wrong by 44 % of their spread."""
 _ALWAYS_CHECKED = Trust(2**31, 2**31)
@@ -241,7 +241,7 @@ def _is_possible(camera: Any, by_exif: float | None, factor: float) -> bool:
     shortest, longest = FOCAL_RANGE
     if by_exif is not None:
         shortest, longest = by_exif / factor, by_exif * factor
-    return shortest < focal < longest and abs(bend) < MOST_DISTORTION
+    return shortest < focal < longest and abs(bend) < MAX_DISTORTION
 
 
 def drop_unsupported(
@@ -250,8 +250,8 @@ def drop_unsupported(
     """Remove the photographs that are not connected to the others of a model.
 
     A wrong model can be consistent in itself because the mapper drops matches that disagree; nearly all
-    verified matches agree with a correct one. Two photographs are connected if `LEAST_SUPPORT` of their
-    matches agree with the cameras and there are very many (`Trust`), or `LEAST_CHECKED` and the pictures
+    verified matches agree with a correct one. Two photographs are connected if `MIN_SUPPORT` of their
+    matches agree with the cameras and there are very many (`Trust`), or `MIN_CHECKED` and the pictures
     confirm it. The latter is tested only between groups that are not connected otherwise.
 
     Returns:
@@ -262,13 +262,13 @@ def drop_unsupported(
     deep = np.zeros_like(linked, dtype=bool)
     found = _supports(colmap, database, model, 2 * MAX_ERROR)
     for (first, second), support in found.items():
-        if support.agreeing >= max(LEAST_MATCHES, LEAST_SUPPORT * support.total):
+        if support.agreeing >= max(MIN_MATCHES, MIN_SUPPORT * support.total):
             row, column = images.index(first), images.index(second)
             linked[row, column] = linked[column, row] = support.agreeing
             deep[row, column] = support.deep
     enough = linked >= trust.in_triangle
     sure = (linked >= trust.alone) | (enough & (enough.astype(int) @ enough > 0))
-    unsure = linked * (linked >= LEAST_CHECKED)
+    unsure = linked * (linked >= MIN_CHECKED)
     _connect(sure, unsure, lambda row, column: confirms(model, images[row], images[column]))
     group = of_one_scale(model, images, sure)
     for k in {*range(len(images))}.difference(group):
@@ -295,19 +295,19 @@ def of_one_scale(model: Any, images: list[int], links: NDArray[np.bool_]) -> lis
             small = [others[i] for i in part]
             rest = [i for i in group if i != k and i not in small]
             shared = seen[:, k] & seen[:, small].any(axis=1) & seen[:, rest].any(axis=1)
-            if shared.sum() < LEAST_SHARED:
+            if shared.sum() < MIN_SHARED:
                 group = [i for i in group if i not in small]
     return group
 
 
 def is_contradicted(colmap: Any, database: Path, model: Any) -> bool:
-    """Whether a pair of `LEAST_CHECKED` matches or more supports a model with too few of them.
+    """Whether a pair of `MIN_CHECKED` matches or more supports a model with too few of them.
 
     A model whose lens was fixed is then wrong.
     """
     found = _supports(colmap, database, model, 2 * MAX_ERROR).values()
     return any(
-        support.total >= LEAST_CHECKED and support.agreeing < LEAST_SUPPORT * support.total
+        support.total >= MIN_CHECKED and support.agreeing < MIN_SUPPORT * support.total
         for support in found
     )
 
@@ -392,7 +392,7 @@ def _shows_depth(
     )
     agreeing = sampson_distances(model, pair, first, second) <= max_error
     errors = transfer_errors(np.asarray(geometry.H), first[agreeing], second[agreeing])
-    return bool((errors > max_error).sum() >= LEAST_OFF_SURFACE * len(errors) > 0)
+    return bool((errors > max_error).sum() >= MIN_OFF_SURFACE * len(errors) > 0)
 
 
 def sampson_distances(

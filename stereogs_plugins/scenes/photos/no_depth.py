@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 Doubt = Literal["position", "surface", "pictures"]
 """Why matches of a pair do not connect it: no depth, or the dense check (dense/check.py) failed."""
-LEAST_DEVIATION = 0.015
+MIN_DEVIATION = 0.015
 """Least deviation of the singular values of K^-1 H K from 1 if H is not from a rotation."""
-LEAST_OFF_SURFACE = 0.01
+MIN_OFF_SURFACE = 0.01
 """Share of matches that agree with the cameras and not with the homography. Pictures without depth had 0.002
 at most, neighbouring frames of a video with depth 0.02 to 0.1."""
 _FOCALS = np.geomspace(0.7, 1.6, 10)
@@ -41,7 +41,7 @@ def doubt_of(colmap: Any, geometry: Any, size: tuple[int, int]) -> Doubt | None:
     if has_depth(colmap, geometry) or geometry.H is None:
         return None
     error = rotation_error(np.asarray(geometry.H), size)
-    return "position" if error < LEAST_DEVIATION else "surface"
+    return "position" if error < MIN_DEVIATION else "surface"
 
 
 def transfer_errors(

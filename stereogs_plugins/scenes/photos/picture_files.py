@@ -36,7 +36,7 @@ _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr",
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
 COMPANION = "a companion file of pictures"
-_MOST_NAMES = 6
+_MAX_NAMES = 6
 
 
 class LeftOut(NamedTuple):
@@ -161,6 +161,6 @@ def left_out_lines(folder: Path, files: Sequence[LeftOut]) -> list[str]:
 
 def listed(group: Sequence[int], names: Sequence[str]) -> str:
     """Return the names; only the first ones if there are many."""
-    shown = group if len(group) <= _MOST_NAMES else group[: _MOST_NAMES - 1]
+    shown = group if len(group) <= _MAX_NAMES else group[: _MAX_NAMES - 1]
     more = len(group) - len(shown)
     return ", ".join(names[k] for k in shown) + (f" and {more} more" if more else "")

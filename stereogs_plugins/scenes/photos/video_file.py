@@ -34,7 +34,7 @@ CANDIDATES = 8
 """Frames that are considered for each chosen one."""
 _SHARPNESS_SIZE, _MOTION_SIZE = 640, 160
 """Longer side, in pixels, of the frames in which sharpness and motion are measured."""
-_LEAST_MOTION = 1e-4
+_MIN_MOTION = 1e-4
 """Motion between candidates at least, as a share of the frame: frames of a still clip are spaced by time."""
 _FIX = (
     "check that it plays, or convert it: ffmpeg -i VIDEO clip.mp4; or give a folder of photographs"
@@ -130,7 +130,7 @@ def chosen_frames(candidates: Sequence[Candidate], wanted: int) -> list[int]:
 
     if len(candidates) <= wanted:
         return [one.number for one in candidates]
-    position = np.cumsum([max(one.motion, _LEAST_MOTION) for one in candidates])
+    position = np.cumsum([max(one.motion, _MIN_MOTION) for one in candidates])
     position = (position - position[0]) / (position[-1] - position[0]) * wanted
     chosen = set()
     for part in range(wanted):

@@ -19,7 +19,7 @@ from registry.runs.options import InitialState, Plan, RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import start
 from registry.training.field import Field
-from stereogs.quality.fitting import LEAST_ITERATIONS, Budget, WithinSeconds, WithQuality
+from stereogs.quality.fitting import MIN_ITERATIONS, Budget, WithinSeconds, WithQuality
 from stereogs.quality.table import (
     LONG,
     QUALITIES,
@@ -90,7 +90,7 @@ def test_a_run_takes_its_seconds_and_can_be_repeated(
     budget = machine.budget(seconds)
     fit = WithinSeconds(said.append, budget=budget)
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
-    assert LEAST_ITERATIONS < run.iteration < 400
+    assert MIN_ITERATIONS < run.iteration < 400
     assert budget.spent == pytest.approx(seconds, rel=0.1)
     assert f"{SHORT}, {run.iteration} iterations" in said[0]
     expected = float(said[-1].rpartition("= ")[2].removesuffix(" s"))
@@ -116,12 +116,12 @@ def test_too_few_seconds_train_the_least_and_end_late(
     said = list[str]()
     fit = WithinSeconds(said.append, budget=Machine(monkeypatch).budget(3))
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
-    assert (run.iteration, run.finished) == (LEAST_ITERATIONS, True)
+    assert (run.iteration, run.finished) == (MIN_ITERATIONS, True)
     first, *reasons = fit.closing()
     took, _, wanted = first.removeprefix("late      took ").partition(" s instead of ")
     assert wanted == "3 s, because"
     assert float(took) > 3
-    assert f"{LEAST_ITERATIONS} iterations took" in reasons[2]
+    assert f"{MIN_ITERATIONS} iterations took" in reasons[2]
     assert max(map(len, said)) <= 80
 
 
@@ -134,7 +134,7 @@ def test_no_time_left_measures_nothing(
     run = trained(
         pipeline(toys), device, tmp_path / "run", WithinSeconds(said.append, budget=budget)
     )
-    assert run.iteration == LEAST_ITERATIONS
+    assert run.iteration == MIN_ITERATIONS
     assert said[-1] == "  5.0 s have passed, so the run takes longer than 3 s"
 
 
@@ -158,7 +158,7 @@ def test_training_starts_again_if_the_machine_becomes_slow(
     assert float(pace.split()[2]) == pytest.approx(2, abs=0.2)
     planned = int(choice.rpartition("instead of ")[2])
     assert choice == f"  with {run.iteration} iterations instead of {planned}"
-    assert LEAST_ITERATIONS < run.iteration < planned / 2
+    assert MIN_ITERATIONS < run.iteration < planned / 2
     assert run.finished
     assert budget.spent == pytest.approx(12, rel=0.15)
     fit.budget = replace(budget, seconds=1)  # so that it reports where the time went
@@ -235,7 +235,7 @@ def test_seconds_choose_among_the_three_pipelines(
     found = chosen(toys, device, Machine(monkeypatch).budget(seconds))
     assert found.name == name
     most = {QUICK: QUICK_TIMES * 160, SHORT: SHORT_TIMES * 400, LONG: 2000}[name]
-    assert LEAST_ITERATIONS <= found.training.iterations <= most
+    assert MIN_ITERATIONS <= found.training.iterations <= most
     assert found.training.max_gaussians is not None
 
 

@@ -26,7 +26,7 @@ FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 SHORT = sorted(FOLDER.glob("*-short.yaml"))
 PLUGINS = Plugins()
 LONG, BRIEF = 30, 5
-MOST_GAUSSIANS = 1000
+MAX_GAUSSIANS = 1000
 SIZE = {"width": 48, "height": 36, "points": 300, "test_views": 0}
 
 
@@ -38,7 +38,7 @@ def tree_of(file: Path, iterations: int) -> dict[str, Any]:
         tree[section] = [scaled(item, shrink) for item in items_of(tree[section])]
     sh_every = tree["training"].get("sh_every", 1000)
     tree["training"] |= {"iterations": iterations, "sh_every": max(1, int(sh_every * shrink))}
-    tree["training"]["max_gaussians"] = MOST_GAUSSIANS
+    tree["training"]["max_gaussians"] = MAX_GAUSSIANS
     return tree | {"scene": {"use": "procedural", **SIZE}, "metrics": [], "exporters": []}
 
 

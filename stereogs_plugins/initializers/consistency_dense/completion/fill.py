@@ -23,7 +23,7 @@ QUANTILE = 0.2
 """Weighted quantile of the inverse depths around a hole: rather far."""
 COLOR_RANGE = 0.1
 """Standard deviation of the colours of one surface; white is 1."""
-LEAST_WEIGHT = 0.02
+MIN_WEIGHT = 0.02
 """Least weight of a neighbour, so that holes without similar neighbours are filled too."""
 NOISE_BLUR = 1.0
 """Standard deviation of the blur before colours are compared, pixels."""
@@ -98,7 +98,7 @@ def _sheared(image: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 def _likeness(smooth: Colors, pixels: Indices, others: Indices) -> Floats:
-    """Similarity of the colours of pixels `[P]` and of others `[K, P]`, in (0, 1 + LEAST_WEIGHT].
+    """Similarity of the colours of pixels `[P]` and of others `[K, P]`, in (0, 1 + MIN_WEIGHT].
 
     Args:
         smooth: `[3, N]`; channel-first is several times as fast.
@@ -106,7 +106,7 @@ def _likeness(smooth: Colors, pixels: Indices, others: Indices) -> Floats:
     squared = np.zeros(others.shape, dtype=np.float32)
     for channel in smooth:
         squared += (channel[others] - channel[pixels]) ** 2
-    likeness: Floats = np.exp(-squared / (2 * COLOR_RANGE**2)) + LEAST_WEIGHT
+    likeness: Floats = np.exp(-squared / (2 * COLOR_RANGE**2)) + MIN_WEIGHT
     return likeness
 
 

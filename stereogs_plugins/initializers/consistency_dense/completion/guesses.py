@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..projection import Colors, DepthImage, Mask
     from ..scene_analysis.analysis import SceneAnalysis
 
-LEAST_CONFIRMED = 0.25
+MIN_CONFIRMED = 0.25
 """Least confirmed share of the completed surface; below it guesses do more harm than good.
 
 Measured on held-out training views: with 14 % confirmed (a temple on a turntable) guesses cost 5.2 dB;
@@ -86,7 +86,7 @@ def guesses(
     found = in_parallel(filled, range(len(scene.train)))
     known = sum(int((depth > 0).sum()) for depth in confirmed)
     share = known / max(1, known + sum(count for _, count in found))
-    if share >= LEAST_CONFIRMED:
+    if share >= MIN_CONFIRMED:
         return [depth for depth, _ in found]
     _log.warning(
         "%s: other views confirm %.0f %% of the surface, too little to guess the rest; add photographs, or "

@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 SEGMENT_SCALE = 1 / 950
 """`scale` of the segmentation relative to the number of pixels: 200 for 504x378."""
-SMALLEST_SEGMENT = 1 / 1270
+MIN_SEGMENT = 1 / 1270
 """Fewest pixels of a segment relative to the number of pixels: 150 for 504x378."""
 BLUR = 0.8
 """Standard deviation of the blur before segmentation, pixels."""
-FEWEST_KNOWN = 30
+MIN_KNOWN = 30
 """Fewest known depths of a segment that determine a plane."""
 TOLERANCE = 0.02
 """Largest relative difference of an inverse depth from the plane."""
-LEAST_ON_PLANE = 0.5
+MIN_ON_PLANE = 0.5
 """Least share of a segment's known depths on the plane."""
 REACH = 2.0
 """Guesses are at most this many times nearer or farther than nearly all known depths of the segment."""
@@ -44,7 +44,7 @@ def plane_depths(image: Colors, depth: DepthImage) -> DepthImage:
         image,
         scale=image.shape[0] * image.shape[1] * SEGMENT_SCALE,
         sigma=BLUR,
-        min_size=round(image.shape[0] * image.shape[1] * SMALLEST_SEGMENT),
+        min_size=round(image.shape[0] * image.shape[1] * MIN_SEGMENT),
     ).ravel()
     order = np.argsort(segments, kind="stable")
     flat = depth.ravel()
@@ -52,7 +52,7 @@ def plane_depths(image: Colors, depth: DepthImage) -> DepthImage:
     generator = np.random.default_rng(0)
     for pixels in np.split(order, np.cumsum(np.bincount(segments))[:-1]):
         known, holes = pixels[flat[pixels] > 0], pixels[flat[pixels] == 0]
-        if len(known) < FEWEST_KNOWN or not len(holes):
+        if len(known) < MIN_KNOWN or not len(holes):
             continue
         inverse = 1 / flat[known].astype(np.float64)
         plane = _plane(_terms(known, depth.shape[1]), inverse, generator)
@@ -83,7 +83,7 @@ def _plane(terms: Floats, inverse: Floats, generator: np.random.Generator) -> Fl
     for _ in range(REFITS):
         chosen = _on_plane(terms, inverse, plane)
         plane = np.linalg.lstsq(terms[chosen], inverse[chosen], rcond=None)[0]
-    return plane if _on_plane(terms, inverse, plane).mean() >= LEAST_ON_PLANE else None
+    return plane if _on_plane(terms, inverse, plane).mean() >= MIN_ON_PLANE else None
 
 
 def _on_plane(terms: Floats, inverse: Floats, planes: Floats) -> Mask:

@@ -27,7 +27,7 @@ VOTES_AGAINST_CONFIRMED = 2
 """Views that must show background in place of a confirmed point to drop it; a guess is dropped by one."""
 WIDEST_FORWARD = 35.0
 """Largest angle between two camera axes of a forward-facing capture, degrees."""
-LEAST_BACKGROUND = 0.1
+MIN_BACKGROUND = 0.1
 """Least share of plain background in the median view of an object."""
 SAFETY = 0.01
 """Width of the ignored strip along silhouettes, relative to the image's longer side."""
@@ -116,7 +116,7 @@ def scene_kind(cameras: Sequence[Camera], backgrounds: Sequence[Mask]) -> SceneK
         "object" if plain background surrounds it; "forward-facing" if all cameras look the same way;
         otherwise "surrounding": a room, a place, or an object in one.
     """
-    if np.median([mask.mean() for mask in backgrounds]) >= LEAST_BACKGROUND:
+    if np.median([mask.mean() for mask in backgrounds]) >= MIN_BACKGROUND:
         return "object"
     axes = np.stack([camera.world_to_camera[2, :3].numpy() for camera in cameras])
     widest = np.degrees(np.arccos((axes @ axes.T).clip(-1, 1).min()))

@@ -28,11 +28,11 @@ COLOR_RANGE = 16 / 255
 """Largest difference of each channel from the background's colour."""
 RING = 0.02
 """Width of the image border relative to the shorter side."""
-LEAST_RING = 0.2
+MIN_RING = 0.2
 """Least share of a view's border that its background colour fills."""
-MOST_COLORS = 2
+MAX_COLORS = 2
 """Number of background colours: table and backdrop."""
-MOST_CONFIRMED = 0.3
+MAX_CONFIRMED = 0.3
 """Largest confirmed share of an area; where views agree on more, it is a surface that can be matched."""
 
 
@@ -73,7 +73,7 @@ class PlainAreas:
         for areas in self.by_color:
             pixels = sum(int(area.sum()) for area in areas)
             matched = sum(int((d[a] > 0).sum()) for d, a in zip(confirmed, areas, strict=True))
-            if matched < MOST_CONFIRMED * pixels:
+            if matched < MAX_CONFIRMED * pixels:
                 masks = [mask | area for mask, area in zip(masks, areas, strict=True)]
         return [
             mask if transparent is None else transparent
@@ -95,13 +95,13 @@ def _border_colors(images: Sequence[Colors], flats: Sequence[Mask]) -> list[Colo
         rings.append((image[ring], flat[ring]))
     left = [flat.copy() for _, flat in rings]
     colors = []
-    for _ in range(MOST_COLORS):
+    for _ in range(MAX_COLORS):
         candidates = np.concatenate([c[free] for (c, _), free in zip(rings, left, strict=True)])
         if not len(candidates):
             break
         color = _mode(candidates)
         like = [_alike(c, color) & free for (c, _), free in zip(rings, left, strict=True)]
-        if np.median([part.mean() for part in like]) < LEAST_RING:
+        if np.median([part.mean() for part in like]) < MIN_RING:
             break
         colors.append(color)
         left = [free & ~part for free, part in zip(left, like, strict=True)]

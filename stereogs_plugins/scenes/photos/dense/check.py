@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
 
-LEAST_ADVANTAGE = 1.5
+MIN_ADVANTAGE = 1.5
 """Least ratio of confirmed pixels to those confirmed by chance. Of 24 correct pairs up to 65 degrees apart
 with 48 to 223 matches, 20 had 1.5 to 2.8. Eleven wrong ones had 0.9 to 1.3, one 23 degrees off 1.45."""
 LONGER_SIDE = 240
@@ -53,7 +53,7 @@ class DenseCheck:
 
     def confirms(self, model: Any, first: int, second: int) -> bool:
         """Whether the pictures confirm the cameras of two images of a pycolmap model, by their ids."""
-        if self.advantage(model, first, second) >= LEAST_ADVANTAGE:
+        if self.advantage(model, first, second) >= MIN_ADVANTAGE:
             return True
         here, there = sorted(image_index(model.image(k).name) for k in (first, second))
         self.rejected.add((here, there))

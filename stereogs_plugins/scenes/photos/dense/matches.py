@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
     _Array = NDArray[np.float64]
 
-MOST_PARTNERS = 4
+MAX_PARTNERS = 4
 """Photographs that each one is matched with at least, those that share most points."""
 DEPTH_SIZE, FLOW_SIZE = 320, 800
 """Longer sides of the photographs for depth and for optical flow, in pixels."""
-MOST_CORNERS, MOST_CORNERS_OF_ONE = 4800, 800
+MAX_CORNERS, MAX_CORNERS_OF_ONE = 4800, 800
 """Corners of all photographs, and of each one."""
 _CORNER_QUALITY, _CORNER_DISTANCE = 0.005, 4
-_WINDOW, _MOST_FLOW, _MOST_RETURN = 15, 6.0, 0.3
+_WINDOW, _MAX_FLOW, _MAX_RETURN = 15, 6.0, 0.3
 """Window of the optical flow, the longest flow, and the largest error of flow there and back, in pixels."""
 _BORDER = 5
 """Side, in pixels, of the window in which depth must be confirmed."""
@@ -67,7 +67,7 @@ def dense_matches(model: Any, images: Path) -> list[Match]:
     for here, there in tracked(_pairs(model, small), "refining"):
         depths[here][there] = depth_of(device, small[here], small[there])
         depths[there][here] = depth_of(device, small[there], small[here])
-    count = min(MOST_CORNERS // max(1, len(large)), MOST_CORNERS_OF_ONE)
+    count = min(MAX_CORNERS // max(1, len(large)), MAX_CORNERS_OF_ONE)
     matches = []
     for here, of_others in depths.items():
         hints = {
@@ -96,7 +96,7 @@ def _pairs(model: Any, views: dict[int, View]) -> list[tuple[int, int]]:
     pairs: set[tuple[int, int]] = set()
     for k in views:
         own = sorted((pair for pair in shared if k in pair), key=lambda pair: (-shared[pair], pair))
-        pairs.update(own[:MOST_PARTNERS])
+        pairs.update(own[:MAX_PARTNERS])
     return sorted(pairs)
 
 
@@ -181,8 +181,8 @@ def _flow(
     moved, there_found = follow(first, second, corners)
     back, back_found = follow(second, first, moved)
     found = there_found & back_found
-    found &= np.linalg.norm(back - corners, axis=2) < _MOST_RETURN
-    found &= np.linalg.norm(moved - corners, axis=2) < _MOST_FLOW
+    found &= np.linalg.norm(back - corners, axis=2) < _MAX_RETURN
+    found &= np.linalg.norm(moved - corners, axis=2) < _MAX_FLOW
     return moved[:, 0].astype(np.float64), found[:, 0]
 
 

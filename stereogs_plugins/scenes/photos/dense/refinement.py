@@ -25,28 +25,28 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MOST_PHOTOS = 24
+MAX_PHOTOS = 24
 """More photographs determine the cameras without dense matches, which would take long."""
 HELD_OUT_EVERY = 4
 LOSS_SCALE = 0.5
 """Error in pixels from which the soft L1 loss is linear. Half of the matches are exact to 0.15 pixels."""
-LEAST_TO_COMPARE = 4
+MIN_TO_COMPARE = 4
 """Photographs that show whether one of them was zoomed."""
-LEAST_ZOOM = 1.15
+MIN_ZOOM = 1.15
 """Least ratio of a zoomed photograph's focal length to the median, or its inverse; others have up to 1.06."""
-OTHER_FOCAL, LEAST_INCREASE = 1.25, 1.05
+OTHER_FOCAL, MIN_INCREASE = 1.25, 1.05
 """The points determine the focal length if a change by this factor increases the cost by that factor."""
-LEAST_CONTRADICTION = 1.2
+MIN_CONTRADICTION = 1.2
 """Least increase of the cost by wrong focal lengths in EXIF. In ten sets of three, true ones increased it
 by a factor of up to 1.12; in nine of them, those 4 times as long or short by 1.24 at least."""
-LEAST_SHIFT, LEAST_FALL = 0.03, 1.025
+MIN_SHIFT, MIN_FALL = 0.03, 1.025
 """Least shift of the principal point of a photograph cropped off centre, in units of width or height, and
 least factor by which it reduces the cost. Others shifted by 0.01 at most, with factors up to 1.08."""
 _ROUNDS = 4
 """Adjustments of a principal point and of the other lenses in turn."""
 _STARTS = (1.0, 0.7, 0.5)
 """Factors of initial focal lengths, which are often much too long if a photograph is cropped off centre."""
-_MOST_ITERATIONS, _TOLERANCE = 100, 1e-8
+_MAX_ITERATIONS, _TOLERANCE = 100, 1e-8
 
 
 class Refined(NamedTuple):
@@ -74,7 +74,7 @@ def refine(colmap: Any, model: Any, images: Path, focals: Sequence[float | None]
     """
     from core_rasterizer import CameraError
 
-    if not 3 <= model.num_reg_images() <= MOST_PHOTOS:
+    if not 3 <= model.num_reg_images() <= MAX_PHOTOS:
         return Refined(model, True)
     given, model = model, with_cropped_lenses(colmap, with_zoomed_lenses(colmap, model))
     altered = _altered(given, model)
@@ -109,7 +109,7 @@ def contradicts_exif(colmap: Any, model: Any, focals: Sequence[float | None]) ->
         if by_exif[index] is None:
             by_exif[index] = camera.focal_length / max(camera.width, camera.height)
     fixed = _adjusted(colmap, _with_focals(colmap, free, by_exif), [], True)
-    return _cost(fixed, free) > LEAST_CONTRADICTION * _cost(free)
+    return _cost(fixed, free) > MIN_CONTRADICTION * _cost(free)
 
 
 def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
@@ -118,7 +118,7 @@ def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
     Those that were zoomed, or cropped and enlarged, fit the others' lens less exactly, from a wrong place.
     """
     images = sorted(model.reg_image_ids())
-    if len(images) < LEAST_TO_COMPARE or len(model.cameras) == len(images):
+    if len(images) < MIN_TO_COMPARE or len(model.cameras) == len(images):
         return model
     alone = _adjusted(colmap, model, [], own_lens=images)
     focals = {k: alone.camera(alone.image(k).camera_id).focal_length for k in images}
@@ -126,13 +126,13 @@ def with_zoomed_lenses(colmap: Any, model: Any) -> Any:
     for k in images:
         lens = model.image(k).camera_id
         usual = np.median([focals[i] for i in images if model.image(i).camera_id == lens])
-        if abs(np.log(focals[k] / usual)) > np.log(LEAST_ZOOM):
+        if abs(np.log(focals[k] / usual)) > np.log(MIN_ZOOM):
             zoomed.append(k)
     if not zoomed:
         return model
     separate = _adjusted(colmap, model, [], own_lens=zoomed)
     shared = _cost(_adjusted(colmap, model, []))
-    return separate if LEAST_INCREASE * _cost(separate) < shared else model
+    return separate if MIN_INCREASE * _cost(separate) < shared else model
 
 
 def with_cropped_lenses(colmap: Any, model: Any) -> Any:
@@ -144,7 +144,7 @@ def with_cropped_lenses(colmap: Any, model: Any) -> Any:
     """
     images = sorted(model.reg_image_ids())
     lenses = Counter(model.image(k).camera_id for k in images)
-    if max(lenses.values()) < LEAST_TO_COMPARE - 1:
+    if max(lenses.values()) < MIN_TO_COMPARE - 1:
         return model
     for lens in (k for k in sorted(lenses) if lenses[k] == 1):
         costs = {}
@@ -153,8 +153,8 @@ def with_cropped_lenses(colmap: Any, model: Any) -> Any:
             costs[_cost(moved, model)] = moved
         least = min(costs)
         moved = costs[least]
-        falls = LEAST_FALL * least < _cost(_adjusted(colmap, model, []), model)
-        if falls and max(abs(_shift(moved.camera(lens)))) > LEAST_SHIFT:
+        falls = MIN_FALL * least < _cost(_adjusted(colmap, model, []), model)
+        if falls and max(abs(_shift(moved.camera(lens)))) > MIN_SHIFT:
             model = moved
     return model
 
@@ -182,10 +182,10 @@ def _altered(given: Any, model: Any) -> tuple[int, ...]:
     return tuple(
         image_index(image.name)
         for image, camera in zip(images, lenses, strict=True)
-        if max(abs(_shift(camera))) > LEAST_SHIFT
+        if max(abs(_shift(camera))) > MIN_SHIFT
         or (
             camera.camera_id not in given.cameras
-            and abs(np.log(camera.focal_length / usual)) > np.log(LEAST_ZOOM)
+            and abs(np.log(camera.focal_length / usual)) > np.log(MIN_ZOOM)
         )
     )
 
@@ -196,7 +196,7 @@ def _determines_focal(colmap: Any, model: Any) -> bool:
         _cost(_adjusted(colmap, _zoomed(colmap, model, factor), [], True))
         for factor in (1.0, OTHER_FOCAL, 1 / OTHER_FOCAL)
     ]
-    return min(costs[1:]) > LEAST_INCREASE * costs[0]
+    return min(costs[1:]) > MIN_INCREASE * costs[0]
 
 
 def _zoomed(colmap: Any, model: Any, factor: float) -> Any:
@@ -309,7 +309,7 @@ def _options(colmap: Any, fixed_focal: bool) -> Any:
     options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = LOSS_SCALE
     solver = options.ceres.solver_options
-    solver.num_threads, solver.max_num_iterations = 1, _MOST_ITERATIONS
+    solver.num_threads, solver.max_num_iterations = 1, _MAX_ITERATIONS
     solver.function_tolerance = _TOLERANCE
     return options
 

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 PLANES = 64
 MAX_RETURN = 1.0
 """Largest distance of a confirmed pixel from where its point returns to, in pixels."""
-LEAST_CORRELATION = 0.6
+MIN_CORRELATION = 0.6
 RADIUS = 2
 """Radius of the windows, in pixels."""
-LEAST_CONTRAST = 4 / 255
+MIN_CONTRAST = 4 / 255
 """Standard deviation of grey values in a window that can be recognized."""
 _DEPTHS = (2, 98)
 _DEPTH_MARGINS = (1 / 1.25, 1.5)
@@ -141,8 +141,8 @@ def confirmed(here: View, there: View, depth: Tensor, other: Tensor) -> Confirme
     returns = torch.hypot(back[0] - u, back[1] - v) <= MAX_RETURN
     seen = sampled(there.grey.double(), *ends[:2], "bilinear")
     alike, contrast = _correlation(here.grey.double(), seen)
-    known = inside & (contrast > LEAST_CONTRAST**2)
-    return Confirmed(known & returns & (back[2] > 0) & (alike > LEAST_CORRELATION), known)
+    known = inside & (contrast > MIN_CONTRAST**2)
+    return Confirmed(known & returns & (back[2] > 0) & (alike > MIN_CORRELATION), known)
 
 
 def sampled(values: Tensor, u: Tensor, v: Tensor, mode: str) -> Tensor:

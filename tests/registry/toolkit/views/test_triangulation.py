@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from core_rasterizer import Camera
-from registry.toolkit.views.triangulation import MOST_PARTNERS, pairs_to_match, triangulate
+from registry.toolkit.views.triangulation import MAX_PARTNERS, pairs_to_match, triangulate
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.data import data_folder
@@ -39,7 +39,7 @@ def test_up_to_nine_photographs_are_all_matched_beyond_that_the_near_ones() -> N
     assert pairs_to_match(few, (2.0, 6.0)) == list(combinations(range(9), 2))
     pairs = pairs_to_match(many, (2.0, 6.0))
     assert pairs == sorted(set(pairs))
-    assert len(pairs) <= 24 * MOST_PARTNERS
+    assert len(pairs) <= 24 * MAX_PARTNERS
     between = {min(second - first, 24 - second + first) for first, second in pairs}
     assert between == set(range(1, max(between) + 1))
     assert max(between) < 6  # 90 degrees

@@ -11,7 +11,7 @@ from PIL import Image
 from registry import Scene, SceneError
 from registry.toolkit.drawing.pictures import to_bytes
 from stereogs_plugins.scenes.photos import structure_from_motion
-from stereogs_plugins.scenes.photos.no_depth import LEAST_DEVIATION, rotation_error
+from stereogs_plugins.scenes.photos.no_depth import MIN_DEVIATION, rotation_error
 from tests.data import data_folder
 from tests.stereogs_plugins.scenes.photos.photographs import Array, load
 
@@ -34,8 +34,8 @@ def homography(degrees: float, shift: tuple[float, float, float] = (0, 0, 0)) ->
 
 def test_rotation_and_shift_are_told_apart() -> None:
     for degrees in (2, 10, 25):
-        assert rotation_error(3 * homography(degrees), SIZE) < LEAST_DEVIATION / 2
-        assert rotation_error(homography(degrees, (0.3, 0, 0)), SIZE) > LEAST_DEVIATION
+        assert rotation_error(3 * homography(degrees), SIZE) < MIN_DEVIATION / 2
+        assert rotation_error(homography(degrees, (0.3, 0, 0)), SIZE) > MIN_DEVIATION
 
 
 def write(scene: Scene, folder: Path, views: list[Array]) -> None:

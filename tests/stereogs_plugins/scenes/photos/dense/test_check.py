@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from registry.toolkit.photos import import_pycolmap
-from stereogs_plugins.scenes.photos.dense.check import LEAST_ADVANTAGE, DenseCheck
+from stereogs_plugins.scenes.photos.dense.check import MIN_ADVANTAGE, DenseCheck
 from stereogs_plugins.scenes.photos.unposed_photos import image_index, image_name
 
 
@@ -22,7 +22,7 @@ def test_right_cameras_are_confirmed(model: Any, images: Path) -> None:
     check = DenseCheck(images)
     first, second, *_ = ids(model)
     assert check.confirms(model, first, second)
-    assert check.advantage(model, first, second) > 1.5 * LEAST_ADVANTAGE
+    assert check.advantage(model, first, second) > 1.5 * MIN_ADVANTAGE
 
 
 def test_a_turned_camera_is_not(model: Any, images: Path) -> None:

@@ -14,7 +14,7 @@ from registry import Scene
 from registry.toolkit.photos import Decoder, import_pycolmap, longest_side
 from stereogs_plugins.scenes.photos.dense.matches import dense_matches
 from stereogs_plugins.scenes.photos.dense.refinement import (
-    MOST_PHOTOS,
+    MAX_PHOTOS,
     refine,
     with_cropped_lenses,
     with_zoomed_lenses,
@@ -101,8 +101,8 @@ def test_matches_do_not_depend_on_exact_cameras(three: Any, images: Path) -> Non
 def test_many_photographs_are_left_as_they_are(
     model: Any, images: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stereogs_plugins.scenes.photos.dense.refinement.MOST_PHOTOS", 4)
-    assert MOST_PHOTOS > model.num_reg_images() > 4
+    monkeypatch.setattr("stereogs_plugins.scenes.photos.dense.refinement.MAX_PHOTOS", 4)
+    assert MAX_PHOTOS > model.num_reg_images() > 4
     assert refine(colmap, model, images, [None] * model.num_reg_images()).model is model
 
 
@@ -118,7 +118,7 @@ def test_exif_replaces_a_focal_length_that_points_do_not_determine(
     assert errors(refine(colmap, three, images, [wrong] * 3).model, room)[1] < 0.02, (
         "points determine it"
     )
-    monkeypatch.setattr(f"{settings}.LEAST_INCREASE", 100.0)
+    monkeypatch.setattr(f"{settings}.MIN_INCREASE", 100.0)
     refined, focal_is_known, _ = refine(colmap, three, images, [right] * 3)
     assert focal_is_known
     turned, focal = errors(refined, room)
