@@ -181,7 +181,7 @@ def test_imports_have_no_cycle(package: str) -> None:
     assert cycles(module_graph(package)) == []
 
 
-MAX_MODULES = 12
+MAX_MODULES = 13
 """Modules in one folder, at most: more are hard to survey."""
 
 LAYERS = (
