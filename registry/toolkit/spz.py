@@ -78,10 +78,10 @@ def _smallest_three(quaternions: NDArray[np.float64]) -> NDArray[np.uint32]:
     values = np.where(negated, -xyzw, xyzw)
     steps = np.round(np.abs(values) * math.sqrt(2) * _ROTATION_STEPS).astype("<u4")
     fields = (values < 0) * np.uint32(1 << 9) + np.minimum(steps, _ROTATION_STEPS)
-    packed = largest[:, 0].astype("<u4")
+    packed: NDArray[np.uint32] = largest[:, 0].astype("<u4")
     for index in range(4):
         packed = np.where(largest[:, 0] == index, packed, packed << 10 | fields[:, index])
-    return packed.astype("<u4")
+    return packed
 
 
 def _byte(values: NDArray[Any]) -> Bytes:
