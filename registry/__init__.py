@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         ViewMetric,
     )
     from .contract.hook_points import API_VERSION, Register, hookimpl
+    from .contract.host_defaults import HostDefaults, Percent
     from .contract.prior import Prior
     from .contract.scene import Fact, PointCloud, Scene, TrainingScene, TrainingView, View
     from .contract.step import OtherField, Render, Sample, Step
@@ -57,6 +58,7 @@ __all__ = [
     "Densification",
     "Exporter",
     "Fact",
+    "HostDefaults",
     "Initializer",
     "Metric",
     "Modifier",
@@ -65,6 +67,7 @@ __all__ = [
     "OpacityUpdate",
     "OtherField",
     "ParameterGroup",
+    "Percent",
     "Perturbation",
     "PluginError",
     "PointCloud",
