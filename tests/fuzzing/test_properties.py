@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pydantic
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from core_rasterizer import ExplainedError, load_ply, load_points
 from registry.contract.checks.scene import validate

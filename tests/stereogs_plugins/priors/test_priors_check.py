@@ -18,8 +18,7 @@ from stereogs.verbs.priors import prior_trials
 from stereogs.verbs.priors.prior_trials import score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build
-from tests.stereogs_plugins.priors import graphs
-from tests.stereogs_plugins.priors import known_answers as known
+from tests.stereogs_plugins.priors import graphs, known_answers as known
 
 Capture = pytest.CaptureFixture[str]
 
