@@ -13,7 +13,7 @@ import stereogs
 from registry import PluginError, RunError, Scene
 from registry.errors import PipelineError
 from registry.testing import tiny_scene
-from stereogs.cli import main
+from tests.host import main
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 ITERATIONS = 8

@@ -160,7 +160,7 @@ def test_a_protocol_does_not_apply_to_a_given_scene() -> None:
     pipeline = stereogs.build_pipeline({**PIPELINE, "metrics": []})
     from dataclasses import replace
 
-    from registry.pipeline.protocols import AppliedProtocol, load_protocol
+    from tests.host import AppliedProtocol, load_protocol
 
     claimed = replace(pipeline, protocol=AppliedProtocol(load_protocol("llff-3"), {}))
     with pytest.raises(SceneError, match="'llff-3' does not apply"):

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from registry.contract.component import Component
-from registry.discovery import Plugins
+from registry import Component
 from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, parse_pipeline
+from tests.host import Plugins
 from tests.registry.toy_plugin import ToyGrowth, ToyTerm
 
 TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"

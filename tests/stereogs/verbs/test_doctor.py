@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.device import Description, Trial
-from stereogs.cli import main
+from tests.host import main
 
 Capture = pytest.CaptureFixture[str]
 GOOD = Trial(None, 0.02, 1e-7, 1e-6, 1e-7)

@@ -16,11 +16,17 @@ import yaml
 
 from core_rasterizer import open_device
 from registry import PointCloud, Scene
-from registry.discovery import Plugins
-from registry.pipeline.parts import TRAINING_SECTIONS, Parts
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.training.initial_model import initial_gaussians, new_model
-from registry.training.trainer import Iteration, Trainer
+from stereogs import Iteration, Pipeline
+from tests.host import (
+    TRAINING_SECTIONS,
+    Parts,
+    Plugins,
+    Trainer,
+    initial_gaussians,
+    load_pipeline,
+    new_model,
+    parse_pipeline,
+)
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 SHORT = sorted(FOLDER.glob("*-short.yaml"))
