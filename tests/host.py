@@ -10,9 +10,8 @@ from core_rasterizer.first_use import names_on_first_use
 if TYPE_CHECKING:
     from benchmarks.peer import disagreement
     from benchmarks.priors_depth import point_errors, reconstructed
-    from benchmarks.priors_stereo import NAMES as PAIR_NAMES
-    from benchmarks.priors_stereo import load_pair
-    from benchmarks.priors_stereo import score as stereo_score
+    from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
+    from core_rasterizer.device import Description, Program, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
     from registry.calls.read_only_guard import checked_plugins
     from registry.contract.checks.answers import check_sample
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
         offered_name,
         recognize,
     )
+    from registry.errors import PipelineError
     from registry.messages.visible_text import is_plain_name
     from registry.pipeline.faults import faults, needs
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
@@ -46,8 +46,7 @@ if TYPE_CHECKING:
     from registry.pipeline.schedule import HostSettings
     from registry.pipeline.settings_check import escape_variables, plain
     from registry.pipeline.training_settings import LearningRates, TrainingSettings
-    from registry.pipeline.yaml_source import Place, to_yaml
-    from registry.pipeline.yaml_source import parse as parse_yaml
+    from registry.pipeline.yaml_source import Place, parse as parse_yaml, to_yaml
     from registry.priors.prior_cache import load_estimate, save_estimate
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
@@ -65,6 +64,7 @@ if TYPE_CHECKING:
     from registry.toolkit.networks.model_file import check_content
     from registry.toolkit.progress.stages import Stages
     from registry.toolkit.views.scene_facts import typical_depth
+    from registry.training.assembly import assemble
     from registry.training.checkpoint import (
         CHECKPOINT,
         Checkpoint,
@@ -76,8 +76,7 @@ if TYPE_CHECKING:
     from registry.training.field import OPACITY_MARGIN, Field
     from registry.training.initial_model import initial_gaussians, new_model
     from registry.training.trainer import Trainer, ViewOrder
-    from stereogs.cli import main
-    from stereogs.cli import parse as parse_command
+    from stereogs.cli import main, parse as parse_command
     from stereogs.command_line.installed import verbs
     from stereogs.command_line.output import FAILED, conclude
     from stereogs.experiments.comparing.comparability import comparable_groups

@@ -9,17 +9,16 @@ from pathlib import Path
 
 import pydantic
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from core_rasterizer import ExplainedError, load_ply, load_points
-from registry import validate
-from registry.errors import PipelineError, SceneError
+from registry import SceneError, validate
 from registry.runs import read_results
 from registry.testing import tiny_scene
 from registry.toolkit.photos import Decoder, Finite, read_array, read_arrays, read_document
 from tests.host import (
     Failure,
+    PipelineError,
     Plugins,
     Results,
     RunFolder,

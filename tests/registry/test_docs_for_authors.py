@@ -130,7 +130,7 @@ EDITS = PAGE.partition("### Edits")[2].partition("## ")[0]
 def public_type(name: str) -> Any:
     """A class by its name, from the module that provides it."""
     places = [module for module, names in MODULES if f"`{name}`" in names]
-    places += ["registry.events", "registry", "core_rasterizer"]
+    places += ["stereogs.api", "core_rasterizer"]
     modules = (importlib.import_module(place) for place in places)
     return next(getattr(module, name) for module in modules if hasattr(module, name))
 

@@ -11,8 +11,8 @@ import torch
 import stereogs
 from core_rasterizer import Device
 from registry import RunError, SceneError
-from registry.errors import PipelineError
 from registry.testing import tiny_scene
+from tests.host import PipelineError
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 PIPELINE = {

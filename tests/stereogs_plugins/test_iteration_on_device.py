@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
-from core_rasterizer.device import Program, Variant
 from registry.testing import tiny_scene
 from tests.core_rasterizer.traffic import Traffic, counted
-from tests.host import Parts, Plugins, Trainer, initial_gaussians, parse_pipeline
+from tests.host import Parts, Plugins, Program, Trainer, Variant, initial_gaussians, parse_pipeline
 
 PIPELINE = """\
 name: t

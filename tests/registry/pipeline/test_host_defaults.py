@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from registry import Component
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, parse_pipeline
-from tests.host import Plugins
+from tests.host import PipelineError, Plugins
 from tests.registry.toy_plugin import ToyGrowth, ToyTerm
 
 TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import ExplainedError
-from registry.errors import PipelineError
 from stereogs.experiments.planning.plan import Plan
-from tests.host import Plugins, parse_pipeline
+from tests.host import PipelineError, Plugins, parse_pipeline
 from tests.registry.toy_plugin import ToyTerm
 from tests.stereogs.experiments.ablating import plan, write
 

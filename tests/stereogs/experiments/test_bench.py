@@ -11,7 +11,6 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import Context, PluginError, Settings
-from registry.errors import PipelineError
 from registry.runners import Runner, RunningTask, TrainingTask
 from stereogs import ExplainedError, RunOptions
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
@@ -25,6 +24,7 @@ from tests.host import (
     Item,
     Offer,
     Part,
+    PipelineError,
     Place,
     Plugins,
     main,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.errors import PluginError
+from registry import PluginError
 from stereogs.testing import check, check_command
 from stereogs.verbs.new_plugin.package_files import COMMAND, COMPONENTS, KINDS, new_plugin
 from stereogs.verbs.new_plugin.verb import NewPlugin

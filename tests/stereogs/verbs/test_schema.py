@@ -13,9 +13,8 @@ import pydantic
 import pytest
 
 import registry
-from registry.errors import PipelineError
 from stereogs.verbs.schema import HEADER, pipeline_schema
-from tests.host import GROUP, Offer, Plugins, main, parse_pipeline, parse_yaml, plain
+from tests.host import GROUP, Offer, PipelineError, Plugins, main, parse_pipeline, parse_yaml, plain
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "pipelines" / "pipeline.schema.json"

@@ -12,13 +12,11 @@ from registry import PluginError, Scene, TrainingView
 from registry.priors import DepthMap, Matches
 from registry.toolkit.networks import OnnxModel
 from stereogs.verbs.priors import prior_trials
-from stereogs.verbs.priors.prior_trials import score as prior_score
-from stereogs.verbs.priors.prior_trials import truth_of
+from stereogs.verbs.priors.prior_trials import score as prior_score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.host import SELECTION, Plugins, main, parse_pipeline
 from tests.stereogs_plugins.building import build
-from tests.stereogs_plugins.priors import graphs
-from tests.stereogs_plugins.priors import known_answers as known
+from tests.stereogs_plugins.priors import graphs, known_answers as known
 
 Capture = pytest.CaptureFixture[str]
 
