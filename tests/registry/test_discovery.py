@@ -131,6 +131,12 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: st
             metric("x").replace("    def measure", "    Settings = dict\n    def measure"),
             "do not derive from registry.Settings",
         ),
+        (
+            metric("x").replace(
+                "    def measure", "    host_defaults = '{every: 100}'\n    def measure"
+            ),
+            "are not a HostDefaults",
+        ),
     ],
 )
 def test_what_the_host_cannot_use_is_refused(install: Install, source: str, message: str) -> None:

@@ -125,10 +125,10 @@ def test_a_component_without_baseline_is_disabled_unless_required(
 def test_any_component_can_name_a_baseline(
     toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ToyTerm, "ablation_baseline", "{use: toy_term, name: calm, weight: 0.5}")
-    off = plan(write(tmp_path), toys, toggles="second").runs[0].pipeline
-    assert [item.name for item in off.items["regularizers"]] == ["toy_term", "calm"]
     monkeypatch.setattr(ToyTerm, "ablation_baseline", "toy_term")
+    renamed = ("regularizers.toy_term.name=first",)
+    off = plan(write(tmp_path), toys, toggles="second", overrides=renamed).runs[0].pipeline
+    assert [item.name for item in off.items["regularizers"]] == ["first", "toy_term"]
     off = plan(write(tmp_path), toys, toggles="second").runs[0].pipeline
     assert [item.name for item in off.items["regularizers"]] == ["toy_term"], "there already"
 

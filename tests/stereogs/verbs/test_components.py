@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from registry import HostDefaults, Percent
 from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
@@ -93,7 +94,7 @@ def test_what_is_never_due_is_a_fault(toys: Plugins, tmp_path: Path) -> None:
 def test_what_is_called_far_too_often_is_a_fault(
     toys: Plugins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ToyGrowth, "host_defaults", "{stop: 50%, every: 100}")
+    monkeypatch.setattr(ToyGrowth, "host_defaults", HostDefaults(stop=Percent(50), every=100))
 
     def fault(written: str) -> list[str]:
         text = f"name: t\nscene: toy_scene\ninitializer: toy_points\ndensification: {written}\n"
