@@ -46,11 +46,10 @@ WRONG = (
     *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "dropuot"]),
     *(["eval"], ["export", "run"], ["train", "photos", "--qualty", "best"], ["plugins", "new"]),
     *(["train", "photos", "--seconds", "soon"], ["completion", "bsh"], ["train", "--quality=bset"]),
-    *(["export", "run", "--format", "gtlf"], ["export", "run", "--format", "spz"]),
-    *(["view", "run"], ["train", "tiny.yaml", "--view"]),
+    *(["export", "run", "--format", "gtlf"], ["view", "run"], ["train", "tiny.yaml", "--view"]),
     ["priors", "check", "nowhere.onnx"],
 )
-MISSING = ("viser", "gsply", "imageio")
+MISSING = ("viser", "imageio")
 """Packages of extras that this newcomer has not installed."""
 
 
