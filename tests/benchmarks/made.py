@@ -13,7 +13,7 @@ from benchmarks.campaign import CampaignFolder
 from benchmarks.methods_plan import MethodTraining
 from benchmarks.records import Record, read
 from benchmarks.trainings import AnyTraining, Case, Method, Points, Training
-from stereogs.session import build_pipeline
+from stereogs import build_pipeline
 
 ROOM = Case(
     "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)

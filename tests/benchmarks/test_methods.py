@@ -18,9 +18,9 @@ from benchmarks.methods_plan import (
     planned_run,
     planned_runs,
 )
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline
+from stereogs import Pipeline
 from tests.benchmarks.made import record, row_of, rows_of
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 FACING, OBJECTS = GROUPS

@@ -18,8 +18,8 @@ from benchmarks.parts_plan import (
     planned_runs,
 )
 from benchmarks.records import Record
-from registry.discovery import Plugins
 from tests.benchmarks.made import MEASURED, SCORES, rows_of
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 ALL = "initializer, stereo_depth, opacity"

@@ -18,9 +18,8 @@ from benchmarks.results_picture import PICTURE, draw_first_views
 from benchmarks.results_plan import CASES, LPIPS_SEED, METHODS, planned_runs
 from benchmarks.trainings import SEEDS, VGG, Case, Method, Training
 from registry import RunError
-from registry.discovery import Plugins
-from registry.system.lock import locked
 from tests.benchmarks.made import ROOM, row_of, tiny, train
+from tests.host import Plugins, locked
 
 SEED = LPIPS_SEED + 1
 Records = list[Record[Training]]
