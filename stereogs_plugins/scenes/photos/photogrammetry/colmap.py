@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     import pycolmap
     from numpy.typing import NDArray
-    from pycolmap import Camera, Database, Image, TwoViewGeometry
-    from pycolmap import Reconstruction as Model
+    from pycolmap import Camera, Database, Image, Reconstruction as Model, TwoViewGeometry
 
     Array = NDArray[np.float64]
 else:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from registry import Scene
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_name, read_model
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from registry import Scene, SceneError
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
 from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_DEVIATION
 from stereogs_plugins.scenes.photos.photogrammetry.two_view import rotation_error
