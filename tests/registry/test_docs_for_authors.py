@@ -14,13 +14,18 @@ import pytest
 
 import registry
 import stereogs
-from registry.contract.hook_points import HOOK_POINTS, OTHER_HOOKS, HookPoint
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.settings_check import validate_settings
-from registry.pipeline.yaml_source import parse
 from registry.testing import check
-from stereogs.verbs.new_plugin.package_files import KINDS
+from tests.host import (
+    HOOK_POINTS,
+    KINDS,
+    OTHER_HOOKS,
+    SELECTION,
+    HookPoint,
+    Plugins,
+    parse_pipeline,
+    parse_yaml,
+    validate_settings,
+)
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = (DOCS / "write_a_plugin.md").read_text("utf-8")
@@ -90,7 +95,7 @@ def test_a_renamed_setting_accepts_its_former_name() -> None:
     scope: dict[str, Any] = {"Settings": registry.Settings, "__name__": "example"}
     exec(compile(source, "page", "exec", dont_inherit=True), scope)
     for text in ("target: 0.5", "{goal: 0.5, steepness: 100}"):
-        settings = validate_settings(scope["MySettings"], parse(text, "old"), "example")
+        settings = validate_settings(scope["MySettings"], parse_yaml(text, "old"), "example")
         assert settings.model_dump() == {"target": 0.5}
 
 
