@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, parse_pipeline
+from tests.host import SELECTION, PipelineError, Plugins
 from tests.registry.toy_plugin import ToyTermSettings
 
 
