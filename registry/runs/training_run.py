@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import math
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -17,16 +16,17 @@ from time import monotonic
 import torch
 from rich.console import Console
 
-from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
+from ..calls.blame import blame
+from ..calls.policy import checked_plugins, initialization
+from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
-from ..contract.checks.scene import check_maps, validate
+from ..contract.checks.scene import validate
 from ..contract.scene import Scene
 from ..discovery import Plugins
 from ..errors import RunError
 from ..pipeline.faults import faults, refuse_missing_priors
 from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import answer_of
 from ..pipeline.training_settings import TrainingSettings
 from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.display import showing
@@ -47,9 +47,6 @@ AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
-
-QUICK = 0.1
-"""Longest initialization that is repeated if plugins are not checked, in seconds."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Disk errors; writing raises them without a file name."""
@@ -184,10 +181,8 @@ def _initialized(
     had_scene = monotonic()
     initializer, known = parts.one("initializer"), scene.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
-    with initializer.at_work(lent=of_scene(known)):
-        longest, given = math.inf if are_checked() else QUICK, (known, parts.priors)
-        points = answer_of(initializer.component, "initialize", given, twice=True, longest=longest)
-        check_maps(points.maps, known)
+    points = initializer.call(known, parts.priors, checks=initialization(), guard=of_scene(known))
+    with blame(initializer.item):
         gaussians = initial_gaussians(points, pipeline.training)
     seconds = Stages(had_scene - begin, monotonic() - had_scene)
     initial = InitialState(pipeline, parts, scene, points, gaussians, device)

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from core_rasterizer import Gaussians
 
+from ..calls.repeats import first_difference
 from ..contract.component import Component, Settings
 from ..discovery import Plugins
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
 from ..runs.options import RunOptions
 from ..runs.training_run import resume, start

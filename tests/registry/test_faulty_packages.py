@@ -12,10 +12,10 @@ import pytest
 import stereogs
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
+from registry.calls import call
 from registry.calls.memory import MemoryLedger
 from registry.calls.watchdog import WATCHDOG
 from registry.discovery import GROUP, Plugins
-from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.runs.opening import open_run
 from registry.system.memory import resident_bytes
@@ -225,7 +225,7 @@ def test_growing_memory_is_refused_before_memory_runs_out(
 ) -> None:
     pipeline, out = make(component("grows_memory")), tmp_path / "run"
     stereogs.train(make(""), progress=False, device=device)  # initial allocations do not count
-    monkeypatch.setattr(blame, "LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
+    monkeypatch.setattr(call, "LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
     error = refusal(pipeline, out, device)
     assert "memory runs out" in error.what
     blamed(error, "grows_memory", iteration=None)

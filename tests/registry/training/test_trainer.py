@@ -8,7 +8,7 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, GaussianError, GaussianModel
 from registry import PluginError, RunError, Step
-from registry.calls.read_only_guard import checked_plugins
+from registry.calls.policy import checked_plugins
 from registry.discovery import Plugins
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import parse_pipeline

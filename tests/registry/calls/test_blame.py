@@ -4,8 +4,8 @@ import pytest
 
 from core_rasterizer import CameraError
 from registry import PluginError, SceneError
+from registry.calls.blame import blame
 from registry.discovery import Plugins
-from registry.pipeline.blame import blame
 from registry.pipeline.pipeline import Item, parse_pipeline
 
 PIPELINE = "name: a\nscene: toy_scene\ninitializer: toy_points\nmetrics:\n  - psnr\n"
