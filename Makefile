@@ -149,7 +149,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,browser,heic,notebook,plot,spz,video,viewer]'
+	$(PIP) --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev

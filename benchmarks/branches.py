@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from time import monotonic, process_time
 
-from core_rasterizer import Gaussians
 from registry import RunError
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Item, Pipeline
 from registry.runs.run import Run
 from registry.system.memory import peak_memory_mb
+from registry.training.assembly import restore
 from registry.training.checkpoint import Checkpoint
-from registry.training.initial_model import new_model
-from registry.training.trainer import Iteration, Trainer, maps_of, one_torch_thread
+from registry.training.trainer import Iteration, one_torch_thread
 from stereogs.session import train
 
 SECONDS = "_seconds"
@@ -129,14 +127,14 @@ def _branch(pipeline: Pipeline, trunk: Run, moment: _Moment) -> Trained:
     begin, cpu_begin = monotonic(), process_time()
     kept, device = moment.checkpoint, trunk.model.engine.device
     parts = Parts(pipeline, device)
-    model = new_model(Gaussians(**kept.part("model")), pipeline.training, device)
-    begin_with = partial(Trainer, pipeline.training, scene=trunk.scene, model=model)
-    maps, kinds = maps_of(kept.part("maps")), kept.part("kinds")
-    first = begin_with(parts.for_field(0), maps=maps, kinds=kinds)
     apart = _differences(pipeline, trunk.pipeline)
     new = tuple(f"components/{item.qualified_name}/" for item in apart)
-    fresh = {name: value for name, value in first.state().items() if name.startswith(new)}
-    trainer = begin_with(parts, checkpoint=replace(kept, tensors=kept.tensors | fresh))
+    first = parts.for_field(0)
+    for part in first.training:
+        part.component.begin_training(trunk.scene.for_training())
+    state = {f"components/{name}": value for name, value in first.state(0).items()}
+    fresh = {name: value for name, value in state.items() if name.startswith(new)}
+    trainer = restore(parts, trunk.scene, replace(kept, tensors=kept.tensors | fresh))
     logged = dict(moment.logged)
     for done in trainer.run():
         _add(logged, done)
@@ -144,7 +142,7 @@ def _branch(pipeline: Pipeline, trunk: Run, moment: _Moment) -> Trained:
         pipeline,
         parts,
         trunk.scene,
-        model,
+        trainer.model,
         checkpoint=lambda: replace(kept, iteration=trainer.iteration, tensors=trainer.state()),
         iteration=trainer.iteration,
         initialization=trunk.initialization,

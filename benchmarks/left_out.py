@@ -30,8 +30,8 @@ from registry import PointCloud, RunError, Scene
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.evaluation import evaluate
-from registry.training.initial_model import initial_gaussians, new_model
-from registry.training.trainer import Trainer, one_torch_thread
+from registry.training.assembly import assemble
+from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
 from stereogs.session import build_pipeline, load_scene
 
@@ -108,9 +108,10 @@ class Bench:
         begin = process_time()
         points = self._first_points(case, pipeline, parts, scene)
         had_points = process_time()
-        model = new_model(initial_gaussians(points, settings), settings, self.device)
-        for _ in Trainer(settings, parts, scene, model, points.maps, points.kinds).run():
+        trainer = assemble(parts, scene, points)
+        for _ in trainer.run():
             pass
+        model = trainer.model
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean

@@ -19,8 +19,7 @@ from benchmarks.cells import (
 )
 from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
 from benchmarks.results_plan import Case
-from benchmarks.training_records import Record as AnyRecord
-from benchmarks.training_records import processor
+from benchmarks.training_records import Record as AnyRecord, processor
 from stereogs.experiments.comparing.paper_tables import PaperTables, paper_tables
 
 Record = AnyRecord[MethodRun]

@@ -24,8 +24,7 @@ from registry.contract.scene import PointCloud, Scene, View
 from registry.discovery import Plugins
 from registry.errors import PipelineError, SceneError
 from registry.pipeline.edits import SECTIONS
-from registry.pipeline.pipeline import Item, Pipeline
-from registry.pipeline.pipeline import build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, build_pipeline as checked_pipeline
 from registry.pipeline.ready import find_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Node, Place, parse, read, to_yaml
@@ -134,8 +133,7 @@ def load_scene(
             fix = "give the changes to build_pipeline"
             raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
-    from registry.pipeline.parts import build_part
-    from registry.pipeline.parts import load_scene as load_part
+    from registry.pipeline.parts import build_part, load_scene as load_part
     from registry.training.trainer import one_torch_thread
 
     with one_torch_thread():

@@ -3,7 +3,7 @@
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .engine import Engine, Model, Optimizer
-from .model import GaussianModel, ModelReader, OpenCLEngine, engine_on
+from .model import GaussianModel, GaussianReader, OpenCLEngine, engine_on
 from .photometric import photometric_loss
 from .topology import apply_edit, shared_among_copies
 
@@ -13,8 +13,8 @@ __all__ = [
     "Edit",
     "Engine",
     "GaussianModel",
+    "GaussianReader",
     "Model",
-    "ModelReader",
     "OpenCLEngine",
     "Optimizer",
     "Relocation",

@@ -112,13 +112,13 @@ class GaussianModel(GaussianStorage):
             digest.update(self.read(name).contiguous().numpy().tobytes())
         return digest.hexdigest()
 
-    def reader(self, attributes: Mapping[str, Tensor] | None = None) -> ModelReader:
+    def reader(self, attributes: Mapping[str, Tensor] | None = None) -> GaussianReader:
         """A read-only view of this model.
 
         Args:
             attributes: further numbers of each Gaussian, `[N]` by name, for files that can hold them.
         """
-        return ModelReader(self, attributes)
+        return GaussianReader(self, attributes)
 
     def render(
         self,
@@ -230,7 +230,7 @@ def engine_on(device: Device | Engine) -> Engine:
     return OpenCLEngine(device) if isinstance(device, Device) else device
 
 
-class ModelReader:
+class GaussianReader:
     """A read-only view of a model of any engine.
 
     It follows the model: each call returns the current state. Returned tensors are copies.

@@ -32,8 +32,9 @@ from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
 from ..toolkit.views.scene_facts import summary, warnings
+from ..training.assembly import assemble, restore
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
-from ..training.initial_model import initial_gaussians, new_model
+from ..training.initial_model import initial_gaussians
 from ..training.trainer import Iteration, Trainer, one_torch_thread
 from .evaluation import evaluate, quick
 from .folder import RunFolder
@@ -128,8 +129,8 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            settings = run.pipeline.training
-            trainer = Trainer(settings, run.parts, run.scene, run.model, checkpoint=checkpoint)
+            trainer = restore(run.parts, run.scene, checkpoint)
+        run.model = trainer.model
         run.record_changes()
         run.checkpoint = lambda: _checkpoint(run, trainer)
         folder.forget_metrics_after(checkpoint.iteration)
@@ -196,7 +197,7 @@ def _initialized(
 def _new_run(initial: InitialState, seconds: Stages) -> tuple[Run, Trainer]:
     """Return a run before its first iteration, with its trainer."""
     pipeline, parts, points = initial.pipeline, initial.parts, initial.points
-    model = new_model(initial.gaussians, pipeline.training, initial.device)
+    trainer = assemble(parts, initial.scene, points, initial.gaussians)
     fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
     facts = {
         "initializer": parts.one("initializer").item.name,
@@ -204,12 +205,11 @@ def _new_run(initial: InitialState, seconds: Stages) -> tuple[Run, Trainer]:
         "seconds": round(seconds.initialization, 3),
         **({"fallbacks": fallbacks} if fallbacks else {}),
     }
-    trainer = Trainer(pipeline.training, parts, initial.scene, model, points.maps, points.kinds)
     run = Run(
         pipeline,
         parts,
         initial.scene,
-        model,
+        trainer.model,
         checkpoint=lambda: _checkpoint(run, trainer),
         initialization={**facts, **points.facts, **facts},  # the host's values, in front
         pictures=dict(points.pictures),

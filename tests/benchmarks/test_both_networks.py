@@ -6,8 +6,7 @@ import pytest
 
 from benchmarks.cells import ALEXNET, VGG
 from benchmarks.training_process import with_alexnet
-from registry.pipeline.pipeline import Pipeline
-from stereogs.session import build_pipeline
+from stereogs import Pipeline, build_pipeline
 
 
 @pytest.fixture(autouse=True)

@@ -15,8 +15,7 @@ from benchmarks.parts_plan import PartsRun, Row
 from benchmarks.results_plan import Case
 from benchmarks.training_process import ANSWER, RENDERS
 from registry import RunError
-from registry.pipeline.pipeline import Pipeline
-from stereogs.session import build_pipeline, train
+from stereogs import Pipeline, build_pipeline, train
 
 ROOM = Case("room", 3, "", ())
 TEXT = """\

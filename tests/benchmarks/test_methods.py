@@ -29,9 +29,8 @@ from benchmarks.methods_plan import (
 from benchmarks.results_plan import Case
 from benchmarks.training_records import Record
 from registry import RunError
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline
-from stereogs.session import build_pipeline
+from stereogs import Pipeline, build_pipeline
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 FACING, OBJECTS = GROUPS

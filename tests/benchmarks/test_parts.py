@@ -22,7 +22,7 @@ from benchmarks.parts_plan import (
     shared_groups,
 )
 from benchmarks.training_records import Record
-from registry.discovery import Plugins
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 ALL = "initializer, stereo_depth, opacity"

@@ -28,8 +28,7 @@ from benchmarks.results_plan import (
 )
 from benchmarks.training_records import RECORDS, read, save
 from registry import RunError
-from registry.discovery import Plugins
-from registry.system.lock import locked
+from tests.host import Plugins, locked
 
 ROOM = Case(
     "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)

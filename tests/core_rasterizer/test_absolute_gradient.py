@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians, reference
-from core_rasterizer.optimization import ModelReader
+from core_rasterizer.optimization import GaussianReader
 from tests.core_rasterizer.scenes import random_camera
 from tests.core_rasterizer.test_model import parameters
 
@@ -67,7 +67,7 @@ def test_results_without_it_are_bit_identical(device: Device) -> None:
     assert torch.equal(plain.statistics.sums(), asked.statistics.sums()[:2])
     assert plain.statistics.sums().shape == (2, COUNT)
     with pytest.raises(GaussianError, match="no render has collected"):
-        ModelReader(plain).absolute_screen_gradient()
+        GaussianReader(plain).absolute_screen_gradient()
     wanted = expected(parameters(COUNT), CAMERA)
     found = asked.statistics.absolute_screen_gradient().double()
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-5 * float(wanted.max()))
@@ -82,4 +82,4 @@ def test_it_is_restored_and_reset(device: Device) -> None:
     model.statistics.reset()
     assert not model.statistics.absolute_screen_gradient().any()
     differentiate(model)
-    assert torch.equal(ModelReader(model).absolute_screen_gradient(), first)
+    assert torch.equal(GaussianReader(model).absolute_screen_gradient(), first)

@@ -14,11 +14,16 @@ import pytest
 
 import registry
 import stereogs
-from registry.contract.hook_points import HOOK_POINTS, OTHER_HOOKS, HookPoint
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import check
-from stereogs.verbs.new_plugin.package_files import KINDS
+from tests.host import (
+    HOOK_POINTS,
+    KINDS,
+    OTHER_HOOKS,
+    SELECTION,
+    HookPoint,
+    Plugins,
+    parse_pipeline,
+)
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = (DOCS / "write_a_plugin.md").read_text("utf-8")
@@ -125,7 +130,7 @@ EDITS = PAGE.partition("### Edits")[2].partition("## ")[0]
 def public_type(name: str) -> Any:
     """A class by its name, from the module that provides it."""
     places = [module for module, names in MODULES if f"`{name}`" in names]
-    places += ["registry.events", "registry", "core_rasterizer"]
+    places += ["stereogs.api", "core_rasterizer"]
     modules = (importlib.import_module(place) for place in places)
     return next(getattr(module, name) for module in modules if hasattr(module, name))
 

@@ -9,9 +9,8 @@ import time
 import pytest
 
 from core_rasterizer import Device
-from registry import Metric, PluginError, Settings
+from registry import Context, Metric, PluginError, Settings
 from registry.calls.repeats import answer_of
-from registry.contract.component import Context
 
 
 class Counting(Metric[Settings]):

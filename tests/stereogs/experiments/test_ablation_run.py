@@ -19,19 +19,14 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.parts import Part
 from registry.runners import TrainingTask
-from registry.runs.options import RunOptions
-from registry.runs.progress import MetricsLog
-from registry.runs.training_run import start
-from stereogs.cli import main
+from stereogs import RunOptions, open_run
 from stereogs.experiments.planning.plan import PlannedRun
 from stereogs.experiments.running import local_processes
 from stereogs.experiments.running.folder import AblationFolder
 from stereogs.experiments.running.local_processes import LocalProcesses, training_arguments
 from stereogs.experiments.running.runner import AblationProgress, choose_runner, train_all
-from stereogs.session import open_run
+from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff

@@ -14,15 +14,14 @@ import pytest
 import torch
 from PIL import Image
 
-from registry.discovery import Plugins
-from registry.system.files import write_json
-from registry.toolkit.drawing.pictures import ViewPictures, save_png, side_by_side
+from registry.toolkit.drawing import ViewPictures, save_png, side_by_side
 from registry.toolkit.web_page import Cell
 from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import AblationFolder
 from stereogs.experiments.showing import scores
 from stereogs.experiments.showing.page import as_page, plots
 from stereogs.experiments.showing.table import as_csv, as_text, scene_table
+from tests.host import Plugins, write_json
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 

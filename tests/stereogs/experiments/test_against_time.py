@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.pipeline.protocols import AppliedProtocol, load_protocol
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import AblationFolder
@@ -25,6 +23,7 @@ from stereogs.experiments.showing.against_time import (
 )
 from stereogs.experiments.showing.page import as_page
 from stereogs.experiments.showing.scores import Results
+from tests.host import AppliedProtocol, Plugins, load_protocol
 from tests.html_page import Page
 from tests.stereogs.experiments.test_bench import matrix
 

@@ -10,23 +10,28 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device
-from core_rasterizer.errors import ExplainedError
 from registry import Context, PluginError, Settings
-from registry.discovery import SELECTION, Offer, Plugins
-from registry.errors import PipelineError
-from registry.pipeline.parts import Part
-from registry.pipeline.pipeline import Item, parse_pipeline
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.yaml_source import Place, parse
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.options import RunOptions
-from registry.runs.training_run import start
-from stereogs.cli import main
+from stereogs import ExplainedError, RunOptions
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import AblationFolder
 from stereogs.experiments.running.local_processes import LocalProcesses
 from stereogs.experiments.running.runner import RUNNER, choose_runner, train_all
+from tests.host import (
+    SELECTION,
+    HostSettings,
+    Item,
+    Offer,
+    Part,
+    PipelineError,
+    Place,
+    Plugins,
+    main,
+    parse_pipeline,
+    parse_yaml,
+    start,
+)
 from tests.stereogs.experiments.ablating import PIPELINE, write
 
 MATRIX = """\
@@ -190,14 +195,14 @@ def test_the_default_runner(device: Device) -> None:
     usual = choose_runner(None, None, plugins, device)
     assert isinstance(usual.component, LocalProcesses)
     written = choose_runner(
-        parse("{use: local, jobs: 3}", "m", has_lines=False), None, plugins, device
+        parse_yaml("{use: local, jobs: 3}", "m", has_lines=False), None, plugins, device
     )
     assert written.component.places == 3
     assert choose_runner(None, 2, plugins, device).component.places == 2
     with pytest.raises(PipelineError, match="the named runner decides"):
-        choose_runner(parse("{use: far_away}", "m", has_lines=False), 2, plugins, device)
+        choose_runner(parse_yaml("{use: far_away}", "m", has_lines=False), 2, plugins, device)
     with pytest.raises(PluginError, match="no plugin offers the runner 'far_away'"):
-        choose_runner(parse("far_away", "m", has_lines=False), None, plugins, device)
+        choose_runner(parse_yaml("far_away", "m", has_lines=False), None, plugins, device)
 
 
 TINY = """\

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from registry.discovery import Plugins
 from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import AblationFolder
 from stereogs.experiments.showing.page import as_page
 from stereogs.experiments.showing.scores import difference
 from stereogs.experiments.showing.table import ScoreTable, as_text, difference_table
+from tests.host import Plugins
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 

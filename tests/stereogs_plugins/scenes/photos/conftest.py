@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from registry import Scene
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.scenes.photos.photographs import COUNT, SIDEWAYS, load

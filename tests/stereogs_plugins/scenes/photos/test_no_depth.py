@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from registry import Scene, SceneError
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos import structure_from_motion
 from stereogs_plugins.scenes.photos.no_depth import MIN_DEVIATION, rotation_error
 from tests.data import data_folder

@@ -9,19 +9,21 @@ import pytest
 import torch
 
 from registry import PluginError, Scene, TrainingView
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.priors import DepthMap, Matches
 from registry.toolkit.networks import OnnxModel
-from stereogs.cli import main
 from stereogs.verbs.priors import prior_trials
-from stereogs.verbs.priors.prior_trials import score, truth_of
+from stereogs.verbs.priors.prior_trials import score as prior_score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
+from tests.host import SELECTION, Plugins, main, parse_pipeline
 from tests.stereogs_plugins.building import build
-from tests.stereogs_plugins.priors import graphs
-from tests.stereogs_plugins.priors import known_answers as known
+from tests.stereogs_plugins.priors import graphs, known_answers as known
 
 Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(autouse=True)
+def _all_installed_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(SELECTION)
 
 
 @pytest.fixture(scope="module")
@@ -145,22 +147,22 @@ def depth_of(view: TrainingView) -> torch.Tensor:
 def test_predictions_are_scored_against_the_ground_truth(small_row: Scene) -> None:
     truth = truth_of(small_row.train, small_row.bounds)
     disparity, visible = -truth.moved[..., 0], truth.visible
-    assert score(known.stereo(disparity.float()), truth).error == 0
-    assert score(known.stereo((disparity + 1.9).float()), truth).error == 0
-    assert score(known.stereo((disparity + 2.1).float()), truth).error == 1
+    assert prior_score(known.stereo(disparity.float()), truth).error == 0
+    assert prior_score(known.stereo((disparity + 1.9).float()), truth).error == 0
+    assert prior_score(known.stereo((disparity + 2.1).float()), truth).error == 1
     half = disparity.float().where(torch.arange(128)[None] % 2 == 0, 0.0)
-    assert score(known.stereo(half), truth).error == pytest.approx(0.5, abs=0.02)
-    assert score(known.flow(truth.moved.float()), truth).error == 0
-    assert score(known.flow(-truth.moved.float()), truth).error == 1
+    assert prior_score(known.stereo(half), truth).error == pytest.approx(0.5, abs=0.02)
+    assert prior_score(known.flow(truth.moved.float()), truth).error == 0
+    assert prior_score(known.flow(-truth.moved.float()), truth).error == 1
     depth = depth_of(small_row.train[0])
     maps = [DepthMap(depth * f, depth > 0, torch.ones_like(depth)) for f in (1.02, 1.04)]
-    assert [score(known.depth(one), truth).error for one in maps] == [0, 1]
-    assert score(known.nearness(5 / depth + 3), truth).error == pytest.approx(0, abs=1e-3)
-    assert score(known.nearness(-1 / depth), truth).error == pytest.approx(2, abs=1e-3)
-    assert score(known.nearness(0 * depth), truth).error == 1
+    assert [prior_score(known.depth(one), truth).error for one in maps] == [0, 1]
+    assert prior_score(known.nearness(5 / depth + 3), truth).error == pytest.approx(0, abs=1e-3)
+    assert prior_score(known.nearness(-1 / depth), truth).error == pytest.approx(2, abs=1e-3)
+    assert prior_score(known.nearness(0 * depth), truth).error == 1
     v, u = visible.nonzero()[::50].unbind(dim=1)
     here = torch.stack([u, v], dim=1) + 0.5
     there = here + truth.moved[v, u]
     there[: len(there) // 4] += 3
-    result = score(known.matches(Matches(here, there, torch.ones(len(here)))), truth)
+    result = prior_score(known.matches(Matches(here, there, torch.ones(len(here)))), truth)
     assert result.error == pytest.approx(0.25, abs=0.01)

@@ -11,12 +11,9 @@ import torch
 
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
-from registry.runs.options import RunOptions
-from registry.runs.training_run import start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
+from stereogs import RunOptions
 from stereogs.verbs.replay import repeat_failure as replay
+from tests.host import Plugins, parse_pipeline, read_checkpoint, start, write_checkpoint
 from tests.registry.toy_plugin import ToyTerm
 
 TEXT = """\
