@@ -85,10 +85,10 @@ if TYPE_CHECKING:
     from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
     from stereogs.experiments.planning.matrix import plan_of, read_matrix
     from stereogs.experiments.planning.plan import Plan as MatrixPlan
-    from stereogs.experiments.running.folder import AblationFolder
-    from stereogs.experiments.running.runner import (
-        AblationProgress,
+    from stereogs.experiments.running.folder import ExperimentFolder
+    from stereogs.experiments.running.pool import (
         Outcome,
+        PoolProgress,
         choose_runner,
         train_all,
     )

@@ -15,9 +15,9 @@ from registry.runners import Runner, RunningTask, TrainingTask
 from stereogs import ExplainedError, RunOptions
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.running.local_processes import LocalProcesses
-from stereogs.experiments.running.runner import RUNNER, choose_runner, train_all
+from stereogs.experiments.running.pool import RUNNER, choose_runner, train_all
 from tests.host import (
     SELECTION,
     HostSettings,
@@ -164,7 +164,7 @@ def test_any_runner_trains_a_plan(toys: Plugins, device: Device, tmp_path: Path)
     runner.toys = toys
     item = Item("mine", Settings(), HostSettings(use="mine"), offer, Place("a test"))
     made = plan(toys, tmp_path, MATRIX.replace("iterations: [2, 5]\n", "iterations: [2]\n"))
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     console = Console(file=io.StringIO())
     outcome = train_all(made.runs, folder, Part(item, runner), device=None, console=console)
     assert {run.seed for run in outcome.failures} == {1}
@@ -183,7 +183,7 @@ def test_an_error_of_a_runner_names_it(toys: Plugins, device: Device, tmp_path: 
     item = Item("broken", Settings(), HostSettings(use="broken"), offer, Place("matrix.yaml:5"))
     runner = Part(item, Broken(Settings(), Context("broken", 0, device)))
     made = plan(toys, tmp_path)
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     with pytest.raises(PluginError, match="nowhere to go") as failed:
         train_all(made.runs, folder, runner, device=None, console=Console(file=io.StringIO()))
     assert "the runner 'broken' failed" in failed.value.what

@@ -17,11 +17,11 @@ from core_rasterizer import Device, open_device
 from stereogs_plugins.runners.ray_cluster import extract
 from tests.host import (
     SELECTION,
-    AblationFolder,
-    AblationProgress,
+    ExperimentFolder,
     MatrixPlan,
     Outcome,
     Plugins,
+    PoolProgress,
     choose_runner,
     parse_yaml,
     plan_of,
@@ -95,7 +95,7 @@ def planned(folder: Path, plugins: Plugins) -> MatrixPlan:
 
 
 def trained(
-    plan: MatrixPlan, folder: AblationFolder, runner: str, device: Device, plugins: Plugins
+    plan: MatrixPlan, folder: ExperimentFolder, runner: str, device: Device, plugins: Plugins
 ) -> Outcome:
     written = parse_yaml(runner, "runner", has_lines=False)
     with folder.locked():
@@ -117,20 +117,20 @@ def test_a_worker_killed_in_the_middle_costs_no_result(
     plugins, device = Plugins(), open_device()
     plan = planned(tmp_path, plugins)
     assert len(plan.runs) == 12
-    here, far = AblationFolder(tmp_path / "here"), AblationFolder(tmp_path / "far")
+    here, far = ExperimentFolder(tmp_path / "here"), ExperimentFolder(tmp_path / "far")
     assert trained(plan, here, "{use: local, jobs: 2}", device, plugins).failures == {}
 
     cluster, nodes = workers
     ended: list[tuple[float, str]] = []
-    tell = AblationProgress.ended
+    tell = PoolProgress.ended
 
-    def kill_after_the_third(self: AblationProgress, name: str, failure: str) -> None:
+    def kill_after_the_third(self: PoolProgress, name: str, failure: str) -> None:
         tell(self, name, failure)
         ended.append((time.monotonic(), failure))
         if len(ended) == 3:
             cluster.remove_node(nodes.pop(), allow_graceful=False)
 
-    monkeypatch.setattr(AblationProgress, "ended", kill_after_the_third)
+    monkeypatch.setattr(PoolProgress, "ended", kill_after_the_third)
     runner = f"{{use: ray, address: '{cluster.address}'}}"
     assert trained(plan, far, runner, device, plugins).failures == {}
     assert len(nodes) == 1  # the other was killed

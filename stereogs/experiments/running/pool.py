@@ -1,4 +1,4 @@
-"""Choose a runner and train the unfinished runs of a plan with it."""
+"""Choose a runner, and train many runs with it: for `ablate`, `bench` and the campaigns of `benchmarks/`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -23,22 +23,30 @@ from registry.pipeline.yaml_source import Node, Place
 from registry.runners import Runner, RunningTask, TrainingTask
 from registry.system.interrupt import stop_on_interrupt
 
-from ..planning.plan import PlannedRun
-from .folder import AblationFolder
 from .local_processes import LocalProcesses
 
+Planned = TypeVar("Planned")
+"""A training that is planned, for example a `PlannedRun`."""
+Kept = TypeVar("Kept", contravariant=True)
 LOCAL = "local"
 """Name of the default runner."""
 RUNNER = next(point for point in HOOK_POINTS if point.section == "runner")
 _POLL_SECONDS = 0.2
 
 
-def choose_runner(written: Node | None, jobs: int | None, plugins: Plugins, device: Device) -> Part:
+def choose_runner(
+    written: Node | None,
+    jobs: int | None,
+    plugins: Plugins,
+    device: Device,
+    local: type[LocalProcesses] = LocalProcesses,
+) -> Part:
     """Build a runner.
 
     Args:
         written: a component as in a pipeline; None for `local`.
         jobs: replaces the setting `jobs` of `local`.
+        local: the class of the runner `local`.
 
     Raises:
         PipelineError: invalid settings, or `jobs` with another runner than `local`.
@@ -49,7 +57,7 @@ def choose_runner(written: Node | None, jobs: int | None, plugins: Plugins, devi
         if name != LOCAL:
             return plugins.find(point, name)
         package = "stereogs-plugins"
-        return Offer(point, LOCAL, LocalProcesses, "registry", package, version(package))
+        return Offer(point, LOCAL, local, "registry", package, version(package))
 
     if jobs is not None:
         place = Place(f"--jobs {jobs}")
@@ -71,48 +79,60 @@ def _is_local(node: Node) -> bool:
     return "use" in (written := expand(node)) and written["use"].content == LOCAL
 
 
+class Keeper(Protocol[Kept]):
+    """Where the results of trainings are kept. A training whose results are kept is not repeated."""
+
+    def task(self, planned: Kept, device: str | None) -> TrainingTask:
+        """Return the task that trains it."""
+        ...
+
+    def keep(self, planned: Kept) -> bool:
+        """Keep the results that its task left; return False if it left none of this pipeline."""
+        ...
+
+
 @dataclass
-class Outcome:
-    """The outcome of `train_all`: whether Ctrl-C stopped it, and the error of each failed run."""
+class Outcome(Generic[Planned]):
+    """The outcome of `train_all`: whether Ctrl-C stopped it, and the error of each failed training."""
 
     stopped: bool = False
-    failures: dict[PlannedRun, str] = field(default_factory=dict)
+    failures: dict[Planned, str] = field(default_factory=dict)
 
 
 def train_all(
-    waiting: Sequence[PlannedRun],
-    folder: AblationFolder,
+    waiting: Sequence[Planned],
+    keeper: Keeper[Planned],
     runner: Part,
     *,
     device: str | None,
     console: Console,
-) -> Outcome:
-    """Train runs in order, as many at a time as the runner allows.
+) -> Outcome[Planned]:
+    """Train in order, as many at a time as the runner allows.
 
-    If a run fails, the others are still trained. The first Ctrl-C stops the active runs and waits for them; a
-    second one kills them.
+    If a training fails, the others are still trained. The first Ctrl-C stops the active ones and waits for
+    them; a second one kills them.
 
     Args:
-        waiting: the unfinished runs.
+        waiting: the unfinished trainings.
+        keeper: the tasks of the trainings, and the place of their results.
         runner: from `choose_runner`.
         device: as for `--device`.
     """
-    active = _ActiveRuns(runner, folder, device)
+    active = _ActiveTasks(runner, keeper, device)
     queue = deque(waiting)
-    outcome, progress = Outcome(), AblationProgress(len(waiting), console)
+    outcome, progress = Outcome[Planned](), PoolProgress(len(waiting), console)
     with stop_on_interrupt() as stop, progress.bar:
         try:
-            while queue or active.runs:
+            while queue or active.tasks:
                 if stop.requested and not outcome.stopped:
                     outcome.stopped = True
                     queue.clear()
                     active.stop()
                 while queue and active.has_place:
                     active.start(queue.popleft())
-                for planned, failure in active.take_ended():
+                for planned, name, failure in active.take_ended():
                     if failure and not outcome.stopped:
                         outcome.failures[planned] = failure
-                    name = folder.run(planned).path.name
                     progress.ended(name, "stopped" if failure and outcome.stopped else failure)
                 progress.show(active.progress)
                 time.sleep(_POLL_SECONDS)
@@ -121,70 +141,69 @@ def train_all(
     return outcome
 
 
-class _ActiveRun(NamedTuple):
-    planned: PlannedRun
+class _ActiveTask(NamedTuple, Generic[Planned]):
+    planned: Planned
+    name: str
     task: RunningTask
 
 
-class _ActiveRuns:
+class _ActiveTasks(Generic[Planned]):
     """The active tasks of a runner; errors of the runner name it."""
 
-    def __init__(self, runner: Part, folder: AblationFolder, device: str | None) -> None:
-        self._part, self._folder, self._device = runner, folder, device
+    def __init__(self, runner: Part, keeper: Keeper[Planned], device: str | None) -> None:
+        self._part, self._keeper, self._device = runner, keeper, device
         self._runner: Runner = runner.component
-        self.runs: list[_ActiveRun] = []
+        self.tasks: list[_ActiveTask[Planned]] = []
 
     @property
     def has_place(self) -> bool:
         """True if the runner accepts another task."""
         with self._part.at_work():
             places = self._runner.places
-        return places is None or len(self.runs) < places
+        return places is None or len(self.tasks) < places
 
     @property
     def progress(self) -> list[float]:
-        """The finished share of each active run."""
+        """The finished share of each active task."""
         with self._part.at_work():
-            return [run.task.progress() for run in self.runs]
+            return [active.task.progress() for active in self.tasks]
 
-    def start(self, planned: PlannedRun) -> None:
-        path = self._folder.run(planned).path
-        log = path.with_name(f"{path.name}.log")
-        task = TrainingTask(planned.pipeline.to_yaml(), path, log, self._device)
+    def start(self, planned: Planned) -> None:
+        task = self._keeper.task(planned, self._device)
         with self._part.at_work():
-            self.runs.append(_ActiveRun(planned, self._runner.start(task)))
+            self.tasks.append(_ActiveTask(planned, task.folder.name, self._runner.start(task)))
 
-    def take_ended(self) -> list[tuple[PlannedRun, str]]:
-        """Remove and return the runs that have ended, with their errors; empty if they succeeded."""
+    def take_ended(self) -> list[tuple[Planned, str, str]]:
+        """Remove the tasks that have ended; return them with their names and errors, empty after success."""
         found = []
-        for run in list(self.runs):
+        for active in list(self.tasks):
             with self._part.at_work():
-                if not run.task.ended:
+                if not active.task.ended:
                     continue
-                failure = run.task.failure()
-            self.runs.remove(run)
-            if not failure and not self._folder.results(run.planned):
+                failure = active.task.failure()
+            self.tasks.remove(active)
+            if not failure and not self._keeper.keep(active.planned):
                 failure = (
                     "it left no results of this pipeline; has a plugin changed since the command "
                     "started?"
                 )
-            found.append((run.planned, failure))
+            found.append((active.planned, active.name, failure))
         return found
 
     def stop(self) -> None:
         with self._part.at_work():
-            for run in self.runs:
-                run.task.stop()
+            for active in self.tasks:
+                active.task.stop()
 
     def close(self) -> None:
-        """Kill the active runs and close the runner."""
+        """Kill the active tasks and close the runner."""
         with self._part.at_work():
-            for run in self.runs:
-                run.task.kill()
+            for active in self.tasks:
+                active.task.kill()
             self._runner.close()
 
 
-class AblationProgress:
+class PoolProgress:
     """Shows finished and active runs and the time left: a bar on a terminal, otherwise a line per run.
 
     `bar` is shown within its `with` block.
