@@ -31,9 +31,11 @@ from registry.toolkit.photos import (
     longest_side,
     read_colmap_model,
 )
-from stereogs_plugins.scenes.photos.learned_matches import FOLDER_VARIABLE
-from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import MIN_PHOTOS, UnposedPhoto, image_index
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
+from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
+from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
 PAGE = pages.DOCS / "your_own_photographs.md"
 FILE = RECORDS / "photos.jsonl"

@@ -102,4 +102,4 @@ if TYPE_CHECKING:
     from stereogs_plugins.reports.html.run_files import suggested_cameras
     from stereogs_plugins.scenes.dtu.loader import TEST_VIEWS, TRAIN_VIEWS
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

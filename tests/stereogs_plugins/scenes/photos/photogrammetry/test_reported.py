@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from registry.toolkit.photos import import_pycolmap
-from stereogs_plugins.scenes.photos import reported
+from stereogs_plugins.scenes.photos.photogrammetry import reported
 
 
 def test_rows_are_counted_by_colmaps_own_library(
@@ -23,7 +23,7 @@ def test_rows_are_counted_by_colmaps_own_library(
     monkeypatch.setattr(reported, "progress", lambda *known: seen.append(known))
     with colmap.Database.open(file) as database:
         database.write_camera(colmap.Camera.create_from_model_name(1, "PINHOLE", 9, 8, 6), True)
-        with reported.rows_reported(colmap, file, lambda d: d.num_cameras(), "cameras", 2):
+        with reported.rows_reported(file, lambda d: d.num_cameras(), "cameras", 2):
             while ("cameras", 1, 2) not in seen:
                 assert len(seen) < 1_000_000
             database.write_camera(colmap.Camera.create_from_model_name(2, "PINHOLE", 9, 8, 6), True)

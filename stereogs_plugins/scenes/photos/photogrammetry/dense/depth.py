@@ -1,14 +1,17 @@
-"""Photographs of a COLMAP model without distortion, and their depth by plane sweep where two confirm it."""
+"""Depth of photographs of a model by plane sweep, and the pixels where two photographs confirm it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import torch
 
+from registry.toolkit.drawing import grey
 from registry.toolkit.photos import Lens, undistort
 
-from ..unposed_photos import image_index, image_name
+from .. import thresholds
+from ..colmap import image_name, index_of, lens_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,20 +21,10 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera, Device
 
-PLANES = 64
-MAX_RETURN = 1.0
-"""Largest distance of a confirmed pixel from where its point returns to, in pixels."""
-MIN_CORRELATION = 0.6
-RADIUS = 2
-"""Radius of the windows, in pixels."""
-MIN_CONTRAST = 4 / 255
-"""Standard deviation of grey values in a window that can be recognized."""
-_DEPTHS = (2, 98)
-_DEPTH_MARGINS = (1 / 1.25, 1.5)
-"""Percentiles of the depths of points, and factors that widen this range."""
+    from ..colmap import Array, Model
 
 
-class View(NamedTuple):
+class PinholePhoto(NamedTuple):
     """A photograph without distortion.
 
     Args:
@@ -46,12 +39,12 @@ class View(NamedTuple):
 
 
 class Confirmed(NamedTuple):
-    """Pixels `[H, W]` of a view whose depth another one confirms, and those that could be.
+    """Pixels `[H, W]` of a photograph whose depth another one confirms, and those that could be.
 
     Args:
         pixels: the point leads back to the pixel through the other depth map, and the windows around both
             look alike.
-        known: pixels with contrast whose point is inside the other view.
+        known: pixels with contrast whose point is inside the other photograph.
     """
 
     pixels: Tensor
@@ -71,35 +64,32 @@ class Pictures:
         self._images = images
         self._reduced: dict[int, NDArray[np.uint8]] = {}
 
-    def view(self, model: Any, image: Any, points: NDArray[np.float64]) -> View | None:
-        """Return the view of an image of a pycolmap model; None if no point `[N, 3]` is in front of it.
+    def undistorted(self, model: Model, image: int, points: Array) -> PinholePhoto | None:
+        """Return the photograph of an image id; None if no point `[N, 3]` is in front of it.
 
         Raises:
             SceneError, CameraError: the lens is not plausible.
         """
-        import torch
-
-        from registry.toolkit.drawing import grey
-
-        pose = image.cam_from_world().matrix()
+        name = model.image(image).name
+        pose = model.image(image).cam_from_world().matrix()
         depth = points @ pose[2, :3] + pose[2, 3]
         depth = depth[depth > 0]
         if not len(depth):
             return None
-        near, far = np.percentile(depth, _DEPTHS) * _DEPTH_MARGINS
-        pixels = self._pixels(image_index(image.name))
-        lens = model.camera(image.camera_id)
-        focal, cx, cy, bend = lens.params
+        near, far = np.percentile(depth, thresholds.DEPTH_PERCENTILES) * thresholds.DEPTH_MARGINS
+        pixels = self._pixels(index_of(model, image))
+        lens = lens_of(model, image)
+        focal, cx, cy, distortion = lens.params
         known = Lens(
             *(focal, focal, cx, cy, lens.width, lens.height),
             model="OPENCV",
-            distortion=(bend, 0.0, 0.0, 0.0),
+            distortion=(distortion, 0.0, 0.0, 0.0),
         )
-        small = known.resized(pixels.shape[1], pixels.shape[0], image.name)
-        straight, pixels = undistort(small, pixels, image.name)
-        camera = straight.camera(np.vstack([pose, [0, 0, 0, 1]]), image.name)
+        small = known.resized(pixels.shape[1], pixels.shape[0], name)
+        straight, pixels = undistort(small, pixels, name)
+        camera = straight.camera(np.vstack([pose, [0, 0, 0, 1]]), name)
         picture = grey(torch.from_numpy(pixels.astype(np.float32)) / 255)
-        return View(picture, camera, (float(near), float(far)))
+        return PinholePhoto(picture, camera, (float(near), float(far)))
 
     def _pixels(self, index: int) -> NDArray[np.uint8]:
         from PIL import Image
@@ -113,42 +103,37 @@ class Pictures:
         return self._reduced[index]
 
 
-def depth_of(device: Device, here: View, there: View) -> Tensor:
-    """Depth `[H, W]` of one view by another one."""
-    import torch
-
+def depth_of(device: Device, here: PinholePhoto, there: PinholePhoto) -> Tensor:
+    """Depth `[H, W]` of one photograph by another one."""
     from core_rasterizer.matching import Penalties, ZnccSweep, aggregate, pick
 
     near, far = here.depths
-    nearness = torch.linspace(1 / far, 1 / near, PLANES, dtype=torch.float64)
+    nearness = torch.linspace(1 / far, 1 / near, thresholds.PLANES, dtype=torch.float64)
     greys, cameras = [here.grey, there.grey], [here.camera, there.camera]
-    sweep = ZnccSweep(device, greys, cameras, nearness, radius=RADIUS)
-    costs = sweep.costs(0, [1])
-    plane, _ = pick(device, aggregate(device, costs, here.grey, Penalties(10, 4000)), PLANES)
-    return 1 / (1 / far + (1 / near - 1 / far) / (PLANES - 1) * plane.double())
+    sweep = ZnccSweep(device, greys, cameras, nearness, radius=thresholds.RADIUS)
+    penalties = Penalties(*thresholds.PENALTIES)
+    costs = aggregate(device, sweep.costs(0, [1]), here.grey, penalties)
+    plane, _ = pick(device, costs, thresholds.PLANES)
+    return 1 / (1 / far + (1 / near - 1 / far) / (thresholds.PLANES - 1) * plane.double())
 
 
-def confirmed(here: View, there: View, depth: Tensor, other: Tensor) -> Confirmed:
-    """Return the pixels of a view that its depth and that of another view confirm."""
-    import torch
-
+def confirmed(here: PinholePhoto, there: PinholePhoto, depth: Tensor, other: Tensor) -> Confirmed:
+    """Return the pixels of a photograph that its depth and that of another one confirm."""
     u, v = here.camera.pixel_centers()
     ends = there.camera.project(here.camera.unproject(u, v, depth))
     inside = there.camera.contains(*ends)
     back = here.camera.project(
         there.camera.unproject(*ends[:2], sampled(other, *ends[:2], "nearest"))
     )
-    returns = torch.hypot(back[0] - u, back[1] - v) <= MAX_RETURN
+    returns = torch.hypot(back[0] - u, back[1] - v) <= thresholds.MAX_RETURN
     seen = sampled(there.grey.double(), *ends[:2], "bilinear")
     alike, contrast = _correlation(here.grey.double(), seen)
-    known = inside & (contrast > MIN_CONTRAST**2)
-    return Confirmed(known & returns & (back[2] > 0) & (alike > MIN_CORRELATION), known)
+    known = inside & (contrast > thresholds.MIN_CONTRAST**2)
+    return Confirmed(known & returns & (back[2] > 0) & (alike > thresholds.MIN_CORRELATION), known)
 
 
 def sampled(values: Tensor, u: Tensor, v: Tensor, mode: str) -> Tensor:
     """Values `[H, W]` at positions in pixels, each `[A, B]`; 0 outside."""
-    import torch
-
     height, width = values.shape
     places = torch.stack([2 * u / width - 1, 2 * v / height - 1], dim=-1)
     return torch.nn.functional.grid_sample(
@@ -158,16 +143,14 @@ def sampled(values: Tensor, u: Tensor, v: Tensor, mode: str) -> Tensor:
 
 def _correlation(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
     """Correlation of the windows around each pixel of two pictures, and the variance of the first."""
-    import torch
+    radius, flat = thresholds.RADIUS, thresholds.FLAT_VARIANCE
 
     def mean(picture: Tensor) -> Tensor:
-        side = 2 * RADIUS + 1
         return torch.nn.functional.avg_pool2d(
-            picture[None, None], side, 1, RADIUS, count_include_pad=False
+            picture[None, None], 2 * radius + 1, 1, radius, count_include_pad=False
         )[0, 0]
 
     centers = mean(first), mean(second)
     variances = mean(first**2) - centers[0] ** 2, mean(second**2) - centers[1] ** 2
     covariance = mean(first * second) - centers[0] * centers[1]
-    flat = 1e-5  # so that noise on a flat surface does not correlate
     return covariance / torch.sqrt((variances[0] + flat) * (variances[1] + flat)), variances[0]

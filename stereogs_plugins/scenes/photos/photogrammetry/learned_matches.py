@@ -10,17 +10,20 @@ from __future__ import annotations
 import os
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
 from registry.toolkit.progress import tracked
 
-from .unposed_photos import image_index, image_name
+from . import thresholds
+from .colmap import image_index, image_name, open_database
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
+Scalar = TypeVar("Scalar", np.float32, np.uint32)
 FOLDER_VARIABLE = "STEREOGS_MODELS"
 """Environment variable with the path of the model folder."""
 FINDER = (
@@ -32,13 +35,6 @@ MATCHER = (
     "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
 )
 """Paths relative to the folder, with SHA-256."""
-MIN_SCORE = 0.1
-"""Least score of a match; geometric verification removes the remaining wrong ones."""
-LONGER_SIDE = 1024
-"""Longer side of the pictures that ALIKED sees, in pixels."""
-MAX_ENLARGED = 2.0
-MAX_KEYPOINTS = 1024
-"""Keypoints of a picture to match, best first; matching twice as many takes four times as long."""
 
 
 def known_files() -> tuple[Path, Path] | None:
@@ -50,9 +46,7 @@ def known_files() -> tuple[Path, Path] | None:
     return (finder, matcher) if finder.is_file() and matcher.is_file() else None
 
 
-def add_learned_matches(
-    colmap: Any, files: tuple[Path, Path], images: Path, sift: Path, database: Path
-) -> None:
+def add_learned_matches(files: tuple[Path, Path], images: Path, sift: Path, database: Path) -> None:
     """Fill a database with unverified keypoints and matches of SIFT and the networks.
 
     Args:
@@ -64,13 +58,11 @@ def add_learned_matches(
     Raises:
         PluginError: a file does not match its hash, or cannot be run.
     """
-    import numpy as np
-
     networks = KeypointNetworks(
         *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True)),
         multiple=1,
     )
-    with colmap.Database.open(sift) as known, colmap.Database.open(database) as opened:
+    with open_database(sift) as known, open_database(database) as opened:
         there = {image_index(image.name): image.image_id for image in known.read_all_images()}
         here = {image_index(image.name): image.image_id for image in opened.read_all_images()}
         found = {
@@ -82,34 +74,31 @@ def add_learned_matches(
             opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
         pairs = list(combinations(found, 2))
         for first, second in tracked(pairs, "matching"):
-            rows, _ = networks.match(found[first], found[second], MIN_SCORE)
+            rows, _ = networks.match(found[first], found[second], thresholds.MIN_SCORE)
             new = rows.numpy() + np.array([len(before[first]), len(before[second])])
             old = known.read_matches(there[first], there[second])
             opened.write_matches(here[first], here[second], _joined(old, new))
 
 
 def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
-    """The best keypoints of a picture, which is scaled to `LONGER_SIDE` first."""
-    import numpy as np
+    """The best keypoints of a picture, which is scaled to `KEYPOINT_SIZE` first."""
     import torch
     from PIL import Image
 
     with Image.open(file) as opened:
         picture = opened.convert("RGB")
-    scale = min(LONGER_SIDE / max(picture.size), MAX_ENLARGED)
+    scale = min(thresholds.KEYPOINT_SIZE / max(picture.size), thresholds.MAX_ENLARGED)
     width, height = (round(side * scale) for side in picture.size)
     scaled = picture.resize((width, height), Image.Resampling.BICUBIC)
     image = torch.from_numpy(np.asarray(scaled, np.float32) / 255)
     found = networks.keypoints(image, turned=False)
     back = torch.tensor([picture.width / width, picture.height / height])
     return Keypoints(
-        found.points[:MAX_KEYPOINTS] * back,
-        found.normalized[:, :MAX_KEYPOINTS],
-        found.descriptors[:, :MAX_KEYPOINTS],
+        found.points[: thresholds.MAX_KEYPOINTS] * back,
+        found.normalized[:, : thresholds.MAX_KEYPOINTS],
+        found.descriptors[:, : thresholds.MAX_KEYPOINTS],
     )
 
 
-def _joined(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.generic]:
-    import numpy as np
-
+def _joined(first: NDArray[Scalar], second: NDArray[Any]) -> NDArray[Scalar]:
     return np.concatenate([first, second.astype(first.dtype)])

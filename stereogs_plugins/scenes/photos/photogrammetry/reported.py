@@ -6,9 +6,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from registry.toolkit.progress import progress
+
+from .colmap import open_database
+
+if TYPE_CHECKING:
+    from .colmap import Database
 
 SECONDS = 0.5
 """Between two looks at the database."""
@@ -16,7 +21,7 @@ SECONDS = 0.5
 
 @contextmanager
 def rows_reported(
-    colmap: Any, database: Path, count: Callable[[Any], int], stage: str, total: int
+    database: Path, count: Callable[[Database], int], stage: str, total: int
 ) -> Iterator[None]:
     """Report a number of rows while the block fills a database.
 
@@ -36,7 +41,7 @@ def rows_reported(
             progress(stage, count(opened), total)
 
     progress(stage, 0, total)
-    with colmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         thread = threading.Thread(target=look, name="rows of COLMAP", daemon=True)
         thread.start()
         try:

@@ -10,8 +10,9 @@ from PIL import Image
 
 from registry import Scene, SceneError
 from registry.toolkit.drawing import to_bytes
-from stereogs_plugins.scenes.photos import structure_from_motion
-from stereogs_plugins.scenes.photos.no_depth import MIN_DEVIATION, rotation_error
+from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
+from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_DEVIATION
+from stereogs_plugins.scenes.photos.photogrammetry.two_view import rotation_error
 from tests.data import data_folder
 from tests.stereogs_plugins.scenes.photos.photographs import Array, load
 
@@ -55,8 +56,8 @@ def write(scene: Scene, folder: Path, views: list[Array]) -> None:
 def test_photographs_from_one_position(
     room: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ways = structure_from_motion._ways
-    monkeypatch.setattr(structure_from_motion, "_ways", lambda *some: ways(*some)[:1])  # SIFT
+    kinds = structure_from_motion.matchings
+    monkeypatch.setattr(structure_from_motion, "matchings", lambda *some: kinds(*some)[:1])  # SIFT
     write(room, tmp_path, [homography(degrees) for degrees in (0, 5, 10)])
     with pytest.raises(SceneError) as caught:
         load(tmp_path)
