@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
     from registry.runs.opening import open_run
-    from registry.runs.options import InitialState, Plan
+    from registry.runs.preparation import Prepared
     from registry.runs.progress import MetricsLog, TrainingProgress
     from registry.runs.results import Failure, Results, SceneRecord
     from registry.runs.training_run import start
@@ -92,6 +92,7 @@ if TYPE_CHECKING:
         choose_runner,
         train_all,
     )
+    from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.new_plugin.package_files import KINDS
     from stereogs.verbs.other_processes import refuse_different_answers
