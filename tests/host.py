@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     )
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
-    from registry.pipeline.settings_check import escape_variables, plain
+    from registry.pipeline.settings_check import escape_variables, plain, validate_settings
     from registry.pipeline.training_settings import LearningRates, TrainingSettings
     from registry.pipeline.yaml_source import Place, parse as parse_yaml, to_yaml
     from registry.priors.prior_cache import load_estimate, save_estimate
